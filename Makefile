@@ -1,0 +1,63 @@
+# One virtual environment, made once and again only when the dependencies change.
+#
+#   make train ARGS="num_envs=256 max_iterations=100"    make test    make lint    make bench
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help install install-dev train test test-slow lint format bench wheel clean
+
+help:
+	@echo "make install      virtual environment with the tested set of packages"
+	@echo "make train        install, then train HumanoidAMP; ARGS=\"key=value ...\" adds settings"
+	@echo "make test         install-dev, lint, and the fast tests"
+	@echo "make test-slow    the slow tests"
+	@echo "make lint         ruff and pyright;   make format   lets ruff rewrite the files"
+	@echo "make bench        speed and memory"
+	@echo "make wheel        build the wheel into dist/"
+	@echo "make clean        remove the virtual environment, builds and caches (not runs/)"
+
+install: $(VENV)/.installed
+install-dev: $(VENV)/.installed-dev
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install -q -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
+	touch $@ $(VENV)/.installed
+
+train: install
+	$(BIN)/python train.py task=HumanoidAMP $(ARGS)
+
+test: lint
+	$(BIN)/python -m pytest $(ARGS)
+
+test-slow: install-dev
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: install-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+format: install-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: install
+	$(BIN)/python benchmarks/run.py $(ARGS)
+
+wheel: install-dev
+	$(BIN)/python -m hatchling build -t wheel
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

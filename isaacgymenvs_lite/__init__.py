@@ -1,0 +1,67 @@
+"""IsaacGymEnvs' command line, YAML files and agents on MuJoCo, on any machine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from isaacgymenvs_lite._version import __version__
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+__all__ = ["__version__", "make"]
+
+
+def make(
+    seed: int = 42,
+    task: str = "HumanoidAMP",
+    num_envs: int | str = "",
+    sim_device: str = "cpu",
+    rl_device: str = "cpu",
+    graphics_device_id: int = -1,
+    headless: bool = True,
+    multi_gpu: bool = False,
+    virtual_screen_capture: bool = False,
+    force_render: bool = False,
+    cfg: DictConfig | None = None,
+) -> VecTask:
+    """Make a task; arguments, names and order as IsaacGymEnvs' `make`, all with a default.
+
+    Args:
+        seed: seeds Python, numpy and torch; -1 for a random seed.
+        task: name of a task file in cfg/task.
+        num_envs: number of environments; '' = the task file's own.
+        sim_device: physics device.
+        rl_device: torch device of what `step` and `reset` return.
+        graphics_device_id: index of the rendering device.
+        headless: no viewer.
+        multi_gpu: not supported yet.
+        virtual_screen_capture: not supported yet.
+        force_render: not supported yet.
+        cfg: a composed tree to use instead of composing one; task, num_envs and seed are then
+            taken from it, and the class from `cfg.task.name`.
+
+    Returns:
+        The task; call `close()` when done.
+
+    Raises:
+        ConfigError: an unknown task, key or value.
+        MotionFileError: a motion clip that cannot be used.
+    """
+    from isaacgymenvs_lite.making import make_task
+
+    return make_task(
+        seed=seed,
+        task=task,
+        num_envs=num_envs,
+        sim_device=sim_device,
+        rl_device=rl_device,
+        graphics_device_id=graphics_device_id,
+        headless=headless,
+        multi_gpu=multi_gpu,
+        virtual_screen_capture=virtual_screen_capture,
+        force_render=force_render,
+        cfg=cfg,
+    )

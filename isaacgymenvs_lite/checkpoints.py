@@ -1,0 +1,235 @@
+"""Checkpoints: written atomically, loaded without running code, found by name.
+
+rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
+a full unpickler (a stranger's file runs code). `install` puts the functions of this module in
+their place, for all agents.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from isaacgymenvs_lite.errors import CheckpointError
+
+log = logging.getLogger(__name__)
+
+_COMPILED_PREFIX = "_orig_mod."
+# rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
+_OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
+
+
+def install() -> None:
+    """Make rl_games save and load through this module."""
+    from rl_games.algos_torch import torch_ext
+
+    torch_ext.save_checkpoint = save_checkpoint
+    torch_ext.load_checkpoint = load_checkpoint
+
+
+# --- writing -----------------------------------------------------------------------------------
+
+
+def save_checkpoint(filename: str, state: dict[str, Any]) -> None:
+    """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
+
+    If the folder cannot be written (read-only, full), the failure is logged, the checkpoint goes
+    to a folder below the system's temporary one instead, and the training goes on: losing the
+    run would be worse than losing a file.
+    """
+    path = Path(f"{filename}.pth")
+    state = _plain_numbers(state)
+    try:
+        write_atomically(path, state)
+    except OSError as error:
+        _rescue(path, state, error)
+    else:
+        log.info("saved %s", path)
+
+
+def write_atomically(path: Path, state: dict[str, Any]) -> None:
+    """Write beside `path`, flush to the disk, then rename.
+
+    Raises:
+        OSError: the folder cannot be written or is full; nothing of the attempt stays behind.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            try:
+                torch.save(state, file)
+            except RuntimeError as error:
+                # torch's zip writer turns a failed write into a RuntimeError
+                raise OSError(f"writing failed ({str(error).splitlines()[0]})") from error
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _rescue(path: Path, state: dict[str, Any], error: OSError) -> None:
+    reason = error.strerror or error
+    folder = Path(tempfile.gettempdir()) / "isaacgymenvs_lite_rescue" / path.parent.parent.name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / path.name, state)
+    except OSError as second_error:
+        log.error(
+            "cannot write the checkpoint %s (%s), nor below %s (%s); training goes on, free some"
+            " space before the next save",
+            path,
+            reason,
+            folder,
+            second_error.strerror or second_error,
+        )
+    else:
+        log.error(
+            "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
+            path,
+            reason,
+            folder / path.name,
+        )
+
+
+def _plain_numbers(value: Any) -> Any:
+    """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(value)
+    if isinstance(value, dict):
+        return type(value)((key, _plain_numbers(entry)) for key, entry in value.items())
+    if isinstance(value, (list, tuple)):
+        return type(value)(_plain_numbers(entry) for entry in value)
+    return value
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+def load_checkpoint(filename: str | Path) -> dict[str, Any]:
+    """Load a checkpoint on the CPU without running code from it.
+
+    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers stand beside the
+    model), and strips the parameter prefix of compiled models.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, holds anything but tensors and plain
+            containers, or is no checkpoint.
+    """
+    path = Path(filename)
+    if not path.is_file():
+        raise CheckpointError(f"checkpoint={filename}: no such file; give a .pth file or 'last'")
+    try:
+        # Scalars of numpy are harmless, and rl_games stores its best reward as one.
+        with torch.serialization.safe_globals(_numpy_scalar_globals()):
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise CheckpointError(_unsafe_message(path, error)) from error
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError, AttributeError) as error:
+        raise CheckpointError(
+            f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth"
+            " file that train.py wrote"
+        ) from error
+    if not isinstance(state, dict) or not isinstance(state.get("model"), Mapping):
+        raise CheckpointError(
+            f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
+            " rl_games writes it"
+        )
+    log.info("loaded %s", path)
+    return _modernize(state)
+
+
+def _numpy_scalar_globals() -> list[Any]:
+    scalar = np._core.multiarray.scalar  # type: ignore[attr-defined]
+    dtypes = [type(np.dtype(name)) for name in ("float32", "float64", "int64", "int32", "bool")]
+    return [np.dtype, *dtypes, scalar, (scalar, "numpy.core.multiarray.scalar")]
+
+
+def _unsafe_message(path: Path, error: Exception) -> str:
+    text = str(error)
+    marker = "Unsupported global: GLOBAL "
+    if marker in text:
+        name = text.split(marker, 1)[1].split()[0]
+        return (
+            f"checkpoint={path}: refused, it would run code ({name}); expected tensors and plain"
+            " containers only, do not trust this file"
+        )
+    return (
+        f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth file"
+        " that train.py wrote"
+    )
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:160] if lines else type(error).__name__
+
+
+def _modernize(state: dict[str, Any]) -> dict[str, Any]:
+    model = {key.removeprefix(_COMPILED_PREFIX): value for key, value in state["model"].items()}
+    for old, prefix in _OLD_NORMALIZERS.items():
+        statistics = state.get(old)
+        if isinstance(statistics, Mapping):
+            for key, value in statistics.items():
+                model.setdefault(f"{prefix}.{key}", value)
+    state["model"] = model
+    return state
+
+
+# --- finding -----------------------------------------------------------------------------------
+
+
+def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -> str:
+    """Return the path that the key `checkpoint` means.
+
+    Args:
+        checkpoint: '' (none), a path, or `last`: the newest checkpoint of the task's runs.
+        train_dir: folder of the run folders.
+        task_name: the task whose runs `last` looks at.
+
+    Raises:
+        CheckpointError: there is no such file.
+    """
+    if not checkpoint:
+        return ""
+    if checkpoint == "last":
+        return str(_newest(Path(train_dir), task_name))
+    path = Path(checkpoint).expanduser()
+    if not path.is_file():
+        hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: no file {path.absolute()}{hint}; give a .pth file, or"
+            " 'last' for the newest one of this task"
+        )
+    return str(path.absolute())
+
+
+def _newest(train_dir: Path, task_name: str) -> Path:
+    runs = [run for run in train_dir.glob("*") if _task_of_run(run) == task_name]
+    files = [file for run in runs for file in run.glob("nn/*.pth")]
+    if not files:
+        raise CheckpointError(
+            f"checkpoint=last: no checkpoint of task={task_name} below {train_dir.absolute()};"
+            f" train one first: python train.py task={task_name}"
+        )
+    return max(files, key=lambda file: file.stat().st_mtime).absolute()
+
+
+def _task_of_run(run: Path) -> str | None:
+    from omegaconf import OmegaConf
+
+    config = run / "config.yaml"
+    if not config.is_file():
+        return None
+    return OmegaConf.select(OmegaConf.load(config), "task.name")

@@ -1,0 +1,164 @@
+"""Hydra's and OmegaConf's errors, told in one line: what was given, the choices, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from isaacgymenvs_lite.config.yaml_files import one_line
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.schema import nearest
+
+# What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
+# override of a wrong kind, such as a number for a task.
+ComposeError = (HydraException, OmegaConfBaseException, ValueError)
+
+_ALIKE = 0.75
+
+
+def explain(
+    error: Exception, overrides: Sequence[str], loader: ConfigLoaderImpl, config_name: str
+) -> ConfigError:
+    """Return the one-line error for what Hydra or OmegaConf raised while composing.
+
+    Args:
+        error: what was raised.
+        overrides: the command line's overrides, sweeps included.
+        loader: a loader over the same folders; it lists the files that could be named.
+        config_name: the root file's name.
+    """
+    if isinstance(error, ConfigError):
+        return error
+    if isinstance(error, OverrideParseException):
+        return _unreadable_override(error)
+    if isinstance(error, MissingConfigException):
+        return _missing_file(error, overrides)
+    parsed = _parse(overrides)
+    for override in parsed:
+        group = override.get_key_element()
+        is_name = isinstance(override.value(), (str, list)) or override.is_sweep_override()
+        if loader.repository.group_exists(group) and not is_name and not override.is_delete():
+            choices = ", ".join(loader.get_group_options(group))
+            return ConfigError(f"'{override.input_line}' names no file; choices: {choices}")
+    text = str(error)
+    key = _quoted(text)
+    if text.startswith("Could not override") and key is not None:
+        return _unknown_key(key, overrides, loader, config_name)
+    if text.startswith("Ambiguous value") and key is not None:
+        return ConfigError(
+            f"'{key}' gives several values: add --multirun to run one after the other, "
+            "or put them in [ ] to give a list"
+        )
+    if text.startswith("Could not append") and key is not None:
+        return ConfigError(f"the key '{key}' exists: leave out the + before it to change its value")
+    reason = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
+    first = text.split("\n\n")[0]
+    return ConfigError(one_line(Exception(f"{first} {reason or ''}")))
+
+
+def explain_interpolation(error: OmegaConfBaseException) -> ConfigError:
+    """Return the one-line error for an interpolation that cannot be resolved."""
+    where = error.full_key or "the configuration"
+    reason = str(error).split("\n")[0]
+    if not reason.startswith("Interpolation key"):
+        return ConfigError(f"{where}: {reason}")
+    return ConfigError(f"{where}: {reason[0].lower()}{reason[1:]}; correct the path in ${{...}}")
+
+
+def _unreadable_override(error: OverrideParseException) -> ConfigError:
+    lines = [line for line in str(error.message).splitlines() if "override" not in line]
+    reason = f" ({lines[0].strip()})" if lines else ""
+    return ConfigError(
+        f"cannot read '{error.override}'{reason}; write key=value, and put a value that holds "
+        "blanks or any of = , [ ] { } in quotes: 'key=\"value\"'"
+    )
+
+
+def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> ConfigError:
+    """Explain a task, train or other file that does not exist."""
+    path = error.missing_cfg_file or ""
+    group, _, name = path.rpartition("/")
+    if error.options is None or not group:
+        return ConfigError(one_line(Exception(str(error).split("\nConfig search path")[0])))
+    if group != "train":
+        next_step = f"your own files go into cfg/{group} or below a --config-dir"
+        return ConfigError(unknown(group, name, error.options, next_step))
+    if any(override.key_or_group == "train" for override in _parse(overrides)):
+        return ConfigError(unknown("train file", name, error.options))
+    return ConfigError(
+        f"there is no default train file '{name}' for this task: name one with train=; "
+        f"choices: {', '.join(sorted(error.options))}"
+    )
+
+
+def _unknown_key(
+    key: str, overrides: Sequence[str], loader: ConfigLoaderImpl, config_name: str
+) -> ConfigError:
+    """Explain a key that the tree does not have; list the keys at its level."""
+    groups = [
+        override.input_line
+        for override in _parse(overrides)
+        if override.input_line and loader.repository.group_exists(override.get_key_element())
+    ]
+    try:
+        tree = loader.load_configuration(config_name, groups, RunMode.MULTIRUN)
+    except ComposeError:
+        return ConfigError(f"unknown key '{key}'")
+    section, path, leaf = _deepest_section(tree, key)
+    if leaf in section:
+        parent = f"{path}.{leaf}" if path else leaf
+        return ConfigError(f"unknown key '{key}': '{parent}' holds a value, not further keys")
+    level = f"the keys of {path}" if path else "the keys"
+    choices = sorted(str(name) for name in section if name != "hydra")
+    near = nearest(leaf, choices, _ALIKE)
+    hint = f" (did you mean '{f'{path}.{near}' if path else near}'?)" if near else ""
+    if not hint:
+        elsewhere = [other for other in _leaf_paths(tree) if other.rpartition(".")[2] == leaf]
+        hint = f" (did you mean '{elsewhere[0]}'?)" if elsewhere else ""
+    return ConfigError(
+        f"unknown key '{key}'{hint}; {level} are {', '.join(choices)}; +{key}=... adds a new one"
+    )
+
+
+def _deepest_section(tree: DictConfig, key: str) -> tuple[DictConfig, str, str]:
+    """Follow the dotted `key` down to the last section that exists.
+
+    Returns:
+        That section, its path, and the name that is missing in it.
+    """
+    section, path = tree, ""
+    for name in key.split("."):
+        if name not in section or not OmegaConf.is_dict(section._get_node(name)):
+            return section, path, name
+        section = section[name]
+        path = f"{path}.{name}" if path else name
+    return section, path, ""
+
+
+def _leaf_paths(section: DictConfig, path: str = "") -> Iterator[str]:
+    for name in section:
+        node = section._get_node(name)
+        dotted = f"{path}.{name}" if path else str(name)
+        if dotted == "hydra":
+            continue
+        if isinstance(node, DictConfig) and not node._is_interpolation() and not node._is_none():
+            yield from _leaf_paths(node, dotted)
+        else:
+            yield dotted
+
+
+def _parse(overrides: Sequence[str]) -> list[Override]:
+    return OverridesParser.create().parse_overrides(list(overrides))
+
+
+def _quoted(text: str) -> str | None:
+    """Return the first part of `text` that stands in single quotes."""
+    parts = text.split("'")
+    return parts[1] if len(parts) >= 3 else None

@@ -1,0 +1,166 @@
+"""The keys of cfg/config.yaml: types, limits, and what this version can do with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+from dataclasses import dataclass
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from isaacgymenvs_lite.config.devices import check_device
+from isaacgymenvs_lite.config.explain import explain_interpolation
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import missing_key, read_section, setting
+
+# Sections below the root, which others read.
+_SECTIONS = ("task", "train", "pbt")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaunchSettings:
+    """The root of the configuration tree, checked; None stands for a '' that means "not given"."""
+
+    task_name: str = setting()
+    """Class of the task."""
+    experiment: str = setting("")
+    """Name of the run; '' leaves the train file's."""
+    test: bool = setting(False)
+    """Play instead of train."""
+    checkpoint: str = setting("")
+    """File to restore, `last`, or ''."""
+    sigma: float | None = setting(None, blank=True)
+    """Replaces the log standard deviation of a policy with fixed sigma."""
+    num_envs: int | None = setting(None, minimum=1, blank=True)
+    max_iterations: int | None = setting(None, minimum=1, blank=True)
+    """Epochs."""
+    seed: int = setting(42, minimum=-1)
+    """-1 draws one."""
+    torch_deterministic: bool = setting(False)
+
+    sim_device: str = setting("cpu")
+    rl_device: str = setting("cpu")
+    pipeline: str = setting("cpu", choices=("cpu", "gpu"))
+    """Where the task's tensors live."""
+    num_threads: int = setting(0, minimum=0)
+    """Physics worker threads on a CPU; 0 means one for each CPU."""
+    multi_gpu: bool = setting(False)
+
+    headless: bool = setting(True)
+    force_render: bool = setting(False)
+    capture_video: bool = setting(False)
+    capture_video_freq: int = setting(1464, minimum=1)
+    capture_video_len: int = setting(100, minimum=1)
+
+    wandb_activate: bool = setting(False)
+    wandb_group: str = setting("")
+    wandb_name: str = setting("")
+    wandb_entity: str = setting("")
+    wandb_project: str = setting("isaacgymenvs")
+    wandb_tags: list[str] = setting([])
+    wandb_logcode_dir: str = setting("")
+
+    physics_engine: str = setting("physx", choices=("physx", "flex"))
+    solver_type: int = setting(1, choices=(0, 1))
+    num_subscenes: int = setting(4, minimum=0)
+    graphics_device_id: int = setting(0, minimum=-1)
+
+    full_experiment_name: str | None = setting(None, blank=True)
+    """Exact name of the run folder; not in the file, added with +full_experiment_name=."""
+    pbt_restart: bool = setting(False)
+    """Set by population-based training when it restarts a process."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _EnvSize:
+    """The one key of task.env that every task has."""
+
+    num_envs: int = setting(key="numEnvs", minimum=1)
+
+
+def check_config(cfg: DictConfig) -> LaunchSettings:
+    """Check a composed tree before anything heavy is imported or made.
+
+    Types, limits and choices of the root's keys, features that this version lacks, devices, and
+    that every interpolation of the tree resolves. torch is imported only if a device may be a GPU,
+    after everything that needs no torch.
+
+    Raises:
+        ConfigError: a key is missing, unknown or has a wrong value, or asks for a lacking feature.
+        DeviceError: a device does not exist on this machine.
+    """
+    _check_sections(cfg)
+    postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
+    values = {
+        str(key): _resolve(cfg, str(key))
+        for key in cfg
+        if key not in _SECTIONS and key not in postponed
+    }
+    settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
+    _check_features(settings, cfg)
+    check_device(settings.sim_device, "sim_device")
+    if not postponed:
+        check_device(settings.rl_device, "rl_device")
+    tree = _resolve_tree(cfg)
+    env = tree["task"]["env"] or {}
+    read_section(_EnvSize, env, where="task.env", ignored=set(env) - {"numEnvs"})
+    return dataclasses.replace(settings, rl_device=str(tree["rl_device"]))
+
+
+def _check_sections(cfg: DictConfig) -> None:
+    for path in ("task.name", "task.env", "train.params"):
+        section, _, key = path.rpartition(".")
+        parent = cfg._get_node(section)
+        present = list(parent) if isinstance(parent, DictConfig) else []
+        if key not in present:
+            hint = f"a {section} file starts with {'params:' if section == 'train' else 'name:'}"
+            raise missing_key(key, dict.fromkeys(map(str, present)), [key], section, hint)
+
+
+def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
+    """Refuse what this version does not do, rather than ignore it.
+
+    Raises:
+        ConfigError: such a feature is switched on.
+    """
+    asked = {
+        "multi_gpu": (settings.multi_gpu, "data-parallel training"),
+        "capture_video": (settings.capture_video, "recording videos"),
+        "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
+        "task.task.randomize": (_select(cfg, "task.task.randomize"), "domain randomisation"),
+    }
+    for key, (value, feature) in asked.items():
+        if value:
+            raise ConfigError(
+                f"{key}={value}: {feature} is not implemented in this version; set {key}=False"
+            )
+    if settings.wandb_activate and importlib.util.find_spec("wandb") is None:
+        raise ConfigError(
+            "wandb_activate=True: the package wandb is not installed; "
+            'pip install "isaacgymenvs-lite[wandb]" or leave wandb_activate out'
+        )
+
+
+def _resolve(cfg: DictConfig, key: str) -> Any:
+    try:
+        return cfg[key]
+    except OmegaConfBaseException as error:
+        raise explain_interpolation(error) from error
+
+
+def _resolve_tree(cfg: DictConfig) -> dict[str, Any]:
+    try:
+        tree = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise explain_interpolation(error) from error
+    assert isinstance(tree, dict)
+    return {str(key): value for key, value in tree.items()}
+
+
+def _select(cfg: DictConfig, path: str) -> Any:
+    try:
+        return OmegaConf.select(cfg, path)
+    except OmegaConfBaseException as error:
+        raise explain_interpolation(error) from error

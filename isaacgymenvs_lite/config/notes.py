@@ -1,0 +1,106 @@
+"""What a start has to say about its configuration, each thing in one line."""
+
+from __future__ import annotations
+
+import copy
+
+from omegaconf import DictConfig, OmegaConf, flag_override
+
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.paths import cfg_dir
+
+# Read by Isaac Gym's PhysX, its importer or its viewer, by nothing here.
+_ROOT_KEYS = ("physics_engine", "solver_type", "num_subscenes", "graphics_device_id")
+_TASK_KEYS = (
+    "env.envSpacing",
+    "env.cameraFollow",
+    "env.enableDebugVis",
+    "env.enableCameraSensors",
+    "env.renderFPS",
+    "env.plane.restitution",
+    "sim.num_client_threads",
+)
+_TASK_SECTIONS = ("sim.physx", "sim.flex")
+_ABSENT = object()
+
+# Keys whose shipped defaults are smaller on a CPU, with the name under which users know them.
+_SIZES = {
+    "task.env.numEnvs": "numEnvs",
+    "train.params.config.minibatch_size": "minibatch_size",
+    "train.params.config.amp_minibatch_size": "amp_minibatch_size",
+}
+
+
+def startup_notes(cfg: DictConfig) -> list[str]:
+    """Return the lines that a start logs about `cfg`; none for the defaults on a GPU."""
+    notes = []
+    if without_effect := physx_only_keys(cfg):
+        notes.append(f"no effect here, PhysX or viewer only: {', '.join(without_effect)}")
+    shown = [key for key, off in (("headless", True), ("force_render", False)) if cfg[key] != off]
+    if shown:
+        given = ", ".join(f"{key}={cfg[key]}" for key in shown)
+        notes.append(f"{given}: there is no viewer in this version, running without")
+    if note := cpu_defaults_note(cfg):
+        notes.append(note)
+    return notes
+
+
+def physx_only_keys(cfg: DictConfig) -> list[str]:
+    """Return the keys that have no effect here and were set by the user.
+
+    Set means: unlike our own YAML file of that name, or, in a task that we ship no file for,
+    present. Values are compared as written, before interpolation.
+    """
+    root = read_yaml(cfg_dir() / "config.yaml")
+    found = [key for key in _ROOT_KEYS if _raw(cfg, key) != _raw(root, key)]
+    task_file = cfg_dir() / "task" / f"{_raw(cfg, 'task.name')}.yaml"
+    shipped = read_yaml(task_file) if task_file.is_file() else OmegaConf.create()
+    for key in _TASK_KEYS:
+        if _is_set(cfg, shipped, key):
+            found.append(f"task.{key}")
+    for section in _TASK_SECTIONS:
+        found += _set_keys(cfg, shipped, section)
+    return found
+
+
+def cpu_defaults_note(cfg: DictConfig) -> str | None:
+    """Return one line that names the sizes that depend on learning on a CPU, or None."""
+    if "cuda" in str(cfg.rl_device):
+        return None
+    on_gpu = copy.deepcopy(cfg)
+    with flag_override(on_gpu, "readonly", False):
+        on_gpu.rl_device = "cuda:0"
+    sizes = []
+    for path, name in _SIZES.items():
+        here, there = OmegaConf.select(cfg, path), OmegaConf.select(on_gpu, path)
+        if here != there:
+            sizes.append(f"{name} {here} ({there})")
+    if not sizes:
+        return None
+    return f"defaults for learning on a CPU (on a GPU): {', '.join(sizes)}"
+
+
+def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:
+    """Return the keys of `task.<section>` that the user set; the section's name if it is all."""
+    node = OmegaConf.select(cfg, f"task.{section}")
+    if not isinstance(node, DictConfig) or not node:
+        return []
+    found = [str(key) for key in node if _is_set(cfg, shipped, f"{section}.{key}")]
+    if len(found) == len(node):
+        return [f"task.{section}.*"]
+    return [f"task.{section}.{key}" for key in found]
+
+
+def _is_set(cfg: DictConfig, shipped: DictConfig, key: str) -> bool:
+    value = _raw(cfg, f"task.{key}")
+    return value is not _ABSENT and value != _raw(shipped, key)
+
+
+def _raw(cfg: DictConfig, path: str) -> object:
+    """Return the value at `path` as written, interpolations unresolved."""
+    parent, _, key = path.rpartition(".")
+    node = OmegaConf.select(cfg, parent) if parent else cfg
+    if not isinstance(node, DictConfig) or key not in node:
+        return _ABSENT
+    child = node._get_node(key)
+    return child._value() if child is not None and not OmegaConf.is_config(child) else child

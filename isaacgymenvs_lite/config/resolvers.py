@@ -1,0 +1,54 @@
+"""The interpolation functions that YAML files of this family use.
+
+- `${eq:a,b}`: a equals b, ignoring case; both are text
+- `${contains:a,b}`: a is part of b, ignoring case
+- `${if:p,a,b}`: a if p is true in Python's sense, else b; the text "False" is true
+- `${resolve_default:d,x}`: d if x is '', else x
+- `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu; this project's own
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omegaconf import OmegaConf
+
+
+def equal(a: str, b: str) -> bool:
+    """Compare two texts, ignoring case."""
+    return a.lower() == b.lower()
+
+
+def contains(part: str, whole: str) -> bool:
+    """Tell whether `part` occurs in `whole`, ignoring case."""
+    return part.lower() in whole.lower()
+
+
+def choose(predicate: Any, if_true: Any, if_false: Any) -> Any:
+    """Return `if_true` for a true `predicate`: '' is false, any other text is true."""
+    return if_true if predicate else if_false
+
+
+def resolve_default(default: Any, given: Any) -> Any:
+    """Return `given` unless it is the empty text; None, 0 and False count as given."""
+    return default if isinstance(given, str) and given == "" else given
+
+
+def default_rl_device() -> str:
+    """Return "cuda:0" if torch sees a GPU, else "cpu"."""
+    import torch  # here, because it takes a second that a misspelt key should not cost
+
+    return "cuda:0" if torch.cuda.is_available() else "cpu"
+
+
+def register_resolvers() -> None:
+    """Make the functions known to OmegaConf, also if another package has registered the names."""
+    resolvers = {
+        "eq": equal,
+        "contains": contains,
+        "if": choose,
+        "resolve_default": resolve_default,
+        "default_rl_device": default_rl_device,
+    }
+    for name, function in resolvers.items():
+        OmegaConf.register_new_resolver(name, function, replace=True)

@@ -1,0 +1,92 @@
+"""Reading one train file by itself, as a hierarchical agent does for its low-level controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.config.resolvers import register_resolvers
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.schema import plain
+
+
+def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
+    """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
+
+    The interpolations of a train file lead into a composed tree. Here they find one with the
+    defaults of cfg/config.yaml and the given values.
+
+    Args:
+        path: a file, relative to the working directory, or the bare name of one in cfg/train.
+        num_envs: value of `task.env.numEnvs`.
+        rl_device: value of `rl_device`.
+
+    Returns:
+        The file's content with its one key, "params".
+
+    Raises:
+        ConfigError: there is no such file, it cannot be read, or it is no train file.
+    """
+    register_resolvers()
+    file = _find(path)
+    root = read_yaml(cfg_dir() / "config.yaml")
+    for key in ("defaults", "hydra"):
+        root.pop(key, None)
+    tree = OmegaConf.merge(
+        root,
+        {
+            "num_envs": num_envs,
+            "rl_device": rl_device,
+            "task": {"name": "", "env": {"numEnvs": num_envs}},
+            "train": _with_defaults(file, ()),
+        },
+    )
+    content = plain(tree.train)
+    if not isinstance(content, dict) or not isinstance(content.get("params"), dict):
+        raise ConfigError(f"{file} is no train file: expected a mapping below the key 'params'")
+    return content
+
+
+def _find(path: Path | str) -> Path:
+    """Return the train file that `path` names."""
+    file = Path(path).expanduser()
+    if file.is_file():
+        return file
+    folder = cfg_dir() / "train"
+    if file.name == str(path):
+        named = folder / f"{file.stem}.yaml"
+        if named.is_file():
+            return named
+        names = [other.stem for other in folder.glob("*.yaml")]
+        raise ConfigError(unknown("train file", str(path), names, "or give the path of a file"))
+    raise ConfigError(f"the train file '{path}' does not exist (looked in {Path.cwd()})")
+
+
+def _with_defaults(file: Path, above: tuple[Path, ...]) -> DictConfig:
+    """Read `file` and merge the train files of its defaults list, in the order given there.
+
+    Raises:
+        ConfigError: the list names itself in a circle, or an entry is not the name of a file.
+    """
+    if file in above:
+        raise ConfigError(f"the defaults lists of {', '.join(map(str, above))} run in a circle")
+    content = read_yaml(file)
+    defaults = list(content.pop("defaults", []))
+    if "_self_" not in defaults:
+        defaults.append("_self_")
+    merged = OmegaConf.create()
+    for entry in defaults:
+        if not isinstance(entry, str):
+            raise ConfigError(f"{file}: the entry {entry} of its defaults list is no file name")
+        if entry == "_self_":
+            merged.merge_with(content)
+            continue
+        beside = file.with_name(f"{entry}.yaml")
+        merged.merge_with(
+            _with_defaults(beside if beside.is_file() else _find(entry), (*above, file))
+        )
+    return merged

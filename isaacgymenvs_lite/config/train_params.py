@@ -1,0 +1,209 @@
+"""From the train section of a composed tree to the dictionary that rl_games' Runner loads."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from omegaconf import DictConfig
+
+from isaacgymenvs_lite.config.minibatch import fit_minibatch
+from isaacgymenvs_lite.config.network_settings import check_network, scale_units
+from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
+
+_log = logging.getLogger(__name__)
+
+_WHERE = "train.params"
+_PARAMS_KEYS = frozenset(
+    ("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path", "torch_threads")
+)
+# Agents with a gradient penalty: torch.compile cannot differentiate twice.
+_DOUBLE_BACKWARD = frozenset(
+    ("amp_agent", "amp_continuous", "amp", "gen_amp", "ase", "hrl", "hrl_continuous")
+)
+_PLAYER_DEFAULTS = {
+    "deterministic": True,
+    "render": False,
+    "render_sleep": 0.002,
+    "n_game_life": 1,
+    "print_stats": True,
+}
+
+
+@dataclass(frozen=True)
+class KnownNames:
+    """What the rl_games factories know, and which keys the agents read beyond PPO's.
+
+    An empty collection of names is not checked against.
+    """
+
+    algos: Collection[str] = ()
+    models: Collection[str] = ()
+    networks: Collection[str] = ()
+    config_keys: Collection[str] = ()
+
+
+def prepare_train_params(
+    cfg: DictConfig,
+    *,
+    num_envs: int,
+    seed: int,
+    run_name: str | None = None,
+    rl_device: str | None = None,
+    num_agents: int = 1,
+    names: KnownNames | None = None,
+) -> dict[str, Any]:
+    """Return `cfg.train.params` as a plain, complete, checked dictionary: `Runner.load`'s "params".
+
+    Published files are completed (device, num_actors, reward_shaper, player), former names are
+    translated (seq_len, max_steps), and minibatches are fitted to the number of environments.
+
+    Args:
+        cfg: the composed tree.
+        num_envs: environments that the task really has.
+        seed: the resolved seed, see `resolve_seed`.
+        run_name: exact name of the run folder; None lets rl_games add a time stamp to the name.
+        rl_device: device of the agent; None takes the tree's.
+        num_agents: agents in each environment.
+        names: registered names to check against.
+
+    Raises:
+        ConfigError: a key is missing, misspelt, or has a wrong value.
+    """
+    names = names or KnownNames()
+    params = plain(cfg.train.params)
+    _check_params(params, names)
+    config = params["config"]
+    params["seed"] = seed
+    device = str(rl_device or cfg.rl_device)
+    config["device"] = config["device_name"] = device
+    config["num_actors"] = num_envs
+    config["population_based_training"] = bool(plain(cfg.pbt).get("enabled", False))
+    config["pbt_idx"] = None
+    config["full_experiment_name"] = run_name
+    config["reward_shaper"] = config.get("reward_shaper") or {}
+    config["player"] = _PLAYER_DEFAULTS | (config.get("player") or {})
+    scale_units(params["network"])
+    algo = params["algo"]["name"]
+    if algo == "sac":  # its keys are its own: rl_games reads them
+        return params
+    recurrent = "rnn" in params["network"]
+    _translate_former_keys(config, recurrent)
+    _check_ppo_keys(config, names.config_keys)
+    config["torch_compile"] = _torch_compile(config.get("torch_compile"), algo, device)
+    _fit_minibatches(config, num_envs, num_agents, recurrent)
+    return params
+
+
+def _check_params(params: dict[str, Any], names: KnownNames) -> None:
+    """Check the sections algo, model and network."""
+    check_unknown_keys(params, _PARAMS_KEYS, _WHERE)
+    for section, choices in (
+        ("algo", names.algos),
+        ("model", names.models),
+        ("network", names.networks),
+    ):
+        where = f"{_WHERE}.{section}"
+        value = params.get(section)
+        if not isinstance(value, dict) or "name" not in value:
+            keys = value if isinstance(value, dict) else {}
+            hint = f"choices: {', '.join(sorted(choices))}" if choices else "expected a name"
+            raise missing_key("name", keys, ["name"], where, hint)
+        if choices and value["name"] not in choices:
+            raise ConfigError(f"{where}.name: " + unknown(section, str(value["name"]), choices))
+    check_network(params["network"], f"{_WHERE}.network")
+    if not isinstance(params.get("config"), dict):
+        raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
+
+
+def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
+    """Replace the keys seq_len and max_steps by the names of rl_games 1.6.5, in place."""
+    if "seq_len" in config:
+        length = config.pop("seq_len")
+        if "seq_length" not in config:
+            config["seq_length"] = length
+        if recurrent:
+            _log.warning("seq_len is called seq_length now: using %s", config["seq_length"])
+    if not recurrent:
+        # rl_games demands that it divides the batch, although nothing is cut into sequences.
+        config["seq_length"] = 1
+    if "max_steps" in config:
+        # As max_steps it would end up as an array axis inside rl_games.
+        config.setdefault("max_frames", config.pop("max_steps"))
+        config.pop("max_steps", None)
+
+
+def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
+    """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
+    where = f"{_WHERE}.config"
+    settings = read_section(PPOSettings, config, where, ignored=OTHER_KEYS | set(agent_keys))
+    for key in keys_of(PPOSettings) & set(config):
+        config[key] = getattr(settings, key)
+    if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
+        hint = "expected the samples of one gradient step, or minibatch_size_per_env"
+        raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
+    if settings.lr_schedule == "adaptive" and settings.kl_threshold is None:
+        hint = "lr_schedule adaptive needs it, for example 0.008"
+        raise missing_key("kl_threshold", config, keys_of(PPOSettings), where, hint)
+
+
+def _torch_compile(asked: Any, algo: str, device: str) -> Any:
+    """Return the value of torch_compile: rl_games compiles unless told not to."""
+    if algo in _DOUBLE_BACKWARD:
+        if asked:
+            _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
+        return False
+    if asked is None:
+        return device.startswith("cuda")
+    return asked
+
+
+def _fit_minibatches(
+    config: dict[str, Any], num_envs: int, num_agents: int, recurrent: bool
+) -> None:
+    """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
+
+    Raises:
+        ConfigError: the sequences of a recurrent network do not fit into the horizon.
+    """
+    horizon = config["horizon_length"]
+    sequence = config["seq_length"] if recurrent else 1
+    if horizon % sequence:
+        raise ConfigError(
+            f"{_WHERE}.config: seq_length {sequence} does not divide horizon_length {horizon}; "
+            "choose a seq_length that does"
+        )
+    actors = num_envs * num_agents
+    samples = f"{actors * horizon} samples ({num_envs} envs x {horizon} steps"
+    samples += f" x {num_agents} agents)" if num_agents > 1 else ")"
+    _fit_minibatch(config, "", num_envs, actors * horizon, sequence, samples)
+    if isinstance(critic := config.get("central_value_config"), dict):
+        # The central critic sees each environment once, however many agents share it.
+        label = "central_value_config."
+        _fit_minibatch(critic, label, num_envs, num_envs * horizon, sequence, samples)
+    limit = config["minibatch_size"]
+    if isinstance(size := config.get("amp_minibatch_size"), int) and size > limit:
+        _log.info("amp_minibatch_size %d exceeds the minibatch: using %d", size, limit)
+        config["amp_minibatch_size"] = limit
+
+
+def _fit_minibatch(
+    config: dict[str, Any], label: str, num_envs: int, batch: int, sequence: int, samples: str
+) -> None:
+    wish = config.get("minibatch_size")
+    if wish is None:
+        per_env = config.get("minibatch_size_per_env")
+        if per_env is None:
+            return  # the central critic's own check names what is missing
+        wish = num_envs * per_env
+    size = fit_minibatch(batch, wish, multiple_of=sequence)
+    config["minibatch_size"] = size
+    if size != wish:
+        reason = f"does not divide {samples}"
+        if batch % wish == 0:
+            reason = f"is no multiple of seq_length {sequence}"
+        _log.info("%sminibatch_size %d %s: using %d", label, wish, reason, size)

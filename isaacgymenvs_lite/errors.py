@@ -1,0 +1,48 @@
+"""Errors that speak to a user.
+
+Every mistake that a user can make on the command line, in a YAML file or in an input file raises a
+`UserError`. The command line shows its message as one line and exits with code 2; as a library
+they are ordinary exceptions. A message says what was given, what was expected and what to do next.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class UserError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class ConfigError(UserError, ValueError):
+    """A key or a value of the configuration is unknown, missing or out of range."""
+
+
+class DeviceError(UserError, ValueError):
+    """A device was asked for that this machine does not have."""
+
+
+class MotionFileError(UserError, ValueError):
+    """A motion clip or a dataset of clips cannot be used."""
+
+
+class CheckpointError(UserError, ValueError):
+    """A checkpoint is missing, damaged, unsafe or of another network."""
+
+
+def suggest(given: str, choices: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
+    near = difflib.get_close_matches(str(given), [str(choice) for choice in choices], n=1)
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def unknown(what: str, given: str, choices: Iterable[str], next_step: str = "") -> str:
+    """Return the message for a name that is none of `choices`.
+
+    >>> unknown("task", "Humanoid", ["HumanoidAMP"])
+    "unknown task 'Humanoid' (did you mean 'HumanoidAMP'?); choices: HumanoidAMP"
+    """
+    choices = sorted(str(choice) for choice in choices)
+    message = f"unknown {what} '{given}'{suggest(given, choices)}; choices: {', '.join(choices)}"
+    return f"{message}; {next_step}" if next_step else message

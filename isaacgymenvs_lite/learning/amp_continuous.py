@@ -1,0 +1,209 @@
+"""AMPAgent: PPO with a style reward from a discriminator that is trained beside it.
+
+Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
+(arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_config import read_amp_params
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
+
+_SCALARS = {
+    "disc_loss": "losses/disc_loss",
+    "disc_agent_acc": "info/disc_agent_acc",
+    "disc_demo_acc": "info/disc_demo_acc",
+    "disc_agent_logit": "info/disc_agent_logit",
+    "disc_demo_logit": "info/disc_demo_logit",
+    "disc_grad_penalty": "info/disc_grad_penalty",
+    "disc_logit_loss": "info/disc_logit_loss",
+    "disc_reward_mean": "info/disc_reward_mean",
+    "disc_reward_std": "info/disc_reward_std",
+    "task_reward_mean": "info/task_reward_mean",
+    "style_share": "info/style_reward_share",
+}
+
+
+class AMPAgent(CommonAgent):
+    """The agent of `algo: name: amp_agent`, `amp_continuous` or `amp`.
+
+    Needs of the environment: `amp_observation_space`, `infos["amp_obs"]` (N, F),
+    `infos["terminate"]` (N,) and `fetch_amp_obs_demo(n)` -> (n, F).
+
+    Attributes:
+        default_disc_reward: the style reward when the key `disc_reward` is absent.
+        discriminator: normaliser, loss and reward.
+    """
+
+    default_disc_reward = "logistic"
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        super().__init__(base_name, params)
+        self.discriminator = StyleDiscriminator(
+            self.model.a2c_network,
+            self._amp_observation_space.shape[0],
+            self._amp,
+            self.default_disc_reward,
+            self.ppo_device,
+        )
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        super()._load_config_params(config)
+        self._amp = read_amp_params(config)
+        if "amp_observation_space" not in self.env_info:
+            raise ConfigError(
+                f"train.params.algo.name='{type(self).__name__}' needs a task with reference"
+                " motions (amp_observation_space), such as task=HumanoidAMP"
+            )
+        self._amp_observation_space = self.env_info["amp_observation_space"]
+        self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
+
+    def _build_net_config(self) -> dict[str, Any]:
+        return {
+            **super()._build_net_config(),
+            "amp_input_shape": self._amp_observation_space.shape,
+        }
+
+    def init_tensors(self) -> None:
+        """Allocate the rollout of AMP observations and fill the demonstration buffer."""
+        super().init_tensors()
+        size = self._amp_observation_space.shape[0]
+        self.experience_buffer.tensor_dict["amp_obs"] = torch.zeros(
+            self.horizon_length, self.num_actors, size, device=self.ppo_device
+        )
+        self.tensor_list += ["amp_obs"]
+        self._demo_buffer = ReplayBuffer(self._amp.amp_obs_demo_buffer_size, self.ppo_device)
+        self._replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
+        for _ in range(math.ceil(self._amp.amp_obs_demo_buffer_size / self._amp.amp_batch_size)):
+            self._store_demos()
+
+    def _store_demos(self) -> None:
+        demos = self.vec_env.env.fetch_amp_obs_demo(self._amp.amp_batch_size)
+        self._demo_buffer.store({"amp_obs": demos.to(self.ppo_device)})
+
+    # --- rollout ---------------------------------------------------------------------------
+
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        self.experience_buffer.update_data("amp_obs", n, infos["amp_obs"])
+
+    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
+        amp_rewards = self._calc_amp_rewards(self.experience_buffer.tensor_dict["amp_obs"])
+        self._rollout_rewards = {"task_rewards": task_rewards, **amp_rewards}
+        return self._combine_rewards(task_rewards, amp_rewards)
+
+    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
+        """Return {"disc_rewards": (..., 1)}, the style rewards of raw AMP observations (..., F)."""
+        with self._autocast():
+            return {"disc_rewards": self.discriminator.reward(amp_obs)}
+
+    def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
+        """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
+        return (
+            self._amp.task_reward_w * task_rewards
+            + self._amp.disc_reward_w * amp_rewards["disc_rewards"]
+        )
+
+    # --- update ----------------------------------------------------------------------------
+
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        """Fetch new demonstrations and draw the rows that the discriminator will compare."""
+        self._log_rewards()
+        self._store_demos()
+        rows = len(batch_dict["amp_obs"])
+        batch_dict["amp_obs_demo"] = self._demo_buffer.sample(rows)["amp_obs"]
+        if self._replay_buffer.get_total_count() == 0:
+            batch_dict["amp_obs_replay"] = batch_dict["amp_obs"]
+        else:
+            batch_dict["amp_obs_replay"] = self._replay_buffer.sample(rows)["amp_obs"]
+
+    def _log_rewards(self) -> None:
+        task, style = self._rollout_rewards["task_rewards"], self._rollout_rewards["disc_rewards"]
+        task_part = self._amp.task_reward_w * task.mean()
+        style_part = self._amp.disc_reward_w * style.mean()
+        total = (task_part.abs() + style_part.abs()).clamp(min=1e-8)
+        self._log_train_info(
+            {
+                "disc_reward_mean": style.mean(),
+                "disc_reward_std": style.std(),
+                "task_reward_mean": task.mean(),
+                "style_share": style_part.abs() / total,
+            }
+        )
+
+    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        return {name: batch_dict[name] for name in self._dataset_row_limits()}
+
+    def _dataset_row_limits(self) -> dict[str, int]:
+        names = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
+        return dict.fromkeys(names, self._amp_minibatch_size)
+
+    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Normalise the minibatch's AMP observations; each kind updates the statistics."""
+        inputs = super()._training_inputs(input_dict)
+        for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo"):
+            inputs[name] = self.discriminator.normalize(input_dict[name], update=True)
+        inputs["amp_obs_demo"] = inputs["amp_obs_demo"].detach().requires_grad_(True)
+        return inputs
+
+    def _extra_losses(
+        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
+    ) -> dict[str, tuple[float, Tensor]]:
+        terms = super()._extra_losses(result, batch, input_dict)
+        agent_logit = torch.cat((result["disc_agent_logit"], result["disc_agent_replay_logit"]))
+        info = self._disc_loss(agent_logit, result["disc_demo_logit"], batch["amp_obs_demo"])
+        loss = info.pop("disc_loss")
+        self._log_train_info({name: value.mean() for name, value in info.items()})
+        return {**terms, "disc_loss": (self._amp.disc_coef, loss)}
+
+    def _disc_loss(
+        self, disc_agent_logit: Tensor, disc_demo_logit: Tensor, obs_demo: Tensor
+    ) -> dict[str, Tensor]:
+        """Return the discriminator's loss and its parts; see `StyleDiscriminator.loss`."""
+        return self.discriminator.loss(disc_agent_logit, disc_demo_logit, obs_demo)
+
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        """Keep the policy's AMP observations: all until the buffer is full, then a few."""
+        rows = batch_dict["amp_obs"]
+        if self._replay_buffer.get_total_count() > self._replay_buffer.get_buffer_size():
+            keep = torch.rand(len(rows), device=rows.device) < self._amp.amp_replay_keep_prob
+            rows = rows[keep]
+        if len(rows) > self._replay_buffer.get_buffer_size():
+            chosen = torch.randperm(len(rows), device=rows.device)
+            rows = rows[chosen[: self._replay_buffer.get_buffer_size()]]
+        self._replay_buffer.store({"amp_obs": rows})
+
+    def _write_train_info(self, frame: int) -> None:
+        super()._write_train_info(frame)
+        means = self.train_info_means()
+        for name, tag in _SCALARS.items():
+            self.writer.add_scalar(tag, means[name], frame)
+
+    # --- checkpoint ------------------------------------------------------------------------
+
+    def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
+        """Return normaliser statistics; AMP's stand beside the model, as in IsaacGymEnvs."""
+        state = super().get_stats_weights(model_stats)
+        if self.discriminator.normalizer is not None:
+            state["amp_input_mean_std"] = self.discriminator.normalizer.state_dict()
+        return state
+
+    def set_stats_weights(self, weights: dict[str, Any]) -> None:
+        """Take over the statistics of a checkpoint."""
+        super().set_stats_weights(weights)
+        if self.discriminator.normalizer is not None:
+            self.discriminator.normalizer.load_state_dict(weights["amp_input_mean_std"])
+
+
+class LeastSquaresAMPAgent(AMPAgent):
+    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default."""
+
+    default_disc_reward = "least_squares"

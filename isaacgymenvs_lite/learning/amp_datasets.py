@@ -1,0 +1,62 @@
+"""The training set of one epoch, served in random minibatches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from rl_games.common.datasets import PPODataset
+from torch import Tensor
+
+
+class AMPDataset(PPODataset):
+    """rl_games' dataset with random minibatches.
+
+    A permutation of all rows is drawn at the start and again after the last minibatch of every
+    pass, so that each pass sees every row once. Means and standard deviations of the policy are
+    those of the rollout: they are not rewritten between minibatches, unlike in rl_games.
+
+    Args:
+        batch_size: rows of an epoch.
+        minibatch_size: rows of a minibatch; divides batch_size.
+        is_discrete: discrete actions.
+        is_rnn: recurrent networks (not supported by this dataset's users).
+        device: where the rows live.
+        seq_length: for recurrent networks.
+        row_limits: name -> rows that its users read of each minibatch, its first ones; the
+            others are not gathered.
+    """
+
+    def __init__(
+        self,
+        batch_size: int,
+        minibatch_size: int,
+        is_discrete: bool,
+        is_rnn: bool,
+        device: str,
+        seq_length: int,
+        row_limits: Mapping[str, int] | None = None,
+    ) -> None:
+        super().__init__(batch_size, minibatch_size, is_discrete, is_rnn, device, seq_length)
+        self._row_limits = dict(row_limits or {})
+        self._order = torch.randperm(self.batch_size, device=self.device)
+
+    def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
+        """Refuse: minibatches are random rows, which have no place to be written back to.
+
+        Raises:
+            NotImplementedError: always.
+        """
+        raise NotImplementedError("AMPDataset keeps the rollout's mu and sigma")
+
+    def _get_item(self, idx: int) -> dict[str, Any]:
+        rows = self._order[idx * self.minibatch_size : (idx + 1) * self.minibatch_size]
+        minibatch = {
+            name: values[rows[: self._row_limits.get(name, self.minibatch_size)]]
+            for name, values in self.values_dict.items()
+            if name not in self.special_names and values is not None
+        }
+        if idx == self.length - 1:
+            self._order = torch.randperm(self.batch_size, device=self.device)
+        return minibatch

@@ -1,0 +1,37 @@
+"""rl_games' Gaussian policy model with discriminator outputs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch.models import BaseModel, ModelA2CContinuousLogStd
+
+
+class ModelAMPContinuous(ModelA2CContinuousLogStd):
+    """`model: name: continuous_amp`; normalisers of observations and values live inside it.
+
+    With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
+    input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
+    (K, 1) beside what `ModelA2CContinuousLogStd` gives.
+    """
+
+    def __init__(self, network: Any) -> None:
+        BaseModel.__init__(self, "amp")
+        self.network_builder = network
+
+    class Network(ModelA2CContinuousLogStd.Network):
+        """The model's module; `a2c_network` is the AMP network."""
+
+        def forward(self, input_dict: dict[str, Any]) -> dict[str, Any]:
+            """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
+            result = super().forward(input_dict)
+            if input_dict.get("is_train", True) and "amp_obs" in input_dict:
+                agent = input_dict["amp_obs"]
+                fakes = torch.cat((agent, input_dict["amp_obs_replay"]))
+                agent_logit, replay_logit = self.a2c_network.eval_disc(fakes).split(len(agent))
+                result["disc_agent_logit"] = agent_logit
+                result["disc_agent_replay_logit"] = replay_logit
+                # Apart from the others: its gradient with respect to the input is wanted.
+                result["disc_demo_logit"] = self.a2c_network.eval_disc(input_dict["amp_obs_demo"])
+            return result

@@ -1,0 +1,101 @@
+"""The AMP network: actor, critic and discriminator in one rl_games network."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch.network_builder import A2CBuilder
+from torch import Tensor, nn
+
+from isaacgymenvs_lite.errors import ConfigError
+
+# The last layer of the discriminator starts in U(-1, 1), as IsaacGymEnvs and ASE.
+_DISC_LOGIT_INIT_SCALE = 1.0
+
+
+class AMPBuilder(A2CBuilder):
+    """Builds the network of the section `network:` with `name: amp`.
+
+    Parameter names are those of IsaacGymEnvs, so that its checkpoints load:
+    `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
+    """
+
+    class Network(A2CBuilder.Network):
+        """Actor and critic of rl_games' A2C network, and a discriminator beside them.
+
+        Args:
+            params: the section `network:`.
+            kwargs: rl_games' build arguments and `amp_input_shape`, (F,).
+
+        Raises:
+            ConfigError: recurrent or convolutional networks, or no section `disc:`.
+        """
+
+        def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
+            amp_input_shape = kwargs.pop("amp_input_shape")
+            for section in ("rnn", "cnn"):
+                if section in params:
+                    raise ConfigError(
+                        f"train.params.network.{section}: AMP networks are plain MLPs; remove it"
+                    )
+            super().__init__(params, **kwargs)
+            if self.is_continuous and self.fixed_sigma:
+                learn_sigma = params["space"]["continuous"].get("learn_sigma", False)
+                self.sigma.requires_grad_(bool(learn_sigma))
+            self._build_disc(params, amp_input_shape)
+
+        def _build_disc(self, params: dict[str, Any], input_shape: tuple[int, ...]) -> None:
+            if "disc" not in params:
+                raise ConfigError(
+                    "train.params.network.disc is missing: expected units, activation and"
+                    " initializer of the discriminator"
+                )
+            disc = params["disc"]
+            self._disc_mlp = self._build_mlp(
+                input_size=input_shape[0],
+                units=disc["units"],
+                activation=disc["activation"],
+                dense_func=nn.Linear,
+            )
+            self._disc_logits = nn.Linear(disc["units"][-1], 1)
+            init = self.init_factory.create(**disc.get("initializer", {"name": "default"}))
+            for layer in self._disc_mlp.modules():
+                if isinstance(layer, nn.Linear):
+                    init(layer.weight)
+                    nn.init.zeros_(layer.bias)
+            nn.init.uniform_(
+                self._disc_logits.weight, -_DISC_LOGIT_INIT_SCALE, _DISC_LOGIT_INIT_SCALE
+            )
+            nn.init.zeros_(self._disc_logits.bias)
+
+        def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+            """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
+            hidden = self.actor_mlp(obs)
+            mu = self.mu_act(self.mu(hidden))
+            if self.fixed_sigma:
+                return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)
+            return mu, self.sigma_act(self.sigma(hidden))
+
+        def eval_critic(self, obs: Tensor) -> Tensor:
+            """Return normalised values (n, values) for normalised obs (n, O)."""
+            trunk = self.critic_mlp if self.separate else self.actor_mlp
+            return self.value_act(self.value(trunk(obs)))
+
+        def eval_disc(self, amp_obs: Tensor) -> Tensor:
+            """Return discriminator logits (n, 1) for normalised AMP observations (n, F)."""
+            return self._disc_logits(self._disc_mlp(amp_obs))
+
+        def get_disc_logit_weights(self) -> Tensor:
+            """Return the last layer's weights, flat."""
+            return self._disc_logits.weight.flatten()
+
+        def get_disc_weights(self) -> list[Tensor]:
+            """Return all weight matrices of the discriminator, flat; no biases."""
+            layers = [m for m in self._disc_mlp.modules() if isinstance(m, nn.Linear)]
+            return [layer.weight.flatten() for layer in layers] + [self.get_disc_logit_weights()]
+
+    def build(self, name: str, **kwargs: Any) -> AMPBuilder.Network:
+        """Build the network; rl_games calls this through the model."""
+        del name
+        return AMPBuilder.Network(self.params, **kwargs)

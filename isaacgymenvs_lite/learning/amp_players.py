@@ -1,0 +1,82 @@
+"""Players of AMP policies: they know the style reward."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from torch import Tensor
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.amp_config import read_amp_params
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
+from isaacgymenvs_lite.learning.common_player import CommonPlayer
+from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+
+log = logging.getLogger(__name__)
+
+
+class AMPPlayerContinuous(CommonPlayer):
+    """The player of `amp_continuous` and `amp`.
+
+    Keys beside CommonPlayer's: `print_disc_prediction` in `params.config` logs the discriminator's
+    logit and reward of environment 0 at every step.
+    """
+
+    default_disc_reward = AMPAgent.default_disc_reward
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        self._print_disc_prediction = bool(params["config"].get("print_disc_prediction", False))
+        super().__init__(params)
+        self.discriminator = StyleDiscriminator(
+            self.model.a2c_network,
+            self.env.amp_observation_space.shape[0],
+            read_amp_params(self.config),
+            self.default_disc_reward,
+            self.device,
+        )
+
+    def _build_net_config(self) -> dict[str, Any]:
+        if not hasattr(self.env, "amp_observation_space"):
+            raise ConfigError(
+                "an AMP policy needs a task with reference motions (amp_observation_space), such"
+                " as task=HumanoidAMP"
+            )
+        return {
+            **super()._build_net_config(),
+            "amp_input_shape": self.env.amp_observation_space.shape,
+        }
+
+    def restore(self, fn: str) -> None:
+        """Load the model and the normaliser of AMP observations from a checkpoint.
+
+        Raises:
+            CheckpointError: the file cannot be used.
+        """
+        super().restore(fn)
+        if self.discriminator.normalizer is None:
+            return
+        statistics = checkpoints.load_checkpoint(fn).get("amp_input_mean_std")
+        if statistics is None:
+            raise CheckpointError(
+                f"checkpoint={fn}: has no amp_input_mean_std; expected a checkpoint of an AMP agent"
+                " (or set train.params.config.normalize_amp_input=False)"
+            )
+        self.discriminator.normalizer.load_state_dict(statistics)
+
+    def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
+        return lambda amp_obs: self.discriminator.reward(amp_obs.to(self.device)).to(amp_obs.device)
+
+    def _on_step(self, infos: dict[str, Any]) -> None:
+        if self._print_disc_prediction:
+            logit = self.discriminator.logits(infos["amp_obs"][:1].to(self.device))
+            reward = self.discriminator.reward_from_logits(logit)
+            log.info("disc_pred: %.4f  style reward: %.4f", logit.item(), reward.item())
+
+
+class LeastSquaresAMPPlayer(AMPPlayerContinuous):
+    """The player of `amp_agent`."""
+
+    default_disc_reward = LeastSquaresAMPAgent.default_disc_reward

@@ -1,0 +1,453 @@
+"""CommonAgent: PPO as IsaacGymEnvs' CommonAgent, and the one rollout and update loop here.
+
+rl_games' own `train()` runs it, so that checkpoints, stop rules and diagnostics are rl_games'.
+Agents override the hooks below the loops, never the loops:
+
+| hook | what an agent adds |
+|---|---|
+| `_before_step` | work before each policy step |
+| `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
+| `_needs_next_value` | rows whose next value the following step's policy call will not give |
+| `_record_step` | what to keep of a step |
+| `_total_rewards` | rewards beside the task's |
+| `_before_update`, `_after_update` | work around the gradient steps |
+| `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
+| `_extra_losses` | loss terms beside PPO's |
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import torch
+from rl_games.algos_torch import torch_ext
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning import losses
+from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
+from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+
+_UNSUPPORTED_KEYS = ("central_value_config", "self_play_config", "use_action_masks")
+
+
+class CommonAgent(A2CAgent):
+    """PPO that asks the environment for resets and bootstraps with the value after each step.
+
+    Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
+
+    Args:
+        base_name: name for rl_games' bookkeeping.
+        params: the section `params` of a train file, prepared by the Runner.
+
+    Raises:
+        ConfigError: a key that this family of agents does not support.
+    """
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        config = params["config"]
+        for key in _UNSUPPORTED_KEYS:
+            if config.get(key):
+                raise ConfigError(f"train.params.config.{key} is not supported by AMP-family agents")
+        wanted_precision = config.get("mixed_precision", False)
+        # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
+        config["mixed_precision"] = False
+        # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
+        ContinuousA2CBase.__init__(self, base_name, params)
+        self._bfloat16 = resolve_mixed_precision(wanted_precision, self.ppo_device)
+        self._load_config_params(self.config)
+
+        self.model = self.network.build(self._build_net_config())
+        self.model.to(self.ppo_device)
+        self.states = None
+        self.init_rnn_from_model(self.model)
+        if self.is_rnn:
+            raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
+        self.last_lr = float(self.last_lr)
+        self.optimizer = torch.optim.Adam(
+            self.model.parameters(),
+            self.last_lr,
+            eps=1e-8,
+            weight_decay=self.weight_decay,
+            fused=True,
+        )
+        self.dataset = AMPDataset(
+            self.batch_size,
+            self.minibatch_size,
+            self.is_discrete,
+            self.is_rnn,
+            self.ppo_device,
+            self.seq_length,
+            row_limits=self._dataset_row_limits(),
+        )
+        if self.normalize_value:
+            self.value_mean_std = self.model.value_mean_std
+        self._train_info: dict[str, list[Tensor]] = {}
+        self._restored_best: float | None = None
+        self.algo_observer.after_init(self)
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        """Read an agent's own keys; the networks do not exist yet."""
+
+    def _build_net_config(self) -> dict[str, Any]:
+        """Return the arguments that the model is built with."""
+        return {
+            "actions_num": self.actions_num,
+            "input_shape": self.obs_shape,
+            "num_seqs": self.num_actors * self.num_agents,
+            "value_size": self.value_size,
+            "normalize_value": self.normalize_value,
+            "normalize_input": self.normalize_input,
+        }
+
+    def init_tensors(self) -> None:
+        """Allocate the rollout buffers; rl_games calls this once before training."""
+        super().init_tensors()
+        buffer = self.experience_buffer.tensor_dict
+        buffer["next_values"] = torch.zeros_like(buffer["values"])
+
+    def env_reset(self) -> dict[str, Tensor]:
+        """Reset the environment at the start of training, and keep the restored best reward.
+
+        rl_games forgets the best reward of a checkpoint between restoring and training, and
+        would overwrite the best checkpoint by a worse one.
+        """
+        if self._restored_best is not None:
+            self.last_mean_rewards, self._restored_best = self._restored_best, None
+        return super().env_reset()
+
+    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
+        """Take over a checkpoint; see `env_reset` for the best reward."""
+        super().set_full_state_weights(weights, set_epoch)
+        self._restored_best = self.last_mean_rewards
+
+    # --- rollout ---------------------------------------------------------------------------
+
+    def play_steps(self) -> dict[str, Any]:
+        """Roll the policy out for `horizon_length` steps; rows are (environment, step)-major."""
+        buffer = self.experience_buffer
+        step_time_s = 0.0
+        for n in range(self.horizon_length):
+            self.obs = self._reset_done_envs()
+            self._before_step()
+            result = self.get_action_values(self.obs)
+            if n > 0:
+                self._fill_next_values(n - 1, result["values"])
+            buffer.update_data("obses", n, self.obs["obs"])
+            for name in self.update_list:
+                buffer.update_data(name, n, result[name])
+
+            start = time.perf_counter()
+            self.obs, rewards, self.dones, infos = self.env_step(result["actions"])
+            step_time_s += time.perf_counter() - start
+
+            shaped_rewards = self.rewards_shaper(rewards)
+            buffer.update_data("rewards", n, shaped_rewards)
+            buffer.update_data("dones", n, self.dones)
+            self._evaluate_next_values(n, infos)
+            self._record_step(n, infos)
+            self._track_episodes(rewards, shaped_rewards, infos)
+        return self._rollout_batch(step_time_s)
+
+    def _reset_done_envs(self) -> dict[str, Tensor]:
+        obs, _ = self.vec_env.reset_done()
+        return self.obs_to_tensors(obs)
+
+    def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Sample actions for observations; values are denormalised."""
+        self.model.eval()
+        with torch.no_grad(), self._autocast():
+            result = self.model(
+                {
+                    "is_train": False,
+                    "prev_actions": None,
+                    "obs": self._preproc_obs(obs["obs"]),
+                    "rnn_states": None,
+                    **self._policy_inputs(),
+                }
+            )
+        return result
+
+    def _evaluate_next_values(self, n: int, infos: dict[str, Any]) -> None:
+        """Bootstrap values after step n, for the rows that no later policy call values.
+
+        Where the episode goes on, the policy call of step n + 1 evaluates the same observation,
+        and `_fill_next_values` takes its value over.
+        """
+        self._terminate = self._terminated(infos)
+        next_values = self.experience_buffer.tensor_dict["next_values"][n]
+        if n == self.horizon_length - 1:
+            next_values.copy_(self._eval_critic(self.obs))
+            rows = slice(None)
+        else:
+            self._pending = ~self._needs_next_value()
+            rows = (~self._pending).nonzero().flatten()
+            if len(rows) == 0:
+                return
+            next_values[rows] = self._eval_critic(self.obs, rows)
+        next_values[rows] = losses.mask_terminal_values(next_values[rows], self._terminate[rows])
+
+    def _fill_next_values(self, n: int, values: Tensor) -> None:
+        next_values = self.experience_buffer.tensor_dict["next_values"][n]
+        torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
+
+    def _terminated(self, infos: dict[str, Any]) -> Tensor:
+        """(N,) 1 where the episode ended by a failure: no future to bootstrap from."""
+        if "terminate" in infos:
+            return infos["terminate"].to(self.ppo_device)
+        if "time_outs" in infos:
+            return self.dones.bool() & ~infos["time_outs"].to(self.ppo_device).bool()
+        return self.dones
+
+    def _eval_critic(self, obs: dict[str, Tensor], rows: Tensor | None = None) -> Tensor:
+        """Values (n, values), denormalised, of all observations or of some rows.
+
+        The critic is called directly, so that the observation is normalised here.
+        """
+        self.model.eval()
+        inputs = self._policy_inputs()
+        raw = self._preproc_obs(obs["obs"])
+        if rows is not None:
+            raw = raw[rows]
+            inputs = {name: value[rows] for name, value in inputs.items()}
+        with torch.no_grad(), self._autocast():
+            value = self.model.a2c_network.eval_critic(self.model.norm_obs(raw), **inputs)
+            return self.model.denorm_value(value.float())
+
+    def _track_episodes(
+        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
+    ) -> None:
+        """Feed rl_games' meters of finished episodes and the observers."""
+        self.current_rewards += rewards
+        self.current_shaped_rewards += shaped_rewards
+        self.current_lengths += 1
+        done_indices = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
+        self.game_rewards.update(self.current_rewards[done_indices])
+        self.game_shaped_rewards.update(self.current_shaped_rewards[done_indices])
+        self.game_lengths.update(self.current_lengths[done_indices])
+        self.algo_observer.process_infos(infos, done_indices)
+        going_on = (1.0 - self.dones.float()).unsqueeze(1)
+        self.current_rewards *= going_on
+        self.current_shaped_rewards *= going_on
+        self.current_lengths *= going_on.squeeze(1)
+
+    def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
+        buffer = self.experience_buffer.tensor_dict
+        rewards = self._total_rewards(buffer["rewards"])
+        advantages = losses.discount_values(
+            buffer["dones"],
+            buffer["values"],
+            rewards,
+            buffer["next_values"],
+            self.gamma,
+            self.tau,
+        )
+        batch = self.experience_buffer.get_transformed_list(swap_and_flatten01, self.tensor_list)
+        batch["returns"] = swap_and_flatten01(advantages + buffer["values"])
+        batch["played_frames"] = self.batch_size
+        batch["step_time"] = step_time_s
+        return batch
+
+    # --- update ----------------------------------------------------------------------------
+
+    def train_epoch(self) -> tuple[Any, ...]:
+        """Roll out, update, and return the statistics that rl_games' `train()` expects."""
+        self.vec_env.set_train_info(self.frame, self)
+        self.set_eval()
+        start = time.perf_counter()
+        with torch.no_grad():
+            batch = self.play_steps()
+        played = time.perf_counter()
+        self.set_train()
+        self.curr_frames = batch.pop("played_frames")
+        self._train_info = {}
+        self._before_update(batch)
+        self.prepare_dataset(batch)
+        self.algo_observer.after_steps()
+        lr_mul, kls = self._run_mini_epochs()
+        self._after_update(batch)
+        end = time.perf_counter()
+        info = self._train_info
+        return (
+            batch["step_time"],
+            played - start,
+            end - played,
+            end - start,
+            info["actor_loss"],
+            info["critic_loss"],
+            info["bounds_loss"] if self.bounds_loss_coef is not None else [],
+            info["entropy"],
+            kls,
+            self.last_lr,
+            lr_mul,
+        )
+
+    def _run_mini_epochs(self) -> tuple[float, list[Tensor]]:
+        """Step through all minibatches `mini_epochs` times; return lr_mul and every KL."""
+        kls: list[Tensor] = []
+        lr_mul = 1.0
+        for mini_epoch in range(self.mini_epochs_num):
+            for index in range(len(self.dataset)):
+                result = self.train_actor_critic(self.dataset[index])
+                lr_mul = result["lr_mul"]
+                kls.append(result["kl"])
+                if self.schedule_type == "legacy":
+                    self._schedule_learning_rate(result["kl"])
+            if self.schedule_type == "standard":
+                self._schedule_learning_rate(torch_ext.mean_list(kls))
+            self.diagnostics.mini_epoch(self, mini_epoch)
+        if self.schedule_type == "standard_epoch":
+            self._schedule_learning_rate(torch_ext.mean_list(kls))
+        return lr_mul, kls
+
+    def _schedule_learning_rate(self, kl: Tensor) -> None:
+        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
+        kl_value = kl.item() if self.is_adaptive_lr else 0.0
+        self.last_lr, self.entropy_coef = self.scheduler.update(
+            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl_value
+        )
+        self.update_lr(self.last_lr)
+
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """Normalise values and advantages and hand all rows to the dataset."""
+        super().prepare_dataset(batch_dict)
+        self.dataset.values_dict.update(self._extra_dataset(batch_dict))
+
+    def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
+        """Take one gradient step on a minibatch; `self.train_result` holds what to log."""
+        batch = {
+            "is_train": True,
+            "prev_actions": input_dict["actions"],
+            "obs": self._preproc_obs(input_dict["obs"]),
+            **self._training_inputs(input_dict),
+        }
+        with self._autocast():
+            result = self.model(batch)
+        neglogp, values = result["prev_neglogp"].float(), result["values"].float()
+        mu, sigma = result["mus"].float(), result["sigmas"].float()
+
+        actor, clipped = losses.actor_loss(
+            input_dict["old_logp_actions"], neglogp, input_dict["advantages"], self.ppo, self.e_clip
+        )
+        critic = losses.critic_loss(
+            input_dict["old_values"], values, input_dict["returns"], self.e_clip, self.clip_value
+        )
+        terms = {
+            "actor_loss": (1.0, actor.mean()),
+            "critic_loss": (self.critic_coef, critic.mean()),
+            "bounds_loss": (self.bounds_loss_coef or 0.0, losses.bound_loss(mu).mean()),
+            "entropy": (-self.entropy_coef, result["entropy"].float().mean()),
+            **self._extra_losses(result, batch, input_dict),
+        }
+        loss = torch.stack([weight * term for weight, term in terms.values()]).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.scaler.scale(loss).backward()
+        self.trancate_gradients_and_step()
+
+        with torch.no_grad():
+            kl = torch_ext.policy_kl(mu, sigma, input_dict["mu"], input_dict["sigma"])
+        self.diagnostics.mini_batch(
+            self,
+            {
+                "values": input_dict["old_values"],
+                "returns": input_dict["returns"],
+                "new_neglogp": neglogp,
+                "old_neglogp": input_dict["old_logp_actions"],
+                "masks": None,
+            },
+            self.e_clip,
+            0,
+        )
+        self._log_train_info({name: term.detach() for name, (_, term) in terms.items()})
+        self._log_train_info({"clip_frac": clipped.float().mean()})
+        self.train_result = {"kl": kl, "lr_mul": 1.0, "last_lr": self.last_lr}
+
+    def _autocast(self) -> torch.autocast:
+        device_type = torch.device(self.ppo_device).type
+        return torch.autocast(device_type, torch.bfloat16, enabled=self._bfloat16)
+
+    # --- statistics ------------------------------------------------------------------------
+
+    def _log_train_info(self, values: dict[str, Tensor]) -> None:
+        """Collect scalars of a minibatch; their epoch means are written by `write_stats`."""
+        for name, value in values.items():
+            self._train_info.setdefault(name, []).append(value)
+
+    def train_info_means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()}
+
+    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
+        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
+        (step_time, play_time, update_time, *_rest) = args
+        frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
+        writer = self.writer
+        writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
+        writer.add_scalar("performance/update_time", update_time, frame)
+        writer.add_scalar("performance/play_time", play_time, frame)
+        self._write_train_info(frame)
+        if self.game_rewards.current_size > 0:
+            mean_length = self.game_lengths.get_mean().item()
+            mean_reward = self.game_rewards.get_mean()[0].item()
+            writer.add_scalar("rewards/frame", mean_reward, frame)
+            writer.add_scalar("episode_lengths/frame", mean_length, frame)
+        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
+
+    def _write_train_info(self, frame: int) -> None:
+        self.writer.add_scalar("info/clip_frac", self.train_info_means()["clip_frac"], frame)
+
+    # --- hooks -----------------------------------------------------------------------------
+
+    def _before_step(self) -> None:
+        """Called before each policy step of a rollout."""
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        """Return inputs of actor and critic beside the observation, (N, ...) each."""
+        return {}
+
+    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return inputs of the model beside the observation for a minibatch."""
+        del input_dict
+        return {}
+
+    def _needs_next_value(self) -> Tensor:
+        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
+        return self.dones.bool()
+
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        """Keep what an agent needs of step n."""
+
+    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
+        """Return the rewards (H, N, values) to learn from, given the shaped task rewards."""
+        return task_rewards
+
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows before the training set is made."""
+
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows after the last minibatch."""
+
+    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """Return rows (B, ...) that join the training set."""
+        del batch_dict
+        return {}
+
+    def _dataset_row_limits(self) -> dict[str, int]:
+        """Return how many rows of a minibatch are read, for names where it is not all."""
+        return {}
+
+    def _extra_losses(
+        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
+    ) -> dict[str, tuple[float, Tensor]]:
+        """Return loss terms {name: (weight, scalar)} beside PPO's.
+
+        Args:
+            result: the model's output.
+            batch: the model's input.
+            input_dict: the minibatch.
+        """
+        del result, batch, input_dict
+        return {}

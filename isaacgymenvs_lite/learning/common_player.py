@@ -1,0 +1,78 @@
+"""CommonPlayer: plays a policy in an environment that resets when it is asked to."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from rl_games.algos_torch.players import PpoPlayerContinuous
+from rl_games.common.player import BasePlayer
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
+
+log = logging.getLogger(__name__)
+
+_DEFAULT_EPISODES = 32
+
+
+class CommonPlayer(PpoPlayerContinuous):
+    """rl_games' PPO player with the play loop of `evaluation`.
+
+    Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
+    `deterministic` (default True: mean actions).
+
+    Attributes:
+        result: what `run` measured; None before.
+    """
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        # Not PpoPlayerContinuous' constructor: it builds the model before an agent's own inputs
+        # are known.
+        BasePlayer.__init__(self, params)
+        self.result: EvaluationResult | None = None
+        # rl_games' default means "until the window is closed"; without a window a play ends.
+        self.games_num = int(self.player_config.get("games_num", _DEFAULT_EPISODES))
+        self.has_batch_dimension = True
+        self.network = self.config["network"]
+        self.actions_num = self.action_space.shape[0]
+        self.actions_low = torch.from_numpy(self.action_space.low.copy()).to(self.device)
+        self.actions_high = torch.from_numpy(self.action_space.high.copy()).to(self.device)
+        self.normalize_input = self.config["normalize_input"]
+        self.normalize_value = self.config.get("normalize_value", False)
+        self.model = self.network.build(self._build_net_config()).to(self.device).eval()
+        self.is_rnn = False
+
+    def _build_net_config(self) -> dict[str, Any]:
+        """Return the arguments that the model is built with."""
+        return {
+            "actions_num": self.actions_num,
+            "input_shape": self.obs_shape,
+            "num_seqs": self.num_agents,
+            "value_size": self.value_size,
+            "normalize_value": self.normalize_value,
+            "normalize_input": self.normalize_input,
+        }
+
+    def run(self) -> None:
+        """Play `games_num` episodes and log reward, episode length and imitation."""
+        self.result = evaluate(
+            self.env,
+            self._act,
+            self.games_num,
+            style_reward=self._style_reward_function(),
+            on_step=self._on_step,
+        )
+        log.info("played %s", self.result)
+
+    def _act(self, obs: dict[str, Tensor]) -> Tensor:
+        return self.get_action(self.obs_to_torch(obs), self.is_deterministic)
+
+    def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
+        """Return a function from AMP observations to rewards, None without a discriminator."""
+        return None
+
+    def _on_step(self, infos: dict[str, Any]) -> None:
+        """Called with the infos of each step."""

@@ -1,0 +1,156 @@
+"""The style discriminator: normaliser, loss and reward as one object.
+
+Shared by the agents, the players and users of other libraries. The network itself stays inside
+the actor-critic network, so that one optimiser and one checkpoint hold everything.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+import torch.nn.functional as F
+from rl_games.algos_torch.running_mean_std import RunningMeanStd
+from torch import Tensor, nn
+
+from isaacgymenvs_lite.learning.amp_config import AMPParams
+
+# The logistic reward of a sample that certainly is the policy's would be ln(1/0).
+_MIN_FAKE_PROBABILITY = 1e-4
+# Rows evaluated at once when a whole rollout is rewarded: keeps the activations in the cache.
+_REWARD_ROWS = 8192
+
+
+class DiscriminatorNetwork(Protocol):
+    """What this module needs of a network (AMPBuilder's and its descendants' have it)."""
+
+    def eval_disc(self, amp_obs: Tensor) -> Tensor: ...
+
+    def get_disc_logit_weights(self) -> Tensor: ...
+
+    def get_disc_weights(self) -> list[Tensor]: ...
+
+
+class StyleDiscriminator:
+    """Judges whether AMP observations come from the reference motions.
+
+    Args:
+        network: holds the discriminator's layers.
+        amp_obs_size: F, numbers in one AMP observation.
+        params: weights, kinds of loss and reward.
+        disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
+        device: of the normaliser's statistics.
+
+    Attributes:
+        normalizer: running mean and variance (None if `normalize_amp_input` is False). It is no
+            part of the model; checkpoints keep it under `amp_input_mean_std`.
+    """
+
+    def __init__(
+        self,
+        network: DiscriminatorNetwork,
+        amp_obs_size: int,
+        params: AMPParams,
+        disc_reward: str,
+        device: str | torch.device,
+    ) -> None:
+        self._network = network
+        self._params = params
+        self._reward_kind = params.disc_reward or disc_reward
+        self.normalizer: nn.Module | None = None
+        if params.normalize_amp_input:
+            self.normalizer = RunningMeanStd((amp_obs_size,)).to(device).eval()
+
+    def normalize(self, amp_obs: Tensor, update: bool = False) -> Tensor:
+        """Normalise AMP observations (n, F); with `update` they join the statistics first."""
+        if self.normalizer is None:
+            return amp_obs
+        self.normalizer.train(update)
+        with torch.no_grad():
+            normalized = self.normalizer(amp_obs)
+        self.normalizer.eval()
+        return normalized
+
+    def logits(self, amp_obs: Tensor) -> Tensor:
+        """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
+        with torch.no_grad():
+            rows = amp_obs.reshape(-1, amp_obs.shape[-1])
+            logits = [
+                self._network.eval_disc(self.normalize(chunk)).float()
+                for chunk in rows.split(_REWARD_ROWS)
+            ]
+            return torch.cat(logits).view(*amp_obs.shape[:-1], 1)
+
+    def reward(self, amp_obs: Tensor) -> Tensor:
+        """Return style rewards (..., 1) of raw AMP observations (..., F).
+
+        - logistic (IsaacGymEnvs, ASE): -ln(max(1 - sigmoid(d), 1e-4)) * disc_reward_scale;
+        - least_squares (AMP, Peng et al. 2021, eq. 7): max(1 - 0.25 (d - 1)^2, 0) * scale.
+        """
+        return self.reward_from_logits(self.logits(amp_obs))
+
+    def reward_from_logits(self, logits: Tensor) -> Tensor:
+        """Return style rewards for discriminator logits of any shape; see `reward`."""
+        if self._reward_kind == "logistic":
+            # 1 - sigmoid(d) = sigmoid(-d), without cancellation for large d
+            reward = -torch.log(torch.sigmoid(-logits).clamp(min=_MIN_FAKE_PROBABILITY))
+        else:
+            reward = (1.0 - 0.25 * (logits - 1.0) ** 2).clamp(min=0.0)
+        return reward * self._params.disc_reward_scale
+
+    def loss(self, agent_logit: Tensor, demo_logit: Tensor, demo_obs: Tensor) -> dict[str, Tensor]:
+        """Return the discriminator's loss and what is worth logging.
+
+        prediction + logit regularisation + gradient penalty + weight decay, as IsaacGymEnvs;
+        with `disc_loss: least_squares` the prediction loss is AMP's own (eq. 6).
+
+        Args:
+            agent_logit: (2K, 1) of the policy's and of replayed observations.
+            demo_logit: (K, 1) of reference observations.
+            demo_obs: (K, F) normalised, requiring gradients, that `demo_logit` came from.
+
+        Returns:
+            `disc_loss` (the weighted sum), `disc_grad_penalty` and `disc_logit_loss` (unweighted),
+            `disc_agent_acc`, `disc_demo_acc`, `disc_agent_logit`, `disc_demo_logit`.
+        """
+        agent_logit, demo_logit = agent_logit.float(), demo_logit.float()
+        prediction = self._prediction_loss(agent_logit, demo_logit)
+        logit_loss = self._network.get_disc_logit_weights().square().sum()
+        grad_penalty = self._gradient_penalty(demo_logit, demo_obs)
+        loss = (
+            prediction
+            + self._params.disc_logit_reg * logit_loss
+            + self._params.disc_grad_penalty * grad_penalty
+        )
+        if self._params.disc_weight_decay != 0.0:
+            weights = torch.cat(self._network.get_disc_weights())
+            loss = loss + self._params.disc_weight_decay * weights.square().sum()
+        return {
+            "disc_loss": loss,
+            "disc_grad_penalty": grad_penalty.detach(),
+            "disc_logit_loss": logit_loss.detach(),
+            "disc_agent_acc": (agent_logit.detach() < 0.0).float().mean(),
+            "disc_demo_acc": (demo_logit.detach() > 0.0).float().mean(),
+            "disc_agent_logit": agent_logit.detach(),
+            "disc_demo_logit": demo_logit.detach(),
+        }
+
+    def _prediction_loss(self, agent_logit: Tensor, demo_logit: Tensor) -> Tensor:
+        """Half the sum of the mean losses on fakes and on demonstrations."""
+        if self._params.disc_loss == "least_squares":
+            return 0.5 * ((agent_logit + 1.0).square().mean() + (demo_logit - 1.0).square().mean())
+        fakes = F.binary_cross_entropy_with_logits(agent_logit, torch.zeros_like(agent_logit))
+        demos = F.binary_cross_entropy_with_logits(demo_logit, torch.ones_like(demo_logit))
+        return 0.5 * (fakes + demos)
+
+    @staticmethod
+    def _gradient_penalty(demo_logit: Tensor, demo_obs: Tensor) -> Tensor:
+        """Mean squared gradient of the logits with respect to the normalised demonstrations."""
+        (gradient,) = torch.autograd.grad(
+            demo_logit,
+            demo_obs,
+            grad_outputs=torch.ones_like(demo_logit),
+            create_graph=True,
+            retain_graph=True,
+        )
+        return gradient.square().sum(dim=-1).mean()

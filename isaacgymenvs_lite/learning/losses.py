@@ -1,0 +1,77 @@
+"""PPO's losses and advantages as CommonAgent of IsaacGymEnvs defines them, as pure functions.
+
+They differ from rl_games': no factor 0.5 on the critic, a bound at 1.0 instead of 1.1, and
+advantages that bootstrap with the value of the state *after* each step (docs/amp.md has the list).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def actor_loss(
+    old_neglogp: Tensor, new_neglogp: Tensor, advantage: Tensor, ppo: bool, e_clip: float
+) -> tuple[Tensor, Tensor]:
+    """Return the policy loss (M,) and whether each ratio was outside the clip range (M,) bool.
+
+    PPO's clipped surrogate (Schulman et al. 2017, eq. 7), negated; with `ppo` False the plain
+    policy gradient neglogp * advantage.
+    """
+    ratio = torch.exp(old_neglogp - new_neglogp)
+    clipped = (ratio - 1.0).abs() > e_clip
+    if not ppo:
+        return new_neglogp * advantage, clipped
+    surrogate = advantage * ratio
+    surrogate_clipped = advantage * ratio.clamp(1.0 - e_clip, 1.0 + e_clip)
+    return torch.max(-surrogate, -surrogate_clipped), clipped
+
+
+def critic_loss(
+    old_values: Tensor, values: Tensor, returns: Tensor, e_clip: float, clip_value: bool
+) -> Tensor:
+    """Return the squared value errors (M, values), clipped around the old values if asked for."""
+    loss = (returns - values) ** 2
+    if not clip_value:
+        return loss
+    values_clipped = old_values + (values - old_values).clamp(-e_clip, e_clip)
+    return torch.max(loss, (returns - values_clipped) ** 2)
+
+
+def bound_loss(mu: Tensor, soft_bound: float = 1.0) -> Tensor:
+    """Return (M,) the squared amount by which mean actions mu (M, A) leave +-soft_bound."""
+    excess = mu.abs().sub(soft_bound).clamp(min=0.0)
+    return (excess * excess).sum(dim=-1)
+
+
+def mask_terminal_values(next_values: Tensor, terminate: Tensor) -> Tensor:
+    """Return next values (..., values) with zeros where the episode failed, terminate (...) = 1.
+
+    A time-out keeps its bootstrap value: the episode would have gone on.
+    """
+    return next_values * (1.0 - terminate.to(next_values.dtype)).unsqueeze(-1)
+
+
+def discount_values(
+    dones: Tensor, values: Tensor, rewards: Tensor, next_values: Tensor, gamma: float, tau: float
+) -> Tensor:
+    """Return generalised advantages (H, N, values) (Schulman et al. 2015, eq. 16).
+
+    delta_t = r_t + gamma next_V_t - V_t;  A_t = delta_t + gamma tau (1 - done_t) A_{t+1}.
+
+    Args:
+        dones: (H, N) whether the episode ended in this step.
+        values: (H, N, values) of the state before each step.
+        rewards: (H, N, values).
+        next_values: (H, N, values) of the state after each step, zero after failures.
+        gamma: discount.
+        tau: lambda of the estimator.
+    """
+    advantages = torch.empty_like(rewards)
+    not_done = (1.0 - dones.to(rewards.dtype)).unsqueeze(-1)
+    deltas = rewards + gamma * next_values - values
+    running = torch.zeros_like(rewards[0])
+    for t in reversed(range(len(rewards))):
+        running = deltas[t] + gamma * tau * not_done[t] * running
+        advantages[t] = running
+    return advantages

@@ -1,0 +1,86 @@
+"""A ring of rows of named tensors, sampled without replacement pass by pass."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+
+
+class ReplayBuffer:
+    """Holds the newest `buffer_size` rows that were stored.
+
+    `sample` walks through a random permutation of all rows and draws a new one when it passes the
+    end, so that every row is seen once before any is seen twice; while the buffer is not full,
+    indices are taken modulo the number of rows stored. As IsaacGymEnvs.
+
+    Args:
+        buffer_size: rows, at least 1.
+        device: where the rows live.
+
+    Raises:
+        ConfigError: buffer_size below 1.
+    """
+
+    def __init__(self, buffer_size: int, device: str | torch.device) -> None:
+        if buffer_size < 1:
+            raise ConfigError(f"replay buffer of {buffer_size} rows: expected at least 1")
+        self._size = buffer_size
+        self._device = torch.device(device)
+        self._rows: dict[str, Tensor] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all rows."""
+        self._head = 0
+        self._total_count = 0
+        self._reset_sample_order()
+
+    def get_buffer_size(self) -> int:
+        """Rows that fit."""
+        return self._size
+
+    def get_total_count(self) -> int:
+        """Rows stored since the start or the last `reset`, those overwritten included."""
+        return self._total_count
+
+    def store(self, data: dict[str, Tensor]) -> None:
+        """Append rows; the oldest are overwritten. Of more rows than fit the last ones stay.
+
+        Args:
+            data: name -> (n, ...); the same names and row shapes in every call. n may be 0.
+        """
+        n = len(next(iter(data.values())))
+        if n == 0:
+            return
+        self._total_count += n
+        kept = min(n, self._size)
+        slots = (self._head + (n - kept) + torch.arange(kept, device=self._device)) % self._size
+        for name, rows in data.items():
+            if name not in self._rows:
+                shape = (self._size, *rows.shape[1:])
+                self._rows[name] = torch.zeros(shape, dtype=rows.dtype, device=self._device)
+            self._rows[name][slots] = rows[n - kept :].to(self._device)
+        self._head = (self._head + n) % self._size
+
+    def sample(self, n: int) -> dict[str, Tensor]:
+        """Return n rows, name -> (n, ...).
+
+        Raises:
+            RuntimeError: nothing was stored yet.
+        """
+        if self._total_count == 0:
+            raise RuntimeError("the replay buffer is empty; store rows before sampling")
+        order = (self._sample_head + torch.arange(n, device=self._device)) % self._size
+        rows = self._sample_order[order]
+        if self._total_count < self._size:
+            rows = rows % self._total_count
+        self._sample_head += n
+        if self._sample_head >= self._size:
+            self._reset_sample_order()
+        return {name: stored[rows] for name, stored in self._rows.items()}
+
+    def _reset_sample_order(self) -> None:
+        self._sample_order = torch.randperm(self._size, device=self._device)
+        self._sample_head = 0

@@ -1,0 +1,105 @@
+"""Brings a clip's bodies into the order of a humanoid, or says why that cannot be done."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+
+import numpy as np
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+
+_log = logging.getLogger(__name__)
+
+# Offsets in files are rounded to 1e-4 m; beyond this the clip was made for another body.
+_OFFSET_TOLERANCE_M = 0.01
+# A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
+_HINGE_TOLERANCE_RAD = 0.01
+
+
+def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Return the clip with its bodies in the order of `skeleton`.
+
+    Logs a warning when hinge joints (knees, elbows) turn about other axes than y, as that part of
+    the motion is dropped, and when the clip was made for a body of other dimensions.
+
+    Raises:
+        MotionFileError: the clip lacks bodies, has others, or connects them in another way.
+    """
+    missing = [name for name in skeleton.body_names if name not in clip.body_names]
+    extra = [name for name in clip.body_names if name not in skeleton.body_names]
+    if missing or extra:
+        found = [f"lacks {', '.join(missing)}"] if missing else []
+        found += [f"also has {', '.join(extra)}"] if extra else []
+        raise MotionFileError(
+            f"{clip.name}: its skeleton {' and '.join(found)}; expected the "
+            f"{skeleton.num_bodies} bodies of the humanoid: {', '.join(skeleton.body_names)}"
+        )
+    clip = _reorder(clip, skeleton)
+    _warn_of_other_offsets(clip, skeleton)
+    _warn_of_hinge_violation(clip, skeleton)
+    return clip
+
+
+def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Sort the bodies by name and check that they are connected as in the skeleton."""
+    order = [clip.body_names.index(name) for name in skeleton.body_names]
+    for body, name in enumerate(skeleton.body_names):
+        parent = _parent_name(clip.body_names, clip.parent_indices[order[body]])
+        expected = _parent_name(skeleton.body_names, skeleton.parent_indices[body])
+        if parent != expected:
+            raise MotionFileError(
+                f"{clip.name}: the parent of '{name}' is {parent}, expected {expected}"
+            )
+    if order == list(range(skeleton.num_bodies)):
+        return clip
+    _log.info("%s: bodies brought into the order of the humanoid", clip.name)
+    return dataclasses.replace(
+        clip,
+        body_names=skeleton.body_names,
+        parent_indices=skeleton.parent_indices,
+        local_translation=clip.local_translation[order],
+        local_rotation=clip.local_rotation[:, order],
+        linear_velocity_w=clip.linear_velocity_w[:, order],
+        angular_velocity_w=clip.angular_velocity_w[:, order],
+    )
+
+
+def _parent_name(names: tuple[str, ...], parent: int) -> str:
+    return "the world" if parent < 0 else f"'{names[parent]}'"
+
+
+def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
+    # The root's offset is left out: it is only the place of the character in its file.
+    difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)[1:]
+    if difference.max() > _OFFSET_TOLERANCE_M:
+        body = int(difference.argmax()) + 1
+        _log.warning(
+            "%s: made for a body of other dimensions: the offset of '%s' differs by %.3f m from "
+            "the humanoid's; feet may sink or slide",
+            clip.name,
+            skeleton.body_names[body],
+            difference[body - 1],
+        )
+
+
+def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
+    hinges = list(skeleton.hinge_body_ids)
+    if not hinges:
+        return
+    # sqrt(x^2 + z^2) is the sine of half the angle between the y axis and its image.
+    off_axis = np.hypot(clip.local_rotation[:, hinges, 0], clip.local_rotation[:, hinges, 2])
+    frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
+    angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))
+    if angle_rad > _HINGE_TOLERANCE_RAD:
+        _log.warning(
+            "%s: '%s' is a hinge about y but turns %.3f rad out of that axis in frame %d; "
+            "that part of the motion is dropped",
+            clip.name,
+            skeleton.body_names[hinges[hinge]],
+            angle_rad,
+            frame,
+        )

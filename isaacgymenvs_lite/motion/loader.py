@@ -1,0 +1,121 @@
+"""From the name of a motion file to clips in memory: the one place that knows all formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import MotionFileError, suggest
+from isaacgymenvs_lite.motion import deepmimic
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.dataset import read_dataset
+from isaacgymenvs_lite.motion.npz import load_npz
+from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
+from isaacgymenvs_lite.motion.reading import read_json
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+
+_DATASET_SUFFIXES = (".yaml", ".yml")
+# Tried in this order behind a name without suffix.
+_GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
+
+
+def shipped_motions_dir() -> Path:
+    """Return the folder of the clips that come with the project."""
+    return paths.assets_dir() / "amp" / "motions"
+
+
+def shipped_motions() -> list[str]:
+    """Return the names, without suffix, of the clips that come with the project."""
+    return sorted(
+        {path.stem for path in shipped_motions_dir().glob("*") if path.suffix in _GUESSED_SUFFIXES}
+    )
+
+
+def load_clips(
+    motion_file: str | Path, skeleton: Skeleton | None = None
+) -> list[tuple[MotionClip, float]]:
+    """Read a clip, or all clips of a data set, each with its weight >= 0.
+
+    Args:
+        motion_file: a path (absolute or relative to the working directory), the name of a shipped
+            clip, or `deepmimic:<name>`. `.yaml` is a data set, all others are one clip with
+            weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and `.json` of DeepMimic.
+        skeleton: the body for formats that do not hold one (DeepMimic); by default the humanoid
+            with 28 degrees of freedom.
+
+    Raises:
+        MotionFileError: a file is missing, or is none of these formats, or is not valid.
+    """
+    skeleton = skeleton or skeleton_for_num_dofs(28)
+    shipped = shipped_motions_dir()
+    if str(motion_file).startswith(deepmimic.PREFIX):
+        return [(_load_clip(motion_file, (), skeleton), 1.0)]
+    path = resolve_motion_file(motion_file, (Path(), shipped))
+    if path.suffix not in _DATASET_SUFFIXES:
+        return [(_load_clip(path, (), skeleton), 1.0)]
+    clips = []
+    for i, entry in enumerate(read_dataset(path)):
+        try:
+            clip = _load_clip(entry.file, (path.parent, shipped), skeleton)
+        except MotionFileError as error:
+            raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
+        clips.append((clip, entry.weight))
+    return clips
+
+
+def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
+    """Return the path of the motion file `name`.
+
+    Args:
+        name: an absolute path, or one relative to one of `search_dirs`; the suffix may be left out.
+        search_dirs: the folders to look in, in this order.
+
+    Raises:
+        MotionFileError: there is no such file; says where was looked and what is shipped.
+    """
+    folders = [Path()] if Path(name).is_absolute() else search_dirs
+    for folder in folders:
+        for suffix in ("", *_GUESSED_SUFFIXES):
+            path = folder / f"{name}{suffix}"
+            if path.is_file():
+                return path
+    looked = " and ".join(str(folder.absolute()) for folder in folders)
+    where = "" if Path(name).is_absolute() else f" in {looked}"
+    shipped = shipped_motions()
+    raise MotionFileError(
+        f"motion file '{name}' not found{where}{suggest(Path(name).stem, shipped)}; "
+        f"shipped clips: {', '.join(shipped) or 'none'}; {deepmimic.PREFIX}<name> for DeepMimic's"
+    )
+
+
+def _load_clip(name: str | Path, search_dirs: Sequence[Path], skeleton: Skeleton) -> MotionClip:
+    """Read one clip by the prefix of its name or the suffix of its file."""
+    text = str(name)
+    if text.startswith(deepmimic.PREFIX):
+        full_name, path = deepmimic.find_in_package(text.removeprefix(deepmimic.PREFIX))
+        return deepmimic.load_deepmimic(path, skeleton, deepmimic.PREFIX + full_name)
+    path = resolve_motion_file(name, search_dirs) if search_dirs else Path(name)
+    readers: dict[str, Callable[[Path], MotionClip]] = {
+        ".npz": load_npz,
+        ".npy": load_poselib_npy,
+        ".json": lambda path: _load_json(path, skeleton),
+        ".txt": lambda path: deepmimic.load_deepmimic(path, skeleton),
+    }
+    if path.suffix not in readers:
+        raise MotionFileError(
+            f"{path}: a clip ends in {', '.join(readers)} and a data set in .yaml, "
+            f"found '{path.suffix}'"
+        )
+    try:
+        return readers[path.suffix](path)
+    except OSError as error:
+        raise MotionFileError(f"{path}: cannot be read ({error})") from error
+
+
+def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:
+    """Read a `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
+    data = read_json(path)
+    if "Frames" in data:
+        return deepmimic.clip_from_deepmimic(data, skeleton, str(path))
+    return clip_from_poselib(data, str(path))

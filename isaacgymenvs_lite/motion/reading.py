@@ -1,0 +1,33 @@
+"""What the readers of clips share. Two formats, poselib's text variant and DeepMimic's, are JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from isaacgymenvs_lite.errors import MotionFileError
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an error, which may have many lines, as one."""
+    return " ".join(str(error).split())
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Return the JSON object in the file at `path`.
+
+    Raises:
+        MotionFileError: the file is no JSON text or holds no object.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise MotionFileError(
+            f"{path}: is no JSON text ({one_line(error)}); expected a poselib or DeepMimic clip"
+        ) from error
+    if not isinstance(data, dict):
+        raise MotionFileError(
+            f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip"
+        )
+    return data

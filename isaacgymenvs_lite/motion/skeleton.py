@@ -1,0 +1,144 @@
+"""The kinematic tree of a humanoid and its degrees of freedom, read from the MuJoCo model."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import ConfigError
+
+# The model file, relative to the assets folder, of the humanoid with a number of DOFs.
+_HUMANOIDS = {28: "mjcf/amp_humanoid.xml"}
+_DOFS_OF_JOINT = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_HINGE: 1}
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Bodies and degrees of freedom of a humanoid; J bodies in depth-first order, root first.
+
+    A joint group is the joint of one body: 3 DOFs (ball joint, rotation vector in rad in the child
+    frame) or 1 DOF (hinge about the child's y axis, rad). Bodies without a joint are rigid.
+
+    Attributes:
+        body_names: J names.
+        parent_indices: J body ids, -1 for the root; parents come before children.
+        local_translation: (J, 3) m, origin of a body in its parent's frame. The root's row is its
+            place in the model file and takes no part in kinematics.
+        dof_body_ids: G body ids, one per joint group, in DOF order.
+        dof_offsets: G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
+        foot_body_ids: K body ids, the foot that each row of `foot_corners` belongs to.
+        foot_corners: (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
+    """
+
+    body_names: tuple[str, ...]
+    parent_indices: tuple[int, ...]
+    local_translation: npt.NDArray[np.float64]
+    dof_body_ids: tuple[int, ...]
+    dof_offsets: tuple[int, ...]
+    foot_body_ids: tuple[int, ...]
+    foot_corners: npt.NDArray[np.float64]
+
+    @property
+    def num_bodies(self) -> int:
+        """The number of bodies J."""
+        return len(self.body_names)
+
+    @property
+    def num_dofs(self) -> int:
+        """The number of degrees of freedom."""
+        return self.dof_offsets[-1]
+
+    @property
+    def dof_sizes(self) -> tuple[int, ...]:
+        """The number of DOFs of each joint group: 3 or 1."""
+        return tuple(end - start for start, end in itertools.pairwise(self.dof_offsets))
+
+    @property
+    def hinge_body_ids(self) -> tuple[int, ...]:
+        """The bodies that turn about their y axis only."""
+        groups = zip(self.dof_body_ids, self.dof_sizes, strict=True)
+        return tuple(body for body, size in groups if size == 1)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path) -> Skeleton:
+        """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model.
+
+        Raises:
+            ConfigError: a body has several joints, or one that is no ball joint and no y hinge.
+        """
+        model = mujoco.MjModel.from_xml_path(str(path))
+        # Body 0 is MuJoCo's world: it is left out and all ids move down by one.
+        bodies = [model.body(i) for i in range(1, model.nbody)]
+        dof_body_ids, dof_offsets = _joint_groups(model, path)
+        foot_body_ids, foot_corners = _foot_corners(model)
+        return cls(
+            body_names=tuple(body.name for body in bodies),
+            parent_indices=tuple(int(body.parentid[0]) - 1 for body in bodies),
+            local_translation=model.body_pos[1:].copy(),
+            dof_body_ids=dof_body_ids,
+            dof_offsets=dof_offsets,
+            foot_body_ids=foot_body_ids,
+            foot_corners=foot_corners,
+        )
+
+
+@functools.lru_cache
+def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
+    """Return the skeleton of the shipped humanoid with `num_dofs` degrees of freedom.
+
+    Raises:
+        ConfigError: no shipped humanoid has so many.
+    """
+    if num_dofs not in _HUMANOIDS:
+        choices = ", ".join(str(n) for n in _HUMANOIDS)
+        raise ConfigError(
+            f"no humanoid with {num_dofs} degrees of freedom is shipped; choices: {choices}; "
+            "pass skeleton=Skeleton.from_mjcf(path) for a model of your own"
+        )
+    return Skeleton.from_mjcf(paths.assets_dir() / _HUMANOIDS[num_dofs])
+
+
+def _joint_groups(
+    model: mujoco.MjModel, path: str | Path
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the body ids and the DOF offsets of the joint groups; the free joint is skipped."""
+    body_ids: list[int] = []
+    offsets = [0]
+    for i in range(model.njnt):
+        joint = model.joint(i)
+        kind = mujoco.mjtJoint(int(joint.type[0]))
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        body_id = int(joint.bodyid[0]) - 1
+        is_y_hinge = kind == mujoco.mjtJoint.mjJNT_HINGE and np.allclose(joint.axis, (0, 1, 0))
+        if body_id in body_ids or not (kind == mujoco.mjtJoint.mjJNT_BALL or is_y_hinge):
+            raise ConfigError(
+                f"{path}: joint '{joint.name}': a body of a humanoid has one joint, "
+                "a ball joint or a hinge about y"
+            )
+        body_ids.append(body_id)
+        offsets.append(offsets[-1] + _DOFS_OF_JOINT[kind])
+    return tuple(body_ids), tuple(offsets)
+
+
+def _foot_corners(model: mujoco.MjModel) -> tuple[tuple[int, ...], npt.NDArray[np.float64]]:
+    """Return body ids (K) and corners (K, 3) m of the feet's boxes, in the frames of the feet."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    body_ids: list[int] = []
+    corners = [np.zeros((0, 3))]
+    for i in range(model.ngeom):
+        geom = model.geom(i)
+        body = model.body(geom.bodyid[0])
+        if geom.type[0] == mujoco.mjtGeom.mjGEOM_BOX and body.name.endswith("_foot"):
+            rotation = np.zeros(9)
+            mujoco.mju_quat2Mat(rotation, geom.quat)
+            corners.append(geom.pos + (signs * geom.size) @ rotation.reshape(3, 3).T)
+            body_ids.extend([int(geom.bodyid[0]) - 1] * len(signs))
+    return tuple(body_ids), np.concatenate(corners)

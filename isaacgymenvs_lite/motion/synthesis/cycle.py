@@ -1,0 +1,73 @@
+"""Smooth curves over the gait cycle: short Fourier series through coarse tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+# Gait curves hold little above the sixth harmonic (Winter: 99.7 % of the power below 6 Hz); fewer
+# harmonics than half of the 20 table values also smooth away the rounding to whole degrees.
+_HARMONICS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicCurve:
+    """A curve of period 1: the real part of sum_k c_k exp(2 pi i k phase), k = 0, 1, ..."""
+
+    coefficients: npt.NDArray[np.complex128]
+
+    @classmethod
+    def through(cls, samples: Sequence[float] | FloatArray, harmonics: int = _HARMONICS) -> PeriodicCurve:
+        """Fit `harmonics` harmonics (least squares) to samples at evenly spaced phases from 0."""
+        values = np.asarray(samples, dtype=np.float64)
+        coefficients = np.fft.rfft(values) / len(values)
+        coefficients[1:] *= 2.0
+        return cls(coefficients[: harmonics + 1])
+
+    @classmethod
+    def from_degrees(cls, table: Sequence[float]) -> PeriodicCurve:
+        """Return the curve in rad of a full-cycle table in degrees."""
+        return cls.through(np.radians(np.asarray(table, dtype=np.float64)))
+
+    @classmethod
+    def odd(cls, half_table: Sequence[float]) -> PeriodicCurve:
+        """Return the curve in rad of a half-cycle table in degrees; the other half is minus it."""
+        return cls.from_degrees([*half_table, *(-value for value in half_table)])
+
+    @classmethod
+    def even(cls, half_table: Sequence[float]) -> PeriodicCurve:
+        """Return the curve in rad of a half-cycle table in degrees; the other half repeats it."""
+        return cls.from_degrees([*half_table, *half_table])
+
+    def __call__(self, phase: FloatArray | float) -> FloatArray:
+        """Return the values at phases of any shape."""
+        turns = 2.0j * np.pi * np.arange(len(self.coefficients))
+        angles = np.asarray(phase, dtype=np.float64)[..., None] * turns
+        return (np.exp(angles) @ self.coefficients).real
+
+
+def hermite(
+    start: tuple[FloatArray, FloatArray],
+    end: tuple[FloatArray, FloatArray],
+    span: float,
+    u: FloatArray,
+) -> FloatArray:
+    """Return the cubic (n, d) from `start` to `end` at u (n) in [0, 1].
+
+    Args:
+        start: value (d) and rate (d) at u = 0; rates are per unit of the variable that runs over
+            `span` while u runs from 0 to 1.
+        end: the same at u = 1.
+        span: length of the interval in the unit of the rates.
+        u: where to evaluate.
+    """
+    u = u[:, None]
+    rise = u * u * (3.0 - 2.0 * u)
+    start_slope = u * (1.0 - u) ** 2 * span
+    end_slope = u * u * (u - 1.0) * span
+    return (1.0 - rise) * start[0] + rise * end[0] + start_slope * start[1] + end_slope * end[1]

@@ -1,0 +1,128 @@
+"""From the tables of a gait to a motion clip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
+from isaacgymenvs_lite.motion.synthesis.plan import plan_gait
+from isaacgymenvs_lite.motion.synthesis.posture import target_rotations
+from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
+from isaacgymenvs_lite.utils import rotations
+
+FloatArray = npt.NDArray[np.float64]
+
+FPS = 60
+MODEL = "mjcf/amp_humanoid.xml"
+_FEET = (("right_foot", -1.0), ("left_foot", 1.0))
+_PAD = 2  # frames of the endless motion on either side, for central differences
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """N poses of one cycle of an endless motion; the next cycle is displaced by the stride.
+
+    Attributes:
+        root_translation: (N, 3) m.
+        local_rotation: (N, J, 4) xyzw.
+        stride_m: displacement along x.
+    """
+
+    root_translation: FloatArray
+    local_rotation: FloatArray
+    stride_m: float
+
+    def frames(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return root positions and local rotations of `count` frames from `first` (any sign)."""
+        cycles, rows = np.divmod(np.arange(first, first + count), len(self.root_translation))
+        root = self.root_translation[rows].copy()
+        root[:, 0] += cycles * self.stride_m
+        return root, self.local_rotation[rows]
+
+
+def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
+    """Make a clip of `num_cycles` cycles, plus the frame that begins the next one.
+
+    It starts as the right foot touches down, with the root at x = 0, and travels along +x.
+    Velocities are those of the endless motion, by central differences. (The filter that poselib
+    applies to motion capture would take off 16 % of the run's vertical speed.)
+
+    Raises:
+        ConfigError: mink is not installed.
+        ValueError: a cycle is no even number of frames, so that left and right could not match.
+    """
+    skeleton = Skeleton.from_mjcf(paths.assets_dir() / MODEL)
+    cycle = solve_cycle(gait, skeleton, fps)
+    count = num_cycles * len(cycle.root_translation) + 1
+    root, local = cycle.frames(-_PAD, count + 2 * _PAD)
+    positions, turns = kinematics.forward_kinematics(
+        skeleton.parent_indices, skeleton.local_translation, local, root
+    )
+    inside = slice(_PAD, -_PAD)
+    return MotionClip(
+        name=gait.name,
+        fps=float(fps),
+        body_names=skeleton.body_names,
+        parent_indices=skeleton.parent_indices,
+        local_translation=skeleton.local_translation.astype(np.float32),
+        local_rotation=local[inside].astype(np.float32),
+        root_translation=root[inside].astype(np.float32),
+        linear_velocity_w=(np.gradient(positions, axis=0) * fps)[inside].astype(np.float32),
+        angular_velocity_w=_angular_velocities(turns, fps)[inside].astype(np.float32),
+    )
+
+
+def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
+    """Plan one cycle and solve its poses; the root starts at x = 0. Raises as `generate`."""
+    frames = round(gait.period_s * fps)
+    if frames % 2 or abs(frames - gait.period_s * fps) > 1e-6:
+        raise ValueError(
+            f"a cycle of {gait.period_s:g} s has {gait.period_s * fps:g} frames at {fps} fps, "
+            "expected an even number"
+        )
+    phase = np.arange(frames) / frames
+    model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / MODEL))
+    plan = plan_gait(gait, skeleton, model)
+    com = plan.com(phase)
+    targets = qpos_from_poses(skeleton, com, target_rotations(gait, skeleton, phase))
+    yaw = plan.feet.stance.yaw
+    foot_poses = [_foot_frames(plan.feet.poses(phase, side), -side * yaw) for _, side in _FEET]
+    solver = PoseSolver(model, tuple(name for name, _ in _FEET))
+    solved = np.stack(
+        [
+            solver.solve(targets[i], com[i], [poses[i] for poses in foot_poses])
+            for i in range(frames)
+        ]
+    )
+    root, local = poses_from_qpos(skeleton, solved)
+    root = root - root[0] * (1.0, 0.0, 0.0)
+    return Cycle(root, local, gait.stride_m)
+
+
+def _foot_frames(poses: FloatArray, yaw: float) -> FloatArray:
+    """Return quaternions wxyz and positions (n, 7) of planned foot poses (n, 4)."""
+    pitch = torch.from_numpy(-poses[:, 3])  # about +y the toes go down
+    turn = rotations.quat_from_euler_xyz(
+        torch.zeros_like(pitch), pitch, torch.full_like(pitch, yaw)
+    )
+    return np.concatenate((rotations.wxyz_from_xyzw(turn).numpy(), poses[:, :3]), axis=1)
+
+
+def _angular_velocities(turns: FloatArray, fps: float) -> FloatArray:
+    """Return world angular velocities (T, J, 3) rad/s by central differences, one-sided at ends."""
+    q = torch.from_numpy(turns)
+    padded = torch.cat((q[:1], q, q[-1:]))
+    steps = rotations.quat_mul(padded[2:], rotations.quat_conjugate(padded[:-2]))
+    spans = np.full((len(turns), 1, 1), 2.0)
+    spans[[0, -1]] = 1.0
+    return rotations.quat_log(steps).numpy() / spans * fps

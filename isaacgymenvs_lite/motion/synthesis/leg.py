@@ -1,0 +1,71 @@
+"""One leg of the humanoid: its dimensions, and its two links in the plane of hip, knee and ankle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Lengths in m; the foot is rigid and its sole is flat.
+
+    Attributes:
+        thigh_m: from the hip to the knee.
+        shin_m: from the knee to the ankle.
+        ankle_height_m: height of the ankle over the sole.
+        heel_m: from the ankle back to the end of the sole.
+        toe_m: from the ankle forward to the end of the sole.
+    """
+
+    thigh_m: float
+    shin_m: float
+    ankle_height_m: float
+    heel_m: float
+    toe_m: float
+
+    @classmethod
+    def from_skeleton(cls, skeleton: Skeleton) -> Leg:
+        """Read the right leg (the left one is its mirror image)."""
+        foot = skeleton.body_names.index("right_foot")
+        shin = skeleton.body_names.index("right_shin")
+        corners = skeleton.foot_corners[[body == foot for body in skeleton.foot_body_ids]]
+        return cls(
+            thigh_m=-float(skeleton.local_translation[shin, 2]),
+            shin_m=-float(skeleton.local_translation[foot, 2]),
+            ankle_height_m=-float(corners[:, 2].min()),
+            heel_m=-float(corners[:, 0].min()),
+            toe_m=float(corners[:, 0].max()),
+        )
+
+    def ankle(self, thigh: FloatArray, knee: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far the ankle is ahead of and below the hip, in m.
+
+        Args:
+            thigh: angle of the thigh, forward of straight down, in rad.
+            knee: flexion in rad.
+        """
+        shin = thigh - knee
+        ahead = self.thigh_m * np.sin(thigh) + self.shin_m * np.sin(shin)
+        below = self.thigh_m * np.cos(thigh) + self.shin_m * np.cos(shin)
+        return ahead, below
+
+    def angles(self, ahead: FloatArray, below: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return thigh and knee angles (rad) that put the ankle there; straight if out of reach."""
+        reach = np.hypot(ahead, below)
+        cos_knee = (reach**2 - self.thigh_m**2 - self.shin_m**2) / (2.0 * self.thigh_m * self.shin_m)
+        knee = np.arccos(np.clip(cos_knee, -1.0, 1.0))
+        thigh = np.arctan2(ahead, below) + np.arctan2(
+            self.shin_m * np.sin(knee), self.thigh_m + self.shin_m * np.cos(knee)
+        )
+        return thigh, knee
+
+    def reach(self, knee: float) -> float:
+        """Return the distance in m from the hip to the ankle with the knee flexed by `knee` rad."""
+        return float(np.hypot(*self.ankle(np.zeros(1), np.array([knee]))).item())

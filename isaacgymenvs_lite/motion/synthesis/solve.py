@@ -1,0 +1,90 @@
+"""Inverse kinematics: whole-body poses that put feet, pelvis and centre of mass where planned."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError
+
+FloatArray = npt.NDArray[np.float64]
+
+_SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
+_MAX_ITERATIONS = 60
+_CONVERGED = 1e-9  # largest joint step (rad, m) of the last iteration
+# Weights of the errors (1/m, 1/rad). The feet come first, to within micrometres; then the path of
+# the centre of mass and the attitude of the pelvis; the published angles fill the rest.
+_FOOT, _COM, _PELVIS, _POSTURE = 100.0, 3.0, 3.0, 0.05
+
+
+class PoseSolver:
+    """Finds poses of a MuJoCo humanoid with the library mink.
+
+    Every pose is solved for itself, from the same start, so equal targets give equal poses and the
+    cycles close.
+
+    Args:
+        model: the humanoid; body 1 is its root, with a free joint.
+        foot_names: bodies that are put in place exactly.
+
+    Raises:
+        ConfigError: mink is not installed.
+    """
+
+    def __init__(self, model: mujoco.MjModel, foot_names: tuple[str, ...]) -> None:
+        self._mink = _import_mink()
+        self._configuration = self._mink.Configuration(model)
+        self._feet = [self._frame_task(name, _FOOT, _FOOT) for name in foot_names]
+        self._pelvis = self._frame_task(model.body(1).name, 0.0, _PELVIS)
+        self._com = self._mink.ComTask(cost=_COM)
+        self._posture = self._mink.PostureTask(model, cost=_POSTURE)
+        self._limits = [self._mink.ConfigurationLimit(model)]
+
+    def solve(self, qpos: FloatArray, com: FloatArray, foot_poses: list[FloatArray]) -> FloatArray:
+        """Return the pose (nq) nearest to `qpos` that meets the targets.
+
+        Args:
+            qpos: (nq), joint angles and attitude of the root to stay near, and the start of the
+                search.
+            com: (3) m, the centre of mass in the world.
+            foot_poses: one array (7) per foot: quaternion wxyz and position (m) in the world.
+
+        Raises:
+            RuntimeError: the search does not come to rest.
+        """
+        configuration = self._configuration
+        configuration.update(qpos)
+        self._posture.set_target(qpos)
+        self._com.set_target(com)
+        self._pelvis.set_target_from_configuration(configuration)
+        for task, pose in zip(self._feet, foot_poses, strict=True):
+            task.set_target(self._mink.SE3(wxyz_xyz=pose))
+        tasks = [*self._feet, self._pelvis, self._com, self._posture]
+        for _ in range(_MAX_ITERATIONS):
+            step = self._mink.solve_ik(
+                configuration, tasks, 1.0, solver=_SOLVER, limits=self._limits
+            )
+            configuration.integrate_inplace(step, 1.0)
+            if np.abs(step).max() < _CONVERGED:
+                return configuration.q.copy()
+        raise RuntimeError(
+            f"inverse kinematics did not come to rest in {_MAX_ITERATIONS} iterations "
+            f"(last step {np.abs(step).max():.2e} rad)"
+        )
+
+    def _frame_task(self, body: str, position_cost: float, orientation_cost: float) -> Any:
+        return self._mink.FrameTask(body, "body", position_cost, orientation_cost)
+
+
+def _import_mink() -> Any:
+    if importlib.util.find_spec("mink") is None:
+        raise ConfigError(
+            "making motion clips needs the package mink, which is not installed; "
+            'pip install "isaacgymenvs-lite[synthesis]"'
+        )
+    return importlib.import_module("mink")

@@ -1,0 +1,89 @@
+"""The only place that makes our agents, players, models and networks known to rl_games.
+
+    from rl_games.torch_runner import Runner
+    from isaacgymenvs_lite.registration import register
+
+    runner = Runner()
+    register(runner)
+    runner.load(yaml_config)
+
+Checkpoints of a runner that was registered are written atomically and loaded without running code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rl_games.algos_torch import model_builder
+from rl_games.common import env_configurations, vecenv
+from rl_games.common.algo_observer import AlgoObserver
+from rl_games.torch_runner import Runner
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
+from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
+from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
+from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous, LeastSquaresAMPPlayer
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
+
+_ALGORITHMS: dict[str, tuple[type, type]] = {
+    "amp_agent": (LeastSquaresAMPAgent, LeastSquaresAMPPlayer),
+    "amp_continuous": (AMPAgent, AMPPlayerContinuous),
+    "amp": (AMPAgent, AMPPlayerContinuous),
+}
+_MODELS: dict[str, type] = {
+    "continuous_amp": ModelAMPContinuous,
+    "amp": ModelAMPContinuous,
+}
+_NETWORKS: dict[str, type] = {"amp": AMPBuilder}
+
+AMP_FAMILY = frozenset(_ALGORITHMS)
+"""Algorithm names whose agents are ours: they take no torch.compile and no recurrent networks."""
+
+
+def register(runner: Runner) -> None:
+    """Add all our algorithms, players, models and networks to a rl_games Runner."""
+    checkpoints.install()
+    for name, (agent, player) in _ALGORITHMS.items():
+        runner.algo_factory.register_builder(name, _builder_of(agent))
+        runner.player_factory.register_builder(name, _builder_of(player))
+    for name, model in _MODELS.items():
+        model_builder.register_model(name, model)
+    for name, network in _NETWORKS.items():
+        model_builder.register_network(name, network)
+
+
+def build_runner(observer: AlgoObserver | None = None) -> Runner:
+    """Return a Runner that knows our agents.
+
+    Args:
+        observer: hears of the training; None = rl_games' default.
+    """
+    runner = Runner(observer)
+    register(runner)
+    return runner
+
+
+def register_env(creator: Callable[..., VecTask]) -> None:
+    """Make `env_name: rlgpu` of train files mean the task that `creator(**kwargs)` returns."""
+    vecenv.register(
+        "RLGPU",
+        lambda config_name, num_actors, **kwargs: RLGPUEnv(config_name, num_actors, **kwargs),
+    )
+    env_configurations.register("rlgpu", {"vecenv_type": "RLGPU", "env_creator": creator})
+
+
+def known_names(runner: Runner) -> dict[str, list[str]]:
+    """Return the names that a train file may use: {"algo": ..., "model": ..., "network": ...}."""
+    builder = model_builder.ModelBuilder()
+    return {
+        "algo": sorted(runner.algo_factory._builders),
+        "model": sorted(builder.model_factory._builders),
+        "network": sorted(builder.network_builder.network_factory._builders),
+    }
+
+
+def _builder_of(cls: type) -> Callable[..., Any]:
+    return lambda **kwargs: cls(**kwargs)

@@ -1,0 +1,251 @@
+"""From a composed configuration to a trained or played policy."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from rl_games.common.algo_observer import AlgoObserver
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
+from isaacgymenvs_lite.config.notes import startup_notes
+from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
+from isaacgymenvs_lite.learning.amp_config import AMPParams
+from isaacgymenvs_lite.making import make_from_config, seed_everything
+from isaacgymenvs_lite.observers import (
+    ImitationObserver,
+    MultiObserver,
+    ProgressObserver,
+    TaskScalarsObserver,
+)
+from isaacgymenvs_lite.registration import AMP_FAMILY, build_runner, known_names, register_env
+from isaacgymenvs_lite.schema import keys_of
+from isaacgymenvs_lite.stopping import StopRequest
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+log = logging.getLogger(__name__)
+_rl_games_log = logging.getLogger("rl_games")
+
+_DEFAULT_IMITATION_FREQUENCY = 50
+_IMITATION_EPISODES = 16
+# Keys of train.params.config that are read here, beside those of the agents.
+_RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction")
+
+
+def run(cfg: DictConfig) -> None:
+    """Train (`test=False`) or play (`test=True`) as a composed tree says.
+
+    Raises:
+        UserError: anything that the user can mend; nothing was trained then.
+    """
+    settings = check_config(cfg)
+    for note in startup_notes(cfg):
+        log.info("%s", note)
+    seed = resolve_seed(settings.seed, settings.torch_deterministic)
+    seed_everything(seed, settings.torch_deterministic)
+    Session(cfg, settings, seed).run()
+
+
+class Session:
+    """One training or one play: what belongs to it and must be closed after it."""
+
+    def __init__(self, cfg: DictConfig, settings: LaunchSettings, seed: int) -> None:
+        self._cfg = cfg
+        self._settings = settings
+        self._name = str(cfg.train.params.config.name)
+        self._train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+        self._run_name = settings.full_experiment_name or (
+            self._name + datetime.now().strftime("_%d-%H-%M-%S")
+        )
+        self._checkpoint = checkpoints.resolve_checkpoint(
+            settings.checkpoint, self._train_dir, str(cfg.task.name)
+        )
+        self._stop = StopRequest()
+        self._envs: list[VecTask] = []
+        # Made before the agent, so that its mistakes show before a run folder exists.
+        self._task = self._make_env(int(cfg.task.env.numEnvs))
+        register_env(lambda **kwargs: self._task)
+        self._agent_holder = _AgentHolder()
+        self._observers: list[AlgoObserver] = []
+        self._params = self._prepare(seed)
+
+    def _prepare(self, seed: int) -> dict[str, Any]:
+        runner = build_runner()
+        names = known_names(runner)
+        return prepare_train_params(
+            self._cfg,
+            num_envs=self._task.num_envs,
+            seed=seed,
+            run_name=self._run_name,
+            rl_device=self._settings.rl_device,
+            num_agents=self._task.num_agents,
+            names=KnownNames(
+                algos=names["algo"],
+                models=names["model"],
+                networks=names["network"],
+                config_keys=[*keys_of(AMPParams), *_RUNNER_KEYS],
+            ),
+        )
+
+    def _make_env(self, num_envs: int) -> VecTask:
+        cfg = self._cfg.copy()
+        cfg.num_envs = num_envs
+        env = make_from_config(
+            cfg,
+            sim_device=self._settings.sim_device,
+            rl_device=self._settings.rl_device,
+            graphics_device_id=self._settings.graphics_device_id,
+            headless=self._settings.headless,
+            virtual_screen_capture=self._settings.capture_video,
+            force_render=self._settings.force_render,
+        )
+        self._envs.append(env)
+        return env
+
+    def run(self) -> None:
+        """Train or play; the simulations are freed in any case."""
+        try:
+            if self._settings.test:
+                self._play()
+            else:
+                self._train()
+        finally:
+            for env in self._envs:
+                env.close()
+
+    def _play(self) -> None:
+        if not self._checkpoint:
+            log.warning("test=True without checkpoint=: playing an untrained policy")
+        self._launch({"train": False, "play": True}, AlgoObserver())
+
+    def _train(self) -> None:
+        self._make_run_folder()
+        imitation = self._imitation_observer()
+        progress = ProgressObserver(self._stop, imitation)
+        observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
+        if self._settings.wandb_activate:
+            from isaacgymenvs_lite.wandb_observer import WandbObserver
+
+            observers.append(WandbObserver(self._cfg, self._settings, self._run_name))
+        if imitation is not None:
+            observers.append(imitation)
+        observers.append(progress)
+        self._params["config"]["print_stats"] = False
+        try:
+            with self._stop:
+                self._launch({"train": True, "play": False}, MultiObserver(observers))
+        except KeyboardInterrupt:
+            self._save("interrupted")
+            log.warning("stopped at once; the last full update is in the checkpoint")
+        finally:
+            progress.close()
+        self._save_under_plain_name()
+        log.info("run folder: %s", self._run_folder)
+
+    @property
+    def _run_folder(self) -> Path:
+        return self._train_dir / self._run_name
+
+    def _make_run_folder(self) -> None:
+        """Create the run folder with config.yaml, before anything long starts.
+
+        Raises:
+            ConfigError: the folder cannot be written.
+        """
+        try:
+            (self._run_folder / "nn").mkdir(parents=True, exist_ok=True)
+            (self._run_folder / "summaries").mkdir(exist_ok=True)
+            config = self._run_folder / "config.yaml"
+            config.write_text(OmegaConf.to_yaml(self._cfg), encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(
+                f"cannot write the run folder {self._run_folder.absolute()}"
+                f" ({error.strerror or error}); choose another with"
+                " +train.params.config.train_dir=FOLDER"
+            ) from error
+
+    def _imitation_observer(self) -> ImitationObserver | None:
+        frequency = self._params["config"].get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
+        if not isinstance(frequency, int) or frequency < 0:
+            raise ConfigError(
+                f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
+                " evaluations, 0 for none"
+            )
+        if frequency == 0 or not hasattr(self._task, "motion_lib"):
+            return None
+        return ImitationObserver(self._make_env, frequency, _IMITATION_EPISODES)
+
+    def _launch(self, mode: dict[str, bool], observer: AlgoObserver) -> None:
+        """Hand over to rl_games."""
+        runner = build_runner(observer)
+        sigma = self._settings.sigma
+        with _output_to_log():
+            runner.load({"params": self._params})
+            try:
+                runner.run({**mode, "checkpoint": self._checkpoint or None, "sigma": sigma})
+            except RuntimeError as error:
+                raise _explain_misfit(error, self._checkpoint) from error
+
+    def _save(self, suffix: str) -> None:
+        agent = self._agent_holder.agent
+        if agent is not None:
+            agent.save(str(self._run_folder / "nn" / f"{self._name}_{suffix}"))
+
+    def _save_under_plain_name(self) -> None:
+        """Make sure that nn/<name>.pth exists: rl_games writes it only for a best reward after
+        `save_best_after` epochs, which short runs never reach."""
+        agent = self._agent_holder.agent
+        plain = self._run_folder / "nn" / f"{self._name}.pth"
+        if agent is not None and not plain.exists():
+            agent.save(str(plain.with_suffix("")))
+
+
+class _AgentHolder(AlgoObserver):
+    """Keeps the agent that rl_games' Runner makes and does not hand out."""
+
+    agent: Any = None
+
+    def after_init(self, algo: Any) -> None:
+        self.agent = algo
+
+
+def _explain_misfit(error: RuntimeError, checkpoint: str) -> Exception:
+    """Turn torch's report of a state_dict that does not fit into one line."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    if not checkpoint or "loading state_dict" not in lines[0]:
+        return error
+    first = lines[1].rstrip(".") if len(lines) > 1 else lines[0]
+    first = first.replace("torch.Size(", "").replace(")", "")
+    return CheckpointError(
+        f"checkpoint={checkpoint}: made with another network or task ({first}); use the task= and"
+        " train= it was trained with (config.yaml in its run folder)"
+    )
+
+
+class _LogStream(io.TextIOBase):
+    """A text stream whose lines become log records."""
+
+    def write(self, text: str) -> int:
+        for line in text.splitlines():
+            if line.strip():
+                _rl_games_log.debug("%s", line)
+        return len(text)
+
+
+@contextlib.contextmanager
+def _output_to_log() -> Iterator[None]:
+    """rl_games prints what it does; here that is debug output, not a user's screen."""
+    with contextlib.redirect_stdout(_LogStream()):
+        yield
+
+
+__all__ = ["AMP_FAMILY", "Session", "UserError", "run"]

@@ -1,0 +1,365 @@
+"""The boundary between YAML and code: a mapping becomes a typed, checked, frozen dataclass.
+
+A component that has settings declares them once:
+
+    @dataclass(frozen=True, kw_only=True)
+    class PlaneSettings:
+        static_friction: float = setting(1.0, key="staticFriction", minimum=0)
+        restitution: float = setting(0.0, minimum=0, maximum=1)
+
+    plane = read_section(PlaneSettings, cfg.task.env.plane, where="task.env.plane")
+
+and gets values of the declared type, or a one-line `ConfigError` that names the key, the value and
+what was expected. Field types may be bool, int, float, str, Any, a mapping, another such dataclass,
+`tuple[T, ...]`, `list[T]`, and any of these or None.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import logging
+import math
+import types
+import typing
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from isaacgymenvs_lite.errors import ConfigError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_log = logging.getLogger(__name__)
+
+T = TypeVar("T", bound="DataclassInstance")
+
+# Two keys at least this alike (difflib's ratio) are taken for one key and a slip of the finger.
+_MISSPELT_RATIO = 0.8
+# A required key is missing anyway, so a looser resemblance is still worth a question.
+_SIMILAR_RATIO = 0.6
+
+
+def setting(
+    default: Any = MISSING,
+    *,
+    key: str | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+    below: float | None = None,
+    choices: Iterable[Any] | None = None,
+    min_length: int = 0,
+    blank: bool = False,
+) -> Any:
+    """Declare a field of a settings dataclass.
+
+    Args:
+        default: value when the key is absent; without it the key is required.
+        key: name in the YAML file, if it is not the field's own name (`numEnvs` for `num_envs`).
+        minimum: smallest allowed number, of every entry if the field is a list.
+        maximum: largest allowed number.
+        above: the number must be larger than this.
+        below: the number must be smaller than this.
+        choices: the allowed values; text is compared exactly.
+        min_length: least number of entries of a list.
+        blank: '' counts as None (the launcher's "not given").
+    """
+    metadata = {
+        "key": key,
+        "minimum": minimum,
+        "maximum": maximum,
+        "above": above,
+        "below": below,
+        "choices": None if choices is None else tuple(choices),
+        "min_length": min_length,
+        "blank": blank,
+    }
+    if isinstance(default, (list, dict)):
+        return dataclasses.field(default_factory=lambda: default.copy(), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def read_section(
+    cls: type[T],
+    mapping: Mapping[Any, Any] | None,
+    where: str,
+    ignored: Iterable[str] = (),
+    *,
+    complete: bool = False,
+) -> T:
+    """Fill the settings dataclass `cls` from `mapping`.
+
+    Whole numbers become floats where floats are declared, text such as "2e-5" becomes a number
+    (plain YAML 1.1 reads it as text), numbers become text where names are declared, OmegaConf
+    containers become plain ones.
+
+    Args:
+        cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
+        mapping: plain or OmegaConf; None counts as empty.
+        where: path of the section, for messages: "task.env"; "" for the root.
+        ignored: keys that somebody else reads, or that are known to be read by nothing.
+        complete: the section comes with all its keys, so that any near-miss is a slip.
+
+    Raises:
+        ConfigError: a value has a wrong type or is out of range, a required key is missing, or an
+            unknown key looks like a misspelt one. Unknown keys that resemble nothing are named in
+            one log line instead, because published files carry keys that nothing reads.
+    """
+    values = _plain_mapping(mapping, where)
+    by_key = {_key(field): field for field in dataclasses.fields(cls)}
+    check_unknown_keys(values, by_key, where, ignored, complete=complete)
+    types_by_name = typing.get_type_hints(cls)
+    arguments: dict[str, Any] = {}
+    for key, field in by_key.items():
+        if key in values:
+            path = _join(where, key)
+            arguments[field.name] = _read(values[key], types_by_name[field.name], field, path)
+        elif field.default is MISSING and field.default_factory is MISSING:
+            expected = _expectation(types_by_name[field.name], field)
+            raise missing_key(key, values, by_key, where, f"expected {expected}")
+    return cls(**arguments)
+
+
+def keys_of(cls: type[DataclassInstance]) -> frozenset[str]:
+    """Return the YAML keys that a settings dataclass reads."""
+    return frozenset(_key(field) for field in dataclasses.fields(cls))
+
+
+def check_unknown_keys(
+    values: Mapping[str, Any],
+    known: Iterable[str],
+    where: str,
+    ignored: Iterable[str] = (),
+    *,
+    complete: bool = False,
+) -> None:
+    """Refuse keys of `values` that look like misspelt ones; log the other unknown ones.
+
+    A near-miss whose correct form is present as well is taken for another key and only logged,
+    unless `values` is `complete`, that is, has the correct forms anyway.
+
+    Raises:
+        ConfigError: an unknown key looks like a misspelt one.
+    """
+    known, ignored = list(known), set(ignored)
+    unread: list[str] = []
+    for key in values:
+        if key in known or key in ignored:
+            continue
+        near = nearest(str(key), [*known, *ignored], _MISSPELT_RATIO)
+        if near is not None and (complete or near not in values):
+            raise ConfigError(
+                f"unknown key '{_join(where, str(key))}' (did you mean '{near}'?); "
+                "correct or remove it"
+            )
+        unread.append(_join(where, str(key)))
+    if unread:
+        _log.warning("nothing reads %s", ", ".join(unread))
+
+
+def missing_key(
+    key: str, values: Mapping[str, Any], known: Iterable[str], where: str, hint: str
+) -> ConfigError:
+    """Return the error for an absent required key, with the unknown key that may stand for it."""
+    known = set(known)
+    near = nearest(key, [str(other) for other in values if other not in known], _SIMILAR_RATIO)
+    instead = f" (is '{near}' meant for it?)" if near is not None else ""
+    return ConfigError(f"the key '{_join(where, key)}' is missing{instead}; {hint}")
+
+
+def nearest(given: str, choices: Iterable[str], ratio: float) -> str | None:
+    """Return the most similar of `choices`, ignoring case and underscores, or None."""
+    folded = {_fold(choice): choice for choice in choices}
+    near = difflib.get_close_matches(_fold(given), list(folded), n=1, cutoff=ratio)
+    return folded[near[0]] if near else None
+
+
+def plain(value: Any) -> Any:
+    """Return `value` with OmegaConf containers as dicts and lists, interpolations resolved.
+
+    Raises:
+        ConfigError: an interpolation leads nowhere.
+    """
+    if not isinstance(value, (DictConfig, ListConfig)):
+        return value
+    try:
+        return OmegaConf.to_container(value, resolve=True)
+    except OmegaConfBaseException as error:
+        where = getattr(error, "full_key", None) or "the configuration"
+        raise ConfigError(f"{where}: {str(error).splitlines()[0]}") from error
+
+
+def _plain_mapping(mapping: Mapping[Any, Any] | None, where: str) -> dict[str, Any]:
+    if mapping is None:
+        return {}
+    values = plain(mapping)
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{where}: got {values!r}, expected a mapping of keys to values")
+    return dict(values)
+
+
+def _key(field: dataclasses.Field[Any]) -> str:
+    return field.metadata.get("key") or field.name
+
+
+def _join(where: str, key: str) -> str:
+    return f"{where}.{key}" if where else key
+
+
+def _fold(key: str) -> str:
+    return key.replace("_", "").lower()
+
+
+def _read(value: Any, kind: Any, field: dataclasses.Field[Any], path: str) -> Any:
+    """Return `value` as `kind`, within the limits of `field`.
+
+    Raises:
+        ConfigError: it cannot be.
+    """
+    try:
+        return _convert(value, kind, field, path)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        expected = _expectation(kind, field)
+        raise ConfigError(f"{path}: got {value!r}, expected {expected}") from None
+
+
+def _convert(value: Any, kind: Any, field: dataclasses.Field[Any], path: str) -> Any:
+    """Return `value` as `kind`; a ValueError means "not what was expected"."""
+    optional, kind = _split_optional(kind)
+    value = plain(value)
+    if value is None or (value == "" and field.metadata.get("blank")):
+        if optional:
+            return None
+        raise ValueError
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if not isinstance(value, Mapping):
+            raise ValueError
+        return read_section(kind, value, path)
+    origin = typing.get_origin(kind) or kind
+    if origin in (tuple, list):
+        return origin(_convert_entries(value, kind, field, path))
+    if origin in (dict, Mapping):
+        if not isinstance(value, Mapping):
+            raise ValueError
+        return dict(value)
+    result = _convert_scalar(value, kind)
+    _check_limits(result, field)
+    return result
+
+
+def _convert_entries(
+    value: Any, kind: Any, field: dataclasses.Field[Any], path: str
+) -> Iterable[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ValueError
+    if len(value) < field.metadata.get("min_length", 0):
+        raise ValueError
+    entry_kind = (typing.get_args(kind) or (Any,))[0]
+    return [_convert(entry, entry_kind, field, f"{path}[{i}]") for i, entry in enumerate(value)]
+
+
+def _convert_scalar(value: Any, kind: Any) -> Any:
+    if kind is Any:
+        return value
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+    if kind is str and not isinstance(value, bool):
+        if not isinstance(value, (str, int, float)):
+            raise ValueError
+        return str(value)  # YAML takes a name such as 2026 for a number
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError
+    number = float(value)
+    if math.isnan(number):
+        raise ValueError
+    if kind is float:
+        return number
+    if kind is int:
+        if isinstance(value, int):
+            return value  # float() would round whole numbers beyond 2^53
+        if not number.is_integer():
+            raise ValueError
+        return int(number)
+    raise NotImplementedError(f"settings of type {kind} are not supported")
+
+
+def _check_limits(value: Any, field: dataclasses.Field[Any]) -> None:
+    limits = field.metadata
+    choices = limits.get("choices")
+    if choices is not None and value not in choices:
+        raise ValueError
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return
+    if (
+        (limits.get("minimum") is not None and value < limits["minimum"])
+        or (limits.get("maximum") is not None and value > limits["maximum"])
+        or (limits.get("above") is not None and value <= limits["above"])
+        or (limits.get("below") is not None and value >= limits["below"])
+    ):
+        raise ValueError
+
+
+def _split_optional(kind: Any) -> tuple[bool, Any]:
+    """Split `X | None` into (True, X); any other kind is (False, kind)."""
+    if typing.get_origin(kind) not in (typing.Union, types.UnionType):
+        return kind is Any, kind
+    members = [member for member in typing.get_args(kind) if member is not type(None)]
+    if len(members) != 1:
+        raise NotImplementedError(f"settings of type {kind} are not supported")
+    return True, members[0]
+
+
+_NOUNS = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Any: "a value",
+}
+_PLURALS = {bool: "True or False", int: "whole numbers", float: "numbers", str: "names"}
+
+
+def _expectation(kind: Any, field: dataclasses.Field[Any]) -> str:
+    """Describe in words what a field takes."""
+    optional, kind = _split_optional(kind)
+    origin = typing.get_origin(kind) or kind
+    choices = field.metadata.get("choices")
+    if origin in (tuple, list):
+        entry = (typing.get_args(kind) or (Any,))[0]
+        noun = f"a list of {_PLURALS.get(entry, 'values')}"
+        if choices is not None:
+            noun = f"a list out of {', '.join(str(choice) for choice in choices)}"
+        if field.metadata.get("min_length"):
+            noun += f" with at least {field.metadata['min_length']} entries"
+    elif choices is not None:
+        noun = f"one of {', '.join(str(choice) for choice in choices)}"
+    else:
+        noun = _NOUNS.get(kind, "a mapping of keys to values")
+    noun += _limits_in_words(field)
+    if field.metadata.get("blank"):
+        return f"{noun}, or ''"
+    return f"{noun}, or null" if optional and kind is not Any else noun
+
+
+def _limits_in_words(field: dataclasses.Field[Any]) -> str:
+    limits = field.metadata
+    words = [
+        f"{word} {limits[name]}"
+        for name, word in (
+            ("minimum", "of at least"),
+            ("above", "above"),
+            ("maximum", "of at most"),
+            ("below", "below"),
+        )
+        if limits.get(name) is not None
+    ]
+    return " " + " and ".join(words) if words else ""

@@ -1,0 +1,1 @@
+"""The only package that steps a simulator; tasks see batched state tensors."""

@@ -1,0 +1,115 @@
+"""Where a MuJoCo model keeps its root, its degrees of freedom and its bodies.
+
+Turns a compiled model into the index arrays that backends and tasks need, once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from isaacgymenvs_lite.errors import ConfigError
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+CONTACT_SENSOR_PREFIX = "contact_"
+
+
+@dataclass(frozen=True)
+class ModelLayout:
+    """Names and addresses of one model: B bodies, D degrees of freedom.
+
+    Attributes:
+        body_names: B names without the world; body tensors use this order.
+        dof_names: D names in joint order, `<joint>_x/_y/_z` for the three of a ball joint.
+        dof_body_ids: (G,) body of each joint group, in the order of `body_names`.
+        dof_offsets: (G + 1,) first degree of freedom of each group; the last entry is D.
+        dof_vel_adr: first degree of freedom of the joints in qvel (6 after a free root).
+        ball_qpos: (balls, 4) qpos columns of each ball joint's quaternion, as xyzw.
+        ball_dofs: (balls, 3) the degrees of freedom of each ball joint.
+        scalar_qpos: (scalars,) qpos columns of hinges and slides.
+        scalar_dofs: (scalars,) their degrees of freedom.
+        contact_columns: (B, 3) columns of sensordata with the net contact force of each body, or
+            None when the model has no `contact_<body>` sensors.
+        has_free_root: whether the first joint is a free joint.
+    """
+
+    body_names: tuple[str, ...]
+    dof_names: tuple[str, ...]
+    dof_body_ids: tuple[int, ...]
+    dof_offsets: tuple[int, ...]
+    dof_vel_adr: int
+    ball_qpos: np.ndarray
+    ball_dofs: np.ndarray
+    scalar_qpos: np.ndarray
+    scalar_dofs: np.ndarray
+    contact_columns: np.ndarray | None
+    has_free_root: bool
+
+    @property
+    def num_dofs(self) -> int:
+        """D, all joints but the free root."""
+        return self.dof_offsets[-1]
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel) -> ModelLayout:
+        """Read the layout of a compiled model.
+
+        Raises:
+            ConfigError: a free joint that is not the first joint of the model.
+        """
+        has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE
+        joints = range(1 if has_free_root else 0, model.njnt)
+        dof_vel_adr = 6 if has_free_root else 0
+        names: list[str] = []
+        offsets = [0]
+        ball_qpos, ball_dofs, scalar_qpos, scalar_dofs = [], [], [], []
+        for joint in joints:
+            kind, qpos, dof = model.jnt_type[joint], model.jnt_qposadr[joint], offsets[-1]
+            name = model.joint(joint).name
+            if kind == _FREE:
+                raise ConfigError(
+                    f"joint '{name}' is a free joint but not the first joint of the model;"
+                    " expected one free-floating body at most, named first"
+                )
+            if kind == _BALL:
+                ball_qpos.append([qpos + 1, qpos + 2, qpos + 3, qpos])
+                ball_dofs.append([dof, dof + 1, dof + 2])
+                names += [f"{name}_{axis}" for axis in "xyz"]
+            else:
+                scalar_qpos.append(qpos)
+                scalar_dofs.append(dof)
+                names.append(name)
+            offsets.append(len(names))
+        body_names = tuple(model.body(i).name for i in range(1, model.nbody))
+        return cls(
+            body_names=body_names,
+            dof_names=tuple(names),
+            dof_body_ids=tuple(int(model.jnt_bodyid[joint]) - 1 for joint in joints),
+            dof_offsets=tuple(offsets),
+            dof_vel_adr=dof_vel_adr,
+            ball_qpos=np.array(ball_qpos, dtype=np.int64).reshape(-1, 4),
+            ball_dofs=np.array(ball_dofs, dtype=np.int64).reshape(-1, 3),
+            scalar_qpos=np.array(scalar_qpos, dtype=np.int64),
+            scalar_dofs=np.array(scalar_dofs, dtype=np.int64),
+            contact_columns=_contact_columns(model, body_names),
+            has_free_root=has_free_root,
+        )
+
+
+def _contact_columns(model: mujoco.MjModel, body_names: tuple[str, ...]) -> np.ndarray | None:
+    sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
+    wanted = [CONTACT_SENSOR_PREFIX + name for name in body_names]
+    if not any(name in sensors for name in wanted):
+        return None
+    missing = [name for name in wanted if name not in sensors]
+    if missing:
+        raise ConfigError(
+            f"the model has contact sensors for some bodies but not '{missing[0]}'; expected one"
+            f" <contact name=\"{CONTACT_SENSOR_PREFIX}BODY\" body1=\"BODY\" reduce=\"netforce\"/>"
+            " for every body or for none"
+        )
+    first = np.array([model.sensor_adr[sensors[name]] for name in wanted], dtype=np.int64)
+    return first[:, None] + np.arange(3)

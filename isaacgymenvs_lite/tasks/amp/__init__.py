@@ -1,0 +1,1 @@
+"""Tasks that a policy learns by imitating motion clips."""

@@ -1,0 +1,183 @@
+"""HumanoidAMP: the humanoid that imitates motion clips, as IsaacGymEnvs' task of that name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import NUM_ACTIONS, NUM_OBS, HumanoidAMPBase
+from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+
+NUM_AMP_OBS_PER_STEP = NUM_OBS
+
+
+def build_amp_observations(
+    root_states: Tensor,
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    key_body_pos: Tensor,
+    local_root_obs: bool,
+) -> Tensor:
+    """Return the AMP observation of one control step, (N, 105).
+
+    In IsaacGymEnvs it is the policy observation of the same state; see
+    `compute_humanoid_observations` for arguments and layout.
+    """
+    return compute_humanoid_observations(
+        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs
+    )
+
+
+class HumanoidAMP(HumanoidAMPBase):
+    """The humanoid with a motion library, AMP observations and resets into the reference motion.
+
+    The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent asks for
+    resets with `reset_done` before each policy step, so that `step` returns the terminal
+    observation, and reads `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
+
+    Args:
+        cfg: cfg/task/HumanoidAMP.yaml as plain dictionaries; the rest as `VecTask`.
+
+    Raises:
+        ConfigError: a key or value that cannot be used.
+        MotionFileError: a clip that cannot be used.
+    """
+
+    def __init__(
+        self,
+        cfg: dict[str, Any],
+        rl_device: str,
+        sim_device: str,
+        graphics_device_id: int,
+        headless: bool,
+        virtual_screen_capture: bool = False,
+        force_render: bool = False,
+    ) -> None:
+        super().__init__(
+            cfg,
+            rl_device,
+            sim_device,
+            graphics_device_id,
+            headless,
+            virtual_screen_capture,
+            force_render,
+        )
+        self._motion_lib = MotionLib(
+            self.env_cfg.motion_file,
+            NUM_ACTIONS,
+            self._key_body_ids.tolist(),
+            self.device,
+            repair_repeated_frames=self.env_cfg.repair_repeated_frames,
+        )
+        self.num_amp_obs = self.env_cfg.num_amp_obs_steps * NUM_AMP_OBS_PER_STEP
+        self._amp_obs_space = gymnasium.spaces.Box(-np.inf, np.inf, (self.num_amp_obs,), np.float32)
+
+    def allocate_buffers(self) -> None:
+        """Add the AMP observation history, (N, numAMPObsSteps, 105), newest first."""
+        super().allocate_buffers()
+        self._amp_obs_buf = torch.zeros(
+            self.num_envs, self.env_cfg.num_amp_obs_steps, NUM_AMP_OBS_PER_STEP, device=self.device
+        )
+
+    @property
+    def amp_observation_space(self) -> gymnasium.spaces.Box:
+        """Box of one flattened AMP observation."""
+        return self._amp_obs_space
+
+    @property
+    def motion_lib(self) -> MotionLib:
+        """The reference motions."""
+        return self._motion_lib
+
+    def post_physics_step(self) -> None:
+        """As the base, then shift the AMP history and publish it, terminal states included."""
+        super().post_physics_step()
+        self._amp_obs_buf[:, 1:] = self._amp_obs_buf[:, :-1].clone()
+        # One step of the AMP observation is the policy observation of the same state.
+        self._amp_obs_buf[:, 0] = self.obs_buf
+        self.extras["amp_obs"] = self._for_trainer(self._amp_obs_buf.flatten(1))
+
+    # --- demonstrations ----------------------------------------------------------------------
+
+    def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
+        """Sample AMP observations of the reference motions.
+
+        Clips are drawn by weight; the last instant is drawn so that the whole history lies inside
+        the clip, as in ASE (IsaacGymEnvs let it extrapolate before the start).
+
+        Args:
+            num_samples: n, any number.
+
+        Returns:
+            (n, F) on rl_device, laid out as `infos["amp_obs"]`.
+        """
+        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
+        motion_ids = self._motion_lib.sample_motions(num_samples)
+        times = self._motion_lib.sample_time(motion_ids, truncate_time=history_s) + history_s
+        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
+        features = self._reference_features(motion_ids, times, steps)
+        return features.flatten(1).to(self.rl_device)
+
+    def _reference_features(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> Tensor:
+        """AMP features (n, len(steps), 105) of motions (n,) at times (n,) s, `steps` earlier."""
+        ids = motion_ids.unsqueeze(1).expand(-1, len(steps)).reshape(-1)
+        at_s = (times.unsqueeze(1) - self.dt * steps).reshape(-1)
+        root_states, dof_pos, dof_vel, key_pos = self._reference_state(ids, at_s)
+        features = build_amp_observations(
+            root_states, dof_pos, dof_vel, key_pos, self.env_cfg.local_root_obs
+        )
+        return features.view(len(motion_ids), len(steps), -1)
+
+    def _reference_state(
+        self, motion_ids: Tensor, times: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Root states (n, 13), DOF positions and velocities (n, D), key bodies (n, K, 3)."""
+        root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, key_pos = (
+            self._motion_lib.get_motion_state(motion_ids, times)
+        )
+        root_states = torch.cat((root_pos, root_rot, root_vel, root_ang_vel), dim=-1)
+        return root_states, dof_pos, dof_vel, key_pos
+
+    # --- reset -------------------------------------------------------------------------------
+
+    def reset_idx(self, env_ids: Tensor) -> None:
+        """As the base, then fill the AMP history with what would have come before."""
+        super().reset_idx(env_ids)
+        # Until a reference says otherwise the character has been standing still.
+        self._amp_obs_buf[env_ids] = self.obs_buf[env_ids].unsqueeze(1)
+        if len(self._reference_env_ids) > 0:
+            steps = torch.arange(1, self.env_cfg.num_amp_obs_steps, device=self.device)
+            self._amp_obs_buf[self._reference_env_ids, 1:] = self._reference_features(
+                self._reference_motion_ids, self._reference_times, steps
+            )
+
+    def _reset_actors(self, env_ids: Tensor) -> None:
+        """Start each environment as `stateInit` says: default pose or a moment of a clip."""
+        mode = self.env_cfg.state_init
+        if mode == "Hybrid":
+            from_clip = torch.rand(len(env_ids), device=self.device) < self.env_cfg.hybrid_init_prob
+        else:
+            from_clip = torch.full_like(env_ids, mode != "Default", dtype=torch.bool)
+        self._reset_to_reference(env_ids[from_clip], at_start=mode == "Start")
+        default_ids = env_ids[~from_clip]
+        if len(default_ids) > 0:
+            self._write_default_pose(default_ids)
+
+    def _reset_to_reference(self, env_ids: Tensor, at_start: bool) -> None:
+        """Put environments into the state of a sampled clip, and remember which moment it was."""
+        lib = self._motion_lib
+        motion_ids = lib.sample_motions(len(env_ids)) if len(env_ids) > 0 else env_ids
+        times = torch.zeros(len(env_ids), device=self.device)
+        if len(env_ids) > 0:
+            if not at_start:
+                times = lib.sample_time(motion_ids)
+            root_states, dof_pos, dof_vel, _ = self._reference_state(motion_ids, times)
+            self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
+        self._reference_env_ids = env_ids
+        self._reference_motion_ids = motion_ids
+        self._reference_times = times

@@ -1,0 +1,229 @@
+"""HumanoidAMPBase: the simulated humanoid of AMP without a notion of reference motion."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
+    HumanoidAMPConfig,
+    read_env_config,
+    read_sim_config,
+)
+from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
+from isaacgymenvs_lite.tasks.base.humanoid_observations import (
+    compute_humanoid_observations,
+    compute_humanoid_reset,
+    compute_humanoid_reward,
+    dof_to_obs,
+    pd_action_offset_scale,
+)
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+__all__ = [
+    "NUM_ACTIONS",
+    "NUM_OBS",
+    "HumanoidAMPBase",
+    "compute_humanoid_observations",
+    "compute_humanoid_reset",
+    "compute_humanoid_reward",
+    "dof_to_obs",
+]
+
+log = logging.getLogger(__name__)
+
+NUM_OBS = 13 + 52 + 28 + 12
+NUM_ACTIONS = 28
+KEY_BODY_NAMES = ("right_hand", "left_hand", "right_foot", "left_foot")
+_START_HEIGHT_M = 0.89
+
+
+class HumanoidAMPBase(VecTask):
+    """N humanoids driven by PD targets (or torques); 105 observations, 28 actions.
+
+    Differs from IsaacGymEnvs (each named in docs/amp.md): falls count contact forces in any
+    direction; the observation after a reset is that of the new state; the default pose is the
+    zero pose (the original's crosses the arms in front of the chest).
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    def __init__(
+        self,
+        cfg: dict[str, Any],
+        rl_device: str,
+        sim_device: str,
+        graphics_device_id: int,
+        headless: bool,
+        virtual_screen_capture: bool = False,
+        force_render: bool = False,
+    ) -> None:
+        self.env_cfg: HumanoidAMPConfig = read_env_config(cfg["env"])
+        self.sim_cfg = read_sim_config(cfg["sim"])
+        cfg["env"]["numObservations"] = NUM_OBS
+        cfg["env"]["numActions"] = NUM_ACTIONS
+        cfg["env"].setdefault("clipActions", self.env_cfg.clip_actions)
+        super().__init__(
+            cfg,
+            rl_device,
+            sim_device,
+            graphics_device_id,
+            headless,
+            virtual_screen_capture,
+            force_render,
+        )
+        self.max_episode_length = self.env_cfg.episode_length
+        # Control period: history, demonstrations and velocities of the task count in it.
+        self.dt = self.env_cfg.control_freq_inv * self.sim_cfg.dt
+        self._failures_reported = 0
+
+    def create_sim(self) -> None:
+        """Build the model and its N simulations."""
+        model = build_model(self.env_cfg, self.sim_cfg)
+        layout = ModelLayout.from_model(model)
+        if len(layout.dof_names) != NUM_ACTIONS or model.nu != NUM_ACTIONS:
+            raise ConfigError(
+                f"task.env.asset.assetFileName='{self.env_cfg.asset.asset_file_name}' has"
+                f" {len(layout.dof_names)} degrees of freedom and {model.nu} actuators;"
+                f" HumanoidAMP expects {NUM_ACTIONS} of both (mjcf/amp_humanoid.xml)"
+            )
+        physx = self.cfg["sim"].get("physx") or {}
+        self.simulation = make_simulation(
+            model,
+            self.num_envs,
+            substeps=self.sim_cfg.substeps * self.env_cfg.control_freq_inv,
+            num_threads=int(physx.get("num_threads", 0)),
+        )
+        self._contact_body_ids = self._body_ids("contactBodies", self.env_cfg.contact_bodies)
+        self._key_body_ids = self._body_ids("keyBodies", KEY_BODY_NAMES)
+        self._build_action_scaling(layout)
+
+    def _body_ids(self, key: str, names: tuple[str, ...]) -> Tensor:
+        known = self.simulation.body_names
+        for name in names:
+            if name not in known:
+                raise ConfigError(unknown(f"body in task.env.{key}:", name, known))
+        return torch.tensor([known.index(name) for name in names], device=self.device)
+
+    def _build_action_scaling(self, layout: ModelLayout) -> None:
+        """Offset and scale (D,) from actions to controls: PD targets in rad or torques in Nm."""
+        model = self.simulation.model
+        efforts = torch.tensor(model.actuator_forcerange[:, 1], dtype=torch.float32)
+        self.motor_efforts = efforts.to(self.device)
+        if not self.env_cfg.pd_control:
+            self._action_offset = torch.zeros_like(self.motor_efforts)
+            self._action_scale = self.motor_efforts * self.env_cfg.power_scale
+            return
+        lower, upper = torch.zeros(NUM_ACTIONS), torch.zeros(NUM_ACTIONS)
+        for name in layout.dof_names:
+            dof = layout.dof_names.index(name)
+            if dof in layout.scalar_dofs:
+                low, high = model.joint(name).range
+                lower[dof], upper[dof] = float(low), float(high)
+        offset, scale = pd_action_offset_scale(lower, upper, layout.dof_offsets)
+        self._action_offset, self._action_scale = offset.to(self.device), scale.to(self.device)
+
+    def allocate_buffers(self) -> None:
+        """Add the buffer of falls; it starts at 1, as in IsaacGymEnvs."""
+        super().allocate_buffers()
+        self._terminate_buf = torch.ones_like(self.reset_buf)
+
+    # --- step ------------------------------------------------------------------------------
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """Set PD targets offset + scale * action (rad), or torques (Nm)."""
+        self.simulation.set_controls(torch.addcmul(self._action_offset, self._action_scale, actions))
+
+    def post_physics_step(self) -> None:
+        """Count the step; observe; reward; end episodes at falls and at the time limit."""
+        self.progress_buf += 1
+        self.compute_observations()
+        self.rew_buf[:] = compute_humanoid_reward(self.obs_buf)
+        self.compute_reset()
+        self.extras["terminate"] = self._for_trainer(self._terminate_buf)
+
+    def compute_observations(self, env_ids: Tensor | None = None) -> None:
+        """Write the observation of all environments, or of `env_ids` (n,), into `obs_buf`."""
+        sim = self.simulation
+        if env_ids is None:
+            self.obs_buf[:] = compute_humanoid_observations(
+                sim.root_states,
+                sim.dof_pos,
+                sim.dof_vel,
+                sim.body_pos[:, self._key_body_ids],
+                self.env_cfg.local_root_obs,
+            )
+        else:
+            self.obs_buf[env_ids] = compute_humanoid_observations(
+                sim.root_states[env_ids],
+                sim.dof_pos[env_ids],
+                sim.dof_vel[env_ids],
+                sim.body_pos[env_ids][:, self._key_body_ids],
+                self.env_cfg.local_root_obs,
+            )
+
+    def compute_reset(self) -> None:
+        """Write `reset_buf` and the falls; a diverged simulation ends its episode as a fall."""
+        self.reset_buf[:], self._terminate_buf[:] = compute_humanoid_reset(
+            self.reset_buf,
+            self.progress_buf,
+            self.simulation.contact_forces,
+            self._contact_body_ids,
+            self.simulation.body_pos,
+            self.max_episode_length,
+            self.env_cfg.enable_early_termination,
+            self.env_cfg.termination_height,
+        )
+        failed = self.simulation.failed
+        self.reset_buf[failed] = 1
+        self._terminate_buf[failed] = 1
+        self._report_failures()
+
+    def _report_failures(self) -> None:
+        total = self.simulation.num_failures
+        self.extras["diverged_simulations"] = total
+        # Say it at the first failure and at every power of ten, not at every step.
+        if total > self._failures_reported and total >= 10 * self._failures_reported:
+            log.warning(
+                "%d simulation(s) diverged so far and were reset; the run goes on", total
+            )
+            self._failures_reported = total
+
+    def failures(self) -> Tensor:
+        """Return (N,) bool: the last step ended the episode by a fall."""
+        return self._terminate_buf != 0
+
+    # --- reset -----------------------------------------------------------------------------
+
+    def reset(self) -> dict[str, Tensor]:
+        """Start a new episode in every environment and return its first observations."""
+        self.reset_idx(torch.arange(self.num_envs, device=self.device))
+        return self._observations()
+
+    def reset_idx(self, env_ids: Tensor) -> None:
+        """Start new episodes in environments `env_ids` (n,)."""
+        self._reset_actors(env_ids)
+        self.progress_buf[env_ids] = 0
+        self.reset_buf[env_ids] = 0
+        self._terminate_buf[env_ids] = 0
+        self.compute_observations(env_ids)
+
+    def _reset_actors(self, env_ids: Tensor) -> None:
+        """Put the humanoids into the default pose."""
+        self._write_default_pose(env_ids)
+
+    def _write_default_pose(self, env_ids: Tensor) -> None:
+        """Upright, facing +x, at rest, all joint angles zero."""
+        n = len(env_ids)
+        root_states = torch.zeros(n, 13, device=self.device)
+        root_states[:, 2] = _START_HEIGHT_M
+        root_states[:, 6] = 1.0
+        dofs = torch.zeros(n, NUM_ACTIONS, device=self.device)
+        self.simulation.write_state(env_ids, root_states, dofs, dofs)

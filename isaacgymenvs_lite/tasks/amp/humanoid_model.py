@@ -1,0 +1,64 @@
+"""From the MJCF of the humanoid and the task's keys to the model that is simulated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig, SimConfig
+
+
+def asset_path(env: HumanoidAMPConfig) -> Path:
+    """Return the MJCF that `task.env.asset` names.
+
+    Raises:
+        ConfigError: there is no such file.
+    """
+    root = Path(env.asset.asset_root) if env.asset.asset_root else assets_dir()
+    path = root / env.asset.asset_file_name
+    if not path.is_file():
+        shipped = sorted(str(p.relative_to(assets_dir())) for p in assets_dir().glob("mjcf/*.xml"))
+        raise ConfigError(
+            f"task.env.asset.assetFileName='{env.asset.asset_file_name}': no file {path};"
+            f" shipped: {', '.join(shipped)}"
+        )
+    return path
+
+
+def build_model(env: HumanoidAMPConfig, sim: SimConfig) -> mujoco.MjModel:
+    """Compile the MJCF with the task's time step, gravity, friction and kind of actuator.
+
+    Raises:
+        ConfigError: the file is missing or MuJoCo refuses it.
+    """
+    path = asset_path(env)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error
+    model.opt.timestep = sim.dt / sim.substeps
+    model.opt.gravity[:] = sim.gravity
+    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+    # MuJoCo takes the larger coefficient of two touching geoms: set all to the plane's value.
+    if floor >= 0:
+        model.geom_friction[:, 0] = env.plane.dynamic_friction
+    if not env.pd_control:
+        _make_torque_actuators(model)
+    elif not env.enforce_effort_limits:
+        model.actuator_forcelimited[:] = 0
+    return model
+
+
+def _make_torque_actuators(model: mujoco.MjModel) -> None:
+    """Replace position servos by motors: the control is the torque in Nm.
+
+    `powerScale` may ask for more than the efforts, so that they do not limit.
+    """
+    model.actuator_gainprm[:, 0] = 1.0
+    model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)
+    model.actuator_biasprm[:] = 0.0
+    model.actuator_forcelimited[:] = 0

@@ -1,0 +1,191 @@
+"""Observations, termination and PD targets of the AMP humanoid as pure functions.
+
+The formulas are those of IsaacGymEnvs' HumanoidAMP; quantities are named, batched over N
+environments, and can be checked without a simulator. B bodies, D degrees of freedom, K key bodies.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.utils.rotations import (
+    exp_map_to_quat,
+    quat_mul,
+    quat_to_tan_norm,
+    rotate_about_z,
+)
+
+# A body counts as touched above this force (N) in any axis.
+_CONTACT_THRESHOLD_N = 0.1
+# PD targets of hinges reach this share of the range to either side of its middle, so that motors
+# keep their strength near the limits.
+_HINGE_TARGET_SHARE = 0.7
+
+
+@lru_cache(maxsize=8)
+def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Index tensors: DOFs of the ball joints (balls, 3), of the hinges, and the output order."""
+    offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
+    groups = list(zip(offsets[:-1], offsets[1:], strict=True))
+    balls = [list(range(a, b)) for a, b in groups if b - a == 3]
+    hinges = [a for a, b in groups if b - a == 1]
+    order: list[int] = []
+    next_ball, next_hinge = 0, 6 * len(balls)
+    for a, b in groups:
+        if b - a == 3:
+            order += range(next_ball, next_ball + 6)
+            next_ball += 6
+        else:
+            order.append(next_hinge)
+            next_hinge += 1
+    return tuple(torch.tensor(index, device=device) for index in (balls, hinges, order))  # type: ignore[return-value]
+
+
+def dof_to_obs(dof_pos: Tensor) -> Tensor:
+    """Encode joint positions for the observation.
+
+    A 3-DoF joint gives the tangent and normal of its rotation vector (6 numbers), a hinge its
+    angle (1), in joint order; as IsaacGymEnvs' HumanoidAMP.
+
+    Args:
+        dof_pos: (N, D) rad, D = 28.
+
+    Returns:
+        (N, 52).
+    """
+    balls, hinges, order = _dof_obs_layout(dof_pos.shape[-1], dof_pos.device)
+    rotations = quat_to_tan_norm(exp_map_to_quat(dof_pos[:, balls])).flatten(1)
+    return torch.cat((rotations, dof_pos[:, hinges]), dim=-1)[:, order]
+
+
+def compute_humanoid_observations(
+    root_states: Tensor,
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    key_body_pos: Tensor,
+    local_root_obs: bool,
+) -> Tensor:
+    """Describe the humanoid's state; policy observation and one step of the AMP observation.
+
+    Vectors are given in the heading frame: world axes turned about z so that the root faces +x.
+
+    Args:
+        root_states: (N, 13) world position (m), rotation xyzw, linear and angular velocity.
+        dof_pos: (N, D) rad.
+        dof_vel: (N, D) rad/s.
+        key_body_pos: (N, K, 3) world positions (m).
+        local_root_obs: take the heading out of the root rotation too.
+
+    Returns:
+        (N, 13 + 52 + D + 3 K): root height, root rotation (tangent, normal), root linear and
+        angular velocity, joint positions, joint velocities, key bodies relative to the root.
+    """
+    root_pos, root_rot = root_states[:, 0:3], root_states[:, 3:7]
+    x, y, z, w = root_rot.unbind(-1)
+    # The root's x axis seen from above gives cosine and sine of the heading without any angle.
+    forward_x = 2.0 * (w * w + x * x) - 1.0
+    forward_y = 2.0 * (x * y + w * z)
+    length = torch.sqrt(forward_x * forward_x + forward_y * forward_y)
+    upright = length == 0.0
+    length = torch.where(upright, torch.ones_like(length), length)
+    cos = torch.where(upright, torch.ones_like(length), forward_x / length)
+    sin = forward_y / length
+
+    if local_root_obs:
+        half = -0.5 * torch.atan2(sin, cos)
+        zero = torch.zeros_like(half)
+        root_rot = quat_mul(torch.stack((zero, zero, half.sin(), half.cos()), dim=-1), root_rot)
+
+    vectors_w = torch.cat(
+        (
+            root_states[:, 7:13].view(-1, 2, 3),
+            key_body_pos - root_pos.unsqueeze(1),
+        ),
+        dim=1,
+    )
+    vectors = rotate_about_z(cos.unsqueeze(1), -sin.unsqueeze(1), vectors_w)
+    return torch.cat(
+        (
+            root_pos[:, 2:3],
+            quat_to_tan_norm(root_rot),
+            vectors[:, :2].flatten(1),
+            dof_to_obs(dof_pos),
+            dof_vel,
+            vectors[:, 2:].flatten(1),
+        ),
+        dim=-1,
+    )
+
+
+def compute_humanoid_reward(obs_buf: Tensor) -> Tensor:
+    """Return (N,) ones: AMP's task reward is a constant; the style reward is the agent's."""
+    return torch.ones_like(obs_buf[:, 0])
+
+
+def compute_humanoid_reset(
+    reset_buf: Tensor,
+    progress_buf: Tensor,
+    contact_buf: Tensor,
+    contact_body_ids: Tensor,
+    rigid_body_pos: Tensor,
+    max_episode_length: float,
+    enable_early_termination: bool,
+    termination_height: float,
+) -> tuple[Tensor, Tensor]:
+    """Decide which episodes end, and which of them by a fall.
+
+    A fall is a body outside `contact_body_ids` that is touched and a (perhaps other) such body
+    whose origin is below `termination_height`, not in the first step of an episode (contact forces
+    may be stale there). IsaacGymEnvs compared signed force components; here, as in ASE, a force
+    in any direction counts.
+
+    Args:
+        reset_buf: (N,) int64, for shape and dtype only.
+        progress_buf: (N,) int64 control steps since the reset, this one included.
+        contact_buf: (N, B, 3) net contact forces (N).
+        contact_body_ids: (C,) bodies that may touch the floor (feet).
+        rigid_body_pos: (N, B, 3) world positions of the body origins (m).
+        max_episode_length: control steps.
+        enable_early_termination: end episodes at falls.
+        termination_height: m.
+
+    Returns:
+        reset (N,) and terminated (N,), 0 or 1, dtype of `reset_buf`.
+    """
+    fallen = torch.zeros_like(reset_buf, dtype=torch.bool)
+    if enable_early_termination:
+        touched = contact_buf.abs().amax(dim=-1) > _CONTACT_THRESHOLD_N
+        low = rigid_body_pos[..., 2] < termination_height
+        touched[:, contact_body_ids] = False
+        low[:, contact_body_ids] = False
+        fallen = touched.any(dim=-1) & low.any(dim=-1) & (progress_buf > 1)
+    timed_out = progress_buf >= max_episode_length - 1
+    return (fallen | timed_out).to(reset_buf.dtype), fallen.to(reset_buf.dtype)
+
+
+def pd_action_offset_scale(
+    dof_lower: Tensor, dof_upper: Tensor, dof_offsets: tuple[int, ...]
+) -> tuple[Tensor, Tensor]:
+    """Return offset and scale (D,) of the PD targets `offset + scale * action`, in rad.
+
+    As IsaacGymEnvs: a 3-DoF joint has offset 0 and scale pi; a hinge is centred in its range and
+    reaches 0.7 of the range to either side.
+
+    Args:
+        dof_lower: (D,) limits in rad; swapped where lower > upper.
+        dof_upper: (D,) limits in rad.
+        dof_offsets: first degree of freedom of each joint group, and D.
+    """
+    low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
+    offset = 0.5 * (low + high)
+    scale = _HINGE_TARGET_SHARE * (high - low)
+    for first, end in zip(dof_offsets[:-1], dof_offsets[1:], strict=True):
+        if end - first == 3:
+            offset[first:end] = 0.0
+            scale[first:end] = math.pi
+    return offset, scale

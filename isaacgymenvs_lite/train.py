@@ -1,0 +1,143 @@
+"""The command line: `python train.py task=HumanoidAMP [key=value ...]`.
+
+A user's mistake costs about a second and ends in one line and exit code 2: the configuration is
+composed and checked before torch, MuJoCo and rl_games are imported.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Sequence
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from isaacgymenvs_lite.config.compose import CONFIG_NAME, HYDRA_VERSION_BASE, make_loader
+from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.resolvers import register_resolvers
+from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
+from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.paths import cfg_dir
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line in `sys.argv`; exits with 2 after a user's mistake."""
+    # OpenMP reads it once, when torch is imported. Its idle threads would otherwise spin while they
+    # wait for the next network, on the CPUs that the physics threads need.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    configure_logging()
+    try:
+        _run_hydra()
+    except UserError as error:
+        _fail(error)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def configure_logging() -> None:
+    """Send the log to stderr, messages only, without breaking a progress bar."""
+    handler = _ProgressBarHandler()
+    handler.setFormatter(_MessageFormatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _run_hydra() -> None:
+    """Let Hydra compose the configuration and run the job.
+
+    Raises:
+        ConfigError: the configuration cannot be composed.
+    """
+    _check_options(sys.argv[1:])
+    register_resolvers()
+    # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    started = False
+
+    def job(cfg: DictConfig) -> None:
+        nonlocal started
+        started = True
+        _run_job(cfg)
+
+    decorate = hydra.main(
+        config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
+    )
+    with tolerant_hydra():
+        try:
+            decorate(job)()
+        except ComposeError as error:
+            if started:
+                raise
+            raise _explain(error) from error
+
+
+def _run_job(cfg: DictConfig) -> None:
+    """Check the composed tree, then train or play.
+
+    A user's mistake exits here, because Hydra would print a line of its own before passing it on.
+    """
+    try:
+        check_config(cfg)
+        from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
+
+        run(cfg)
+    except UserError as error:
+        _fail(error)
+
+
+def _explain(error: Exception) -> ConfigError:
+    """Return the one-line error for what Hydra raised on this command line."""
+    args = get_args_parser().parse_args()
+    with tolerant_hydra():
+        loader = make_loader(args.config_dir, args.config_path)
+        return explain(error, args.overrides, loader, args.config_name or CONFIG_NAME)
+
+
+def _check_options(arguments: Sequence[str]) -> None:
+    """Refuse options with dashes that Hydra does not know, as ASE's launcher had.
+
+    Raises:
+        ConfigError: there is one.
+    """
+    parser = get_args_parser()
+    parser.allow_abbrev = False
+    _, others = parser.parse_known_args(list(arguments))
+    if others:
+        name = others[0].lstrip("-").split("=")[0]
+        raise ConfigError(
+            f"unknown option '{others[0]}': settings are written without dashes, {name}=<value>; "
+            "--help lists them"
+        )
+
+
+def _fail(error: UserError) -> None:
+    print(f"error: {error}", file=sys.stderr)
+    sys.exit(EXIT_USER_ERROR)
+
+
+class _ProgressBarHandler(logging.Handler):
+    """Writes above a running progress bar instead of through it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        tqdm.write(self.format(record), file=sys.stderr)
+
+
+class _MessageFormatter(logging.Formatter):
+    """The message; from warnings upwards with the level before it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        message = super().format(record)
+        if record.levelno < logging.WARNING:
+            return message
+        return f"{record.levelname.lower()}: {message}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Helpers without state: rotations and the tensor arithmetic that tasks share."""

@@ -1,0 +1,267 @@
+"""Rotations as quaternions (x, y, z, w) and rotation vectors, batched over leading dimensions.
+
+The one place where Isaac's order (x, y, z, w) meets MuJoCo's (w, x, y, z). Function names and
+conventions are those of IsaacGymEnvs' `torch_jit_utils` and of the AMP code, so that task code
+reads the same. Quaternions are unit unless said; angles are in rad; every function accepts
+float32 or float64 tensors and returns the same dtype.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+# Below this angle (rad) a rotation vector counts as no rotation: sin(angle) / angle is not formed.
+_SMALL_ANGLE_RAD = 1e-5
+
+
+def xyzw_from_wxyz(q: Tensor) -> Tensor:
+    """Reorder MuJoCo quaternions (..., 4) wxyz to Isaac's xyzw."""
+    return q.roll(-1, dims=-1)
+
+
+def wxyz_from_xyzw(q: Tensor) -> Tensor:
+    """Reorder Isaac quaternions (..., 4) xyzw to MuJoCo's wxyz."""
+    return q.roll(1, dims=-1)
+
+
+def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:
+    """Scale vectors (..., d) to unit length; vectors shorter than `eps` are divided by `eps`."""
+    return x / x.norm(dim=-1, keepdim=True).clamp(min=eps)
+
+
+def quat_unit(q: Tensor) -> Tensor:
+    """Scale quaternions (..., 4) to unit length."""
+    return normalize(q)
+
+
+def quat_conjugate(q: Tensor) -> Tensor:
+    """Return the inverse rotations of unit quaternions (..., 4)."""
+    return torch.cat((-q[..., :3], q[..., 3:]), dim=-1)
+
+
+def quat_mul(a: Tensor, b: Tensor) -> Tensor:
+    """Return the Hamilton products a * b, (..., 4): the rotation b followed by a."""
+    ax, ay, az, aw = a.unbind(-1)
+    bx, by, bz, bw = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ),
+        dim=-1,
+    )
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Return the cross products of vectors (..., 3), with broadcasting."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
+def quat_rotate(q: Tensor, v: Tensor) -> Tensor:
+    """Rotate vectors v (..., 3) by quaternions q (..., 4)."""
+    return _rotate(q[..., :3], q[..., 3:], v)
+
+
+def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
+    """Rotate vectors v (..., 3) by the inverses of quaternions q (..., 4)."""
+    return _rotate(-q[..., :3], q[..., 3:], v)
+
+
+def _rotate(u: Tensor, w: Tensor, v: Tensor) -> Tensor:
+    """v (2 w^2 - 1) + 2 w (u x v) + 2 u (u . v), as IsaacGymEnvs."""
+    along = (u * v).sum(dim=-1, keepdim=True)
+    return v * (2.0 * w * w - 1.0) + 2.0 * w * cross(u, v) + 2.0 * u * along
+
+
+def quat_apply(q: Tensor, v: Tensor) -> Tensor:
+    """Rotate vectors v (..., 3) by quaternions q (..., 4): v + w t + u x t with t = 2 u x v."""
+    u, w = q[..., :3], q[..., 3:]
+    t = 2.0 * cross(u, v)
+    return v + w * t + cross(u, t)
+
+
+def normalize_angle(angle: Tensor) -> Tensor:
+    """Wrap angles (rad) into [-pi, pi]."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))
+
+
+def quat_from_angle_axis(angle: Tensor, axis: Tensor) -> Tensor:
+    """Return the rotations (..., 4) by `angle` (...) rad about `axis` (..., 3), any length."""
+    half = (angle / 2.0).unsqueeze(-1)
+    return quat_unit(torch.cat((normalize(axis) * half.sin(), half.cos().expand_as(half)), dim=-1))
+
+
+def quat_to_angle_axis(q: Tensor) -> tuple[Tensor, Tensor]:
+    """Return angle (...) in (-pi, pi] and unit axis (..., 3) of quaternions (..., 4).
+
+    Rotations with sqrt(1 - w^2) <= 1e-5 give angle 0 and axis (0, 0, 1), as IsaacGymEnvs.
+    """
+    w = q[..., 3].clamp(-1.0, 1.0)
+    sin_half = torch.sqrt((1.0 - w * w).clamp(min=0.0))
+    turns = sin_half > _SMALL_ANGLE_RAD
+    angle = torch.where(turns, normalize_angle(2.0 * torch.acos(w)), torch.zeros_like(w))
+    axis = q[..., :3] / torch.where(turns, sin_half, torch.ones_like(w)).unsqueeze(-1)
+    up = torch.zeros_like(axis)
+    up[..., 2] = 1.0
+    return angle, torch.where(turns.unsqueeze(-1), axis, up)
+
+
+def quat_to_exp_map(q: Tensor) -> Tensor:
+    """Return the rotation vectors (..., 3) of quaternions (..., 4): angle * axis, at most pi long."""
+    angle, axis = quat_to_angle_axis(q)
+    return angle.unsqueeze(-1) * axis
+
+
+def quat_log(q: Tensor) -> Tensor:
+    """Return the rotation vectors (..., 3) of quaternions (..., 4), exact for small rotations too.
+
+    The same as `quat_to_exp_map` without its threshold and without acos: this is what MuJoCo
+    computes as the length of an actuator on a ball joint (`mju_quat2Vel`).
+    """
+    v, w = q[..., :3], q[..., 3:]
+    sin_half = v.norm(dim=-1, keepdim=True)
+    # atan2 with the sign of w moved to the numerator picks the rotation of at most pi.
+    sign = torch.where(w < 0.0, -torch.ones_like(w), torch.ones_like(w))
+    angle = 2.0 * torch.atan2(sign * sin_half, sign * w)
+    small = sin_half < 1e-8
+    return v * torch.where(small, 2.0 * sign, angle / torch.where(small, torch.ones_like(w), sin_half))
+
+
+def exp_map_to_angle_axis(exp_map: Tensor, keep_long: bool = False) -> tuple[Tensor, Tensor]:
+    """Return angle (...) in [-pi, pi] and axis (..., 3) of rotation vectors (..., 3).
+
+    The length is wrapped into (-pi, pi]; wrapped angles of at most 1e-5 give no rotation, about
+    (0, 0, 1). IsaacGymEnvs tests the *signed* angle, so that there a vector between pi and 2 pi
+    long means no rotation; that is the default, as its observations were made so. With
+    `keep_long` the magnitude is tested, as in ASE, and such a vector keeps its rotation. Joint
+    positions of this project come from quaternions and are never longer than pi: for them the two
+    rules are the same.
+    """
+    length = exp_map.norm(dim=-1)
+    angle = normalize_angle(length)
+    turns = (angle.abs() if keep_long else angle) > _SMALL_ANGLE_RAD
+    axis = exp_map / torch.where(turns, length, torch.ones_like(length)).unsqueeze(-1)
+    up = torch.zeros_like(axis)
+    up[..., 2] = 1.0
+    return torch.where(turns, angle, torch.zeros_like(angle)), torch.where(turns.unsqueeze(-1), axis, up)
+
+
+def exp_map_to_quat(exp_map: Tensor, keep_long: bool = False) -> Tensor:
+    """Return the quaternions (..., 4) of rotation vectors (..., 3); see `exp_map_to_angle_axis`."""
+    length = exp_map.norm(dim=-1, keepdim=True)
+    angle = length - 2.0 * math.pi * torch.round(length / (2.0 * math.pi))
+    turns = (angle.abs() if keep_long else angle) > _SMALL_ANGLE_RAD
+    half = torch.where(turns, 0.5 * angle, torch.zeros_like(angle))
+    axis_scale = half.sin() / torch.where(turns, length, torch.ones_like(length))
+    return torch.cat((exp_map * axis_scale, half.cos()), dim=-1)
+
+
+def quat_to_tan_norm(q: Tensor) -> Tensor:
+    """Return the images of the x axis and of the z axis, (..., 6), of quaternions (..., 4).
+
+    The six-number rotation encoding of the AMP observations (tangent and normal).
+    """
+    x, y, z, w = q.unbind(-1)
+    scale = 2.0 * w * w - 1.0
+    return torch.stack(
+        (
+            scale + 2.0 * x * x,
+            2.0 * (x * y + w * z),
+            2.0 * (x * z - w * y),
+            2.0 * (x * z + w * y),
+            2.0 * (y * z - w * x),
+            scale + 2.0 * z * z,
+        ),
+        dim=-1,
+    )
+
+
+def calc_heading(q: Tensor) -> Tensor:
+    """Return the heading (...) of rotations (..., 4): the angle about world z of their x axis."""
+    x, y, z, w = q.unbind(-1)
+    return torch.atan2(2.0 * (x * y + w * z), 2.0 * (w * w + x * x) - 1.0)
+
+
+def calc_heading_quat(q: Tensor) -> Tensor:
+    """Return the rotations about z by the heading of q, (..., 4)."""
+    return _about_z(calc_heading(q))
+
+
+def calc_heading_quat_inv(q: Tensor) -> Tensor:
+    """Return the rotations about z by minus the heading of q, (..., 4)."""
+    return _about_z(-calc_heading(q))
+
+
+def _about_z(angle: Tensor) -> Tensor:
+    half = angle * 0.5
+    zero = torch.zeros_like(half)
+    return torch.stack((zero, zero, half.sin(), half.cos()), dim=-1)
+
+
+def rotate_about_z(cos: Tensor, sin: Tensor, v: Tensor) -> Tensor:
+    """Rotate vectors v (..., 3) about world z by an angle given as its cosine and sine (...).
+
+    Equals `quat_rotate` with a heading quaternion, in a quarter of the arithmetic.
+    """
+    x, y, z = v.unbind(-1)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y, z.expand_as(x)), dim=-1)
+
+
+def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
+    """Interpolate from a to b (..., 4) at t (..., 1), as the AMP motion library does.
+
+    The shorter way is taken. Nearly equal rotations (sine of the angle below 0.001) give the mean
+    (a + b) / 2 whatever t is, and t outside [0, 1] extrapolates: both are the original's, which
+    the motion library's numbers depend on.
+    """
+    cos = (a * b).sum(dim=-1, keepdim=True)
+    b = torch.where(cos < 0.0, -b, b)
+    cos = cos.abs()
+    angle = torch.acos(cos.clamp(max=1.0))
+    sin = torch.sqrt((1.0 - cos * cos).clamp(min=0.0))
+    near = sin < 0.001
+    sin = torch.where(near, torch.ones_like(sin), sin)
+    between = (torch.sin((1.0 - t) * angle) / sin) * a + (torch.sin(t * angle) / sin) * b
+    return torch.where(cos >= 1.0, a, torch.where(near, 0.5 * (a + b), between))
+
+
+def get_euler_xyz(q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return roll, pitch, yaw (...) of quaternions (..., 4), each in [0, 2 pi), as IsaacGymEnvs."""
+    x, y, z, w = q.unbind(-1)
+    roll = torch.atan2(2.0 * (w * x + y * z), w * w - x * x - y * y + z * z)
+    sin_pitch = 2.0 * (w * y - z * x)
+    pitch = torch.where(
+        sin_pitch.abs() >= 1.0,
+        torch.copysign(torch.full_like(sin_pitch, math.pi / 2.0), sin_pitch),
+        torch.asin(sin_pitch.clamp(-1.0, 1.0)),
+    )
+    yaw = torch.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    turn = 2.0 * math.pi
+    return roll % turn, pitch % turn, yaw % turn
+
+
+def quat_from_euler_xyz(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Return the quaternions (..., 4) of the rotations Rz(yaw) Ry(pitch) Rx(roll)."""
+    cr, sr = (roll * 0.5).cos(), (roll * 0.5).sin()
+    cp, sp = (pitch * 0.5).cos(), (pitch * 0.5).sin()
+    cy, sy = (yaw * 0.5).cos(), (yaw * 0.5).sin()
+    return torch.stack(
+        (
+            cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr,
+            sy * cp * cr - cy * sp * sr,
+            cy * cp * cr + sy * sp * sr,
+        ),
+        dim=-1,
+    )
+
+
+def quat_diff_rad(a: Tensor, b: Tensor) -> Tensor:
+    """Return the angle (...) in rad between rotations a and b (..., 4)."""
+    difference = quat_mul(a, quat_conjugate(b))
+    return 2.0 * torch.asin(difference[..., :3].norm(dim=-1).clamp(max=1.0))

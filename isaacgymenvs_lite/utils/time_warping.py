@@ -1,0 +1,127 @@
+"""Subsequence dynamic time warping of many episodes at once.
+
+References:
+    Müller, "Information Retrieval for Music and Motion", 2007, chapter 4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+# What a path cell and a reference frame moved count in the imaginary part of a path's cost.
+_CELL = 1.0
+_ADVANCE = 2.0**-24
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """The cheapest warping paths of E episodes.
+
+    Attributes:
+        mean_cost: (E,) float64, the cost of the path divided by the number of its cells.
+        num_cells: (E,) int, cells of the path.
+        advance: (E,) int, reference frames from the first to the last cell of the path.
+    """
+
+    mean_cost: npt.NDArray[np.float64]
+    num_cells: npt.NDArray[np.int64]
+    advance: npt.NDArray[np.int64]
+
+
+def align(
+    cost: npt.NDArray[np.floating],
+    lengths: npt.NDArray[np.integer] | None = None,
+    num_columns: npt.NDArray[np.integer] | None = None,
+) -> Alignment:
+    """Align episodes with a reference by subsequence dynamic time warping.
+
+    A path visits cells (t, s), from any cell of an episode's first row to any cell of its last
+    row, by the steps (1, 0), (0, 1) and (1, 1). The cheapest path has the smallest sum of costs;
+    among equally cheap ones the one with the fewest cells counts, then the one that advances the
+    least in the reference. Time is O(E T S), memory beside `cost` O(E T).
+
+    Args:
+        cost: (T, S, E), not negative: cost of frame t of episode e at reference frame s.
+        lengths: (E,), rows of each episode, 1 to T; the rows after them are ignored. Default: T.
+        num_columns: (E,), columns of each episode, at least 1. More than S repeat the reference
+            from its start. Default: S.
+
+    Raises:
+        ValueError: a shape, a length or a number of columns is out of range.
+    """
+    if cost.ndim != 3 or 0 in cost.shape:
+        raise ValueError(f"cost has the shape {cost.shape}; expected (T, S, E), none of them 0")
+    num_rows, num_frames, num_episodes = cost.shape
+    lengths = _per_episode(lengths, num_rows, num_episodes, "lengths", num_rows)
+    columns = _per_episode(num_columns, num_frames, num_episodes, "num_columns")
+    max_columns = int(columns.max())
+
+    # A path's cost and, as the imaginary part, its cells and its advance in one number: numpy
+    # orders complex numbers by the real and then by the imaginary part, which is the tie rule.
+    # Row 0 stands before the episode: there every path begins, at no cost. The cells of one
+    # anti-diagonal depend on the two before it only, hence three arrays that take turns.
+    older, old, new = (np.full((num_rows + 1, num_episodes), np.inf + 0j) for _ in range(3))
+    for diagonal in (older, old, new):
+        diagonal[0] = 0.0
+    best: npt.NDArray[np.complex128] = np.full(num_episodes, np.inf + 0j)
+    episodes = np.arange(num_episodes)
+    rows = np.arange(num_rows)
+    for k in range(num_rows + max_columns - 1):
+        first, last = max(0, k - max_columns + 1), min(num_rows, k + 1)
+        t = rows[first:last]
+        before = np.minimum(old[t + 1], older[t])  # (t, s - 1) and (t - 1, s - 1)
+        before += 1j * _ADVANCE
+        np.minimum(before, old[t], out=before)  # (t - 1, s)
+        before += cost[t, (k - t) % num_frames]
+        before += 1j * _CELL
+        new[first + 1 : last + 1] = before
+
+        end_column = k - (lengths - 1)
+        ends = episodes[(end_column >= 0) & (end_column < columns)]
+        best[ends] = np.minimum(best[ends], new[lengths[ends], ends])
+        older, old, new = old, new, older
+
+    cells = np.floor(best.imag)
+    advance = np.rint((best.imag - cells) / _ADVANCE)
+    return Alignment(best.real / cells, cells.astype(np.int64), advance.astype(np.int64))
+
+
+def subsequence_dtw(
+    cost: npt.ArrayLike, lengths: npt.NDArray[np.integer] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the mean cost (E,) along the cheapest path of each cost matrix, see `align`.
+
+    Args:
+        cost: (E, T, S), not negative: episode frames by reference frames.
+        lengths: (E,), rows of each episode, 1 to T. Default: T.
+
+    Raises:
+        ValueError: a shape or a length is out of range.
+    """
+    matrices = np.asarray(cost)
+    if matrices.ndim != 3:
+        raise ValueError(f"cost has the shape {matrices.shape}; expected (E, T, S)")
+    # Episodes last, so that a cell of all episodes is one piece of memory.
+    return align(np.ascontiguousarray(matrices.transpose(1, 2, 0)), lengths).mean_cost
+
+
+def _per_episode(
+    values: npt.NDArray[np.integer] | None,
+    default: int,
+    num_episodes: int,
+    name: str,
+    highest: float = math.inf,
+) -> npt.NDArray[np.int64]:
+    """Return `values` (E,) checked to be in 1..highest, or `default` for every episode."""
+    if values is None:
+        return np.full(num_episodes, default, dtype=np.int64)
+    values = np.asarray(values, dtype=np.int64)
+    if values.shape != (num_episodes,) or values.min() < 1 or values.max() > highest:
+        raise ValueError(
+            f"{name} is {values.tolist()}; expected {num_episodes} integers in [1, {highest}]"
+        )
+    return values

@@ -1,0 +1,1 @@
+"""Shape and dtype adapters between our tasks and RL libraries, nothing else."""

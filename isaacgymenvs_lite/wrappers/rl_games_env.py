@@ -1,0 +1,73 @@
+"""A task as rl_games' vectorised environment: the vec-env type `RLGPU` of IsaacGymEnvs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rl_games.common import env_configurations
+from rl_games.common.ivecenv import IVecEnv
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+
+class RLGPUEnv(IVecEnv):
+    """Hands rl_games the task that the registered creator makes.
+
+    Args:
+        config_name: name of the environment in rl_games' configurations, `rlgpu`.
+        num_actors: rl_games' number of environments; the task's own counts.
+        kwargs: for the creator.
+
+    Attributes:
+        env: the task.
+    """
+
+    def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
+        del num_actors
+        self.env: VecTask = env_configurations.configurations[config_name]["env_creator"](**kwargs)
+
+    def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        """Advance by one control step; see `VecTask.step`."""
+        return self.env.step(actions)
+
+    def reset(self) -> dict[str, Tensor]:
+        """See `VecTask.reset`."""
+        return self.env.reset()
+
+    def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
+        """See `VecTask.reset_done`."""
+        return self.env.reset_done()
+
+    def get_number_of_agents(self) -> int:
+        """Agents per environment."""
+        return self.env.num_agents
+
+    def get_env_info(self) -> dict[str, Any]:
+        """Return the spaces; amp_observation_space and state_space where the task has them."""
+        info: dict[str, Any] = {
+            "action_space": self.env.action_space,
+            "observation_space": self.env.observation_space,
+            "agents": self.env.num_agents,
+        }
+        if hasattr(self.env, "amp_observation_space"):
+            info["amp_observation_space"] = self.env.amp_observation_space
+        if self.env.num_states > 0:
+            info["state_space"] = self.env.state_space
+        return info
+
+    def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
+        """Tell the task how far the training is."""
+        self.env.set_train_info(env_frames, *args, **kwargs)
+
+    def get_env_state(self) -> Any:
+        """State of the task for the checkpoint."""
+        return self.env.get_env_state()
+
+    def set_env_state(self, env_state: Any) -> None:
+        """Take a checkpoint's state of the task back."""
+        self.env.set_env_state(env_state)
+
+    def close(self) -> None:
+        """Free the task's simulation."""
+        self.env.close()

@@ -1,0 +1,98 @@
+"""Small clips that the motion tests share: a body of three links, and the humanoid standing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+
+
+@pytest.fixture
+def humanoid() -> Skeleton:
+    return skeleton_for_num_dofs(28)
+
+
+@pytest.fixture
+def tiny() -> Skeleton:
+    """A root, an arm on a ball joint 1 m above it, a hand on a hinge 1 m in front of the arm."""
+    return Skeleton(
+        body_names=("root", "arm", "hand"),
+        parent_indices=(-1, 0, 1),
+        local_translation=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+        dof_body_ids=(1, 2),
+        dof_offsets=(0, 3, 4),
+        foot_body_ids=(),
+        foot_corners=np.zeros((0, 3)),
+    )
+
+
+@pytest.fixture
+def about() -> Callable[[str, Any], np.ndarray]:
+    """Return `about(axis, angles_rad)`, which makes quaternions about a coordinate axis."""
+    return _about
+
+
+@pytest.fixture
+def tiny_clip(tiny: Skeleton) -> MotionClip:
+    """Three frames at 10 fps: the root at x = 0, 1, 4 m, the arm turned about z by 0, 0.1, 0.2
+    rad, the hand about y by 0, 0.2, 0.6 rad; made-up root velocities.
+    """
+    rotation = np.stack(
+        (_about("z", [0.0] * 3), _about("z", [0.0, 0.1, 0.2]), _about("y", [0.0, 0.2, 0.6])),
+        axis=1,
+    )
+    linear, angular = np.zeros((3, 3, 3)), np.zeros((3, 3, 3))
+    linear[:, 0, 0] = (10.0, 20.0, 30.0)
+    angular[:, 0, 1] = (1.0, 2.0, 3.0)
+    return MotionClip(
+        "tiny",
+        10.0,
+        tiny.body_names,
+        tiny.parent_indices,
+        tiny.local_translation,
+        rotation,
+        np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [4.0, 0.0, 0.0]]),
+        linear,
+        angular,
+    )
+
+
+@pytest.fixture
+def make_humanoid_clip(humanoid: Skeleton) -> Callable[..., MotionClip]:
+    """Return a maker of clips of the humanoid in its zero pose, walking at 1 m/s; 30 fps."""
+
+    def make(num_frames: int = 10, **changes: Any) -> MotionClip:
+        rotation = np.zeros((num_frames, 15, 4))
+        rotation[..., 3] = 1.0
+        root = np.zeros((num_frames, 3))
+        root[:, 0] = np.arange(num_frames) / 30.0
+        root[:, 2] = 0.9
+        clip = MotionClip(
+            "walk.npz",
+            30.0,
+            humanoid.body_names,
+            humanoid.parent_indices,
+            humanoid.local_translation,
+            rotation,
+            root,
+            np.tile([1.0, 0.0, 0.0], (num_frames, 15, 1)),
+            np.zeros((num_frames, 15, 3)),
+        )
+        return dataclasses.replace(clip, **changes)
+
+    return make
+
+
+def _about(axis: str, angles_rad: Any) -> np.ndarray:
+    """Return the quaternions (T, 4) xyzw of rotations by angles (T,) about a coordinate axis."""
+    half = 0.5 * np.asarray(angles_rad, dtype=np.float64)
+    quaternions = np.zeros((len(half), 4))
+    quaternions[:, "xyz".index(axis)] = np.sin(half)
+    quaternions[:, 3] = np.cos(half)
+    return quaternions

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+
+
+def test_humanoid_has_the_published_body_plan(humanoid: Skeleton) -> None:
+    assert humanoid.body_names == (
+        "pelvis",
+        "torso",
+        "head",
+        "right_upper_arm",
+        "right_lower_arm",
+        "right_hand",
+        "left_upper_arm",
+        "left_lower_arm",
+        "left_hand",
+        "right_thigh",
+        "right_shin",
+        "right_foot",
+        "left_thigh",
+        "left_shin",
+        "left_foot",
+    )
+    assert humanoid.parent_indices == (-1, 0, 1, 1, 3, 4, 1, 6, 7, 0, 9, 10, 0, 12, 13)
+    assert humanoid.dof_body_ids == (1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13, 14)
+    assert humanoid.dof_offsets == (0, 3, 6, 9, 10, 13, 14, 17, 18, 21, 24, 25, 28)
+    assert humanoid.hinge_body_ids == (4, 7, 10, 13)
+    assert (humanoid.num_bodies, humanoid.num_dofs) == (15, 28)
+    np.testing.assert_allclose(humanoid.local_translation[3], (-0.02405, -0.18311, 0.2435))
+
+
+def test_foot_corners_are_those_of_the_foot_boxes(humanoid: Skeleton) -> None:
+    # Box centre (0.045, 0, -0.0225), half sizes (0.0885, 0.045, 0.0275) m.
+    assert humanoid.foot_body_ids == (11,) * 8 + (14,) * 8
+    np.testing.assert_allclose(humanoid.foot_corners[:8].min(axis=0), (-0.0435, -0.045, -0.05))
+    np.testing.assert_allclose(humanoid.foot_corners[:8].max(axis=0), (0.1335, 0.045, 0.005))
+
+
+def test_unknown_number_of_dofs_lists_the_choices() -> None:
+    with pytest.raises(ConfigError, match=r"no humanoid with 31 .* choices: 28"):
+        skeleton_for_num_dofs(31)
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        '<joint name="bad" axis="1 0 0"/>',
+        '<joint name="bad" type="slide"/>',
+        '<joint axis="0 1 0"/><joint name="bad" axis="0 1 0" pos="0 0 1"/>',
+    ],
+)
+def test_joints_that_are_no_ball_and_no_y_hinge_are_refused(tmp_path, joints: str) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="root"><freejoint/><geom size="0.1"/>'
+        f'<body name="arm">{joints}<geom size="0.1"/></body></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ConfigError, match="joint 'bad'"):
+        Skeleton.from_mjcf(path)
