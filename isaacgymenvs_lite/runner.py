@@ -18,7 +18,8 @@ from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.notes import startup_notes
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.observers import (
@@ -27,7 +28,7 @@ from isaacgymenvs_lite.observers import (
     ProgressObserver,
     TaskScalarsObserver,
 )
-from isaacgymenvs_lite.registration import AMP_FAMILY, build_runner, known_names, register_env
+from isaacgymenvs_lite.registration import build_runner, known_names, register_env
 from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -210,12 +211,13 @@ class Session:
 
 
 class _AgentHolder(AlgoObserver):
-    """Keeps the agent that rl_games' Runner makes and does not hand out."""
+    """Keeps the agent that rl_games' Runner makes and does not hand out, and guards its log."""
 
     agent: Any = None
 
     def after_init(self, algo: Any) -> None:
         self.agent = algo
+        protect(algo.writer)
 
 
 def _explain_misfit(error: RuntimeError, checkpoint: str) -> Exception:
@@ -246,6 +248,3 @@ def _output_to_log() -> Iterator[None]:
     """rl_games prints what it does; here that is debug output, not a user's screen."""
     with contextlib.redirect_stdout(_LogStream()):
         yield
-
-
-__all__ = ["AMP_FAMILY", "Session", "UserError", "run"]

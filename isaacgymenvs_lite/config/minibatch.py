@@ -9,7 +9,7 @@ from collections.abc import Iterator
 def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
     """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
 
-    Of two equally near ones the smaller. A minibatch larger than the batch becomes the batch.
+    A minibatch larger than the batch becomes the batch.
 
     >>> fit_minibatch(1024, 32768)
     1024

@@ -29,7 +29,8 @@ class PPOSettings:
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     use_diagnostics: bool = setting(False)
-    mixed_precision: bool = setting(False)
+    mixed_precision: Any = setting(False, choices=(True, False, "auto"))
+    """bfloat16; auto measures whether it is faster on this CPU."""
     torch_compile: Any = setting(None)
     """True, False, a mode of torch.compile, or {mode, critic_mode}."""
 

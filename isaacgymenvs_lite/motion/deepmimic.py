@@ -138,7 +138,7 @@ def _rows(data: dict[str, Any], name: str) -> npt.NDArray[np.float64]:
     try:
         rows = np.array(data.get("Frames"), dtype=np.float64)
     except (TypeError, ValueError):
-        rows = np.zeros(0)
+        rows = np.zeros((0, 0))
     if rows.ndim != 2 or rows.shape[1] != _NUM_COLUMNS:
         raise MotionFileError(
             f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {_NUM_COLUMNS} numbers; "

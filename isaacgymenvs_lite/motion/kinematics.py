@@ -83,7 +83,7 @@ def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
     The rotation from each frame to the next, not smoothed; the last frame repeats the one before.
     The arithmetic is that of the original in the precision of the data: for float32 rotations the
     arc cosine of a number near 1 is off by up to 0.03 rad/s at 60 fps where a joint hardly turns.
-    Joint velocities then agree with those that IsaacGymEnvs trained on to 2e-6 rad/s.
+    Joint velocities then agree with those that IsaacGymEnvs trained on to 3e-6 rad/s.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:

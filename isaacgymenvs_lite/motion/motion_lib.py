@@ -248,7 +248,8 @@ def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:
     if not repair:
         _log.warning(
             "%s: every frame is stored twice (%g Hz data at %g Hz): joint velocities alternate "
-            "between 0 and twice the true speed; repair_repeated_frames=True drops the copies",
+            "between 0 and twice the true speed; repair_repeated_frames=True "
+            "(task.env.repairRepeatedFrames) drops the copies",
             clip.name,
             clip.fps / 2.0,
             clip.fps,

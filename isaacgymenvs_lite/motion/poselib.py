@@ -97,7 +97,8 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
         array = np.asarray(stored)
         cast_to = np.dtype(str(dtype))
     except (KeyError, TypeError, ValueError) as error:
-        raise MotionFileError(f"{name}: {key} is no array of numbers ({one_line(error)})") from error
+        reason = one_line(error)
+        raise MotionFileError(f"{name}: {key} is no array of numbers ({reason})") from error
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
         raise MotionFileError(
             f"{name}: {key} holds {array.dtype} to be read as {dtype}, expected numbers"

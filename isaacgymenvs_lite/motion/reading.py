@@ -1,4 +1,4 @@
-"""What the readers of clips share. Two formats, poselib's text variant and DeepMimic's, are JSON."""
+"""What the readers of clips share: error texts and JSON, which two of the formats are."""
 
 from __future__ import annotations
 

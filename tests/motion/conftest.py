@@ -40,8 +40,10 @@ def about() -> Callable[[str, Any], np.ndarray]:
 
 @pytest.fixture
 def tiny_clip(tiny: Skeleton) -> MotionClip:
-    """Three frames at 10 fps: the root at x = 0, 1, 4 m, the arm turned about z by 0, 0.1, 0.2
-    rad, the hand about y by 0, 0.2, 0.6 rad; made-up root velocities.
+    """Three frames at 10 fps with made-up root velocities.
+
+    The root is at x = 0, 1, 4 m, the arm turns about z by 0, 0.1, 0.2 rad, the hand about y by 0,
+    0.2, 0.6 rad.
     """
     rotation = np.stack(
         (_about("z", [0.0] * 3), _about("z", [0.0, 0.1, 0.2]), _about("y", [0.0, 0.2, 0.6])),

@@ -65,6 +65,15 @@ def test_joint_velocity_takes_the_short_way(about) -> None:
     np.testing.assert_allclose(velocity[0, 0], [0.0, -0.5 * np.pi, 0.0], atol=ATOL)
 
 
+def test_joint_velocity_of_float32_data_has_the_rounding_of_the_original(about) -> None:
+    # Half of 1e-4 rad has the cosine 1 - 1.25e-9, which is 1 in float32.
+    rotation = about("y", [0.0, 1e-4])[:, None]
+    exact = kinematics.joint_velocities(rotation, fps=10.0)
+    rounded = kinematics.joint_velocities(rotation.astype(np.float32), fps=10.0)
+    np.testing.assert_allclose(exact[0, 0], [0.0, 1e-3, 0.0], rtol=1e-6)
+    np.testing.assert_array_equal(rounded, 0.0)
+
+
 def test_lowest_point_over_frames_and_bodies(about) -> None:
     positions = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]], [[0.0, 0.0, 0.5], [0.0, 0.0, 2.0]]])
     turns = np.tile(about("x", [np.pi])[0], (2, 2, 1))  # upside down: z up is z down

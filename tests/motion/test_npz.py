@@ -68,7 +68,8 @@ def test_damaged_files_are_refused(tmp_path: Path, tiny_clip: MotionClip) -> Non
     for content in (b"", b"text", whole[: len(whole) // 2], whole[:200] + b"x" * 20 + whole[220:]):
         path.write_bytes(content)
         _expect_error(path, "no readable .npz archive")
-    np.save(path.open("wb"), np.zeros(3))
+    with path.open("wb") as stream:
+        np.save(stream, np.zeros(3))
     _expect_error(path, "single array")
     path.unlink()
     _expect_error(path, "no such file")

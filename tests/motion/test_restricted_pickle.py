@@ -41,7 +41,7 @@ class Call:
     ("protocol", "numpy_module"), [(3, b"numpy.core"), (3, b"numpy._core"), (4, b"numpy._core")]
 )
 def test_plain_content_comes_back(tmp_path: Path, protocol: int, numpy_module: bytes) -> None:
-    content = OrderedDict(
+    content: OrderedDict[str, Any] = OrderedDict(
         floats=np.arange(6, dtype=np.float32).reshape(2, 3),
         fortran=np.asfortranarray(np.arange(6.0).reshape(2, 3)),
         big_endian=np.arange(3, dtype=">i4"),
@@ -112,7 +112,8 @@ def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
         b"ccollections\nOrderedDict\n}U\x08__call__K\x01sb.",
         b"cnumpy.core.multiarray\nscalar\n(N}tb.",
         b"cnumpy\nndarray\n(K\x01tR.",  # an array without content
-        b"cnumpy\nndarray\n(tR(K\x01(K\xfftcnumpy\ndtype\n(U\x02f8tRI00\nU\x00tb.",  # 255 of 0 bytes
+        # 255 numbers in 0 bytes:
+        b"cnumpy\nndarray\n(tR(K\x01(K\xfftcnumpy\ndtype\n(U\x02f8tRI00\nU\x00tb.",
         b"cnumpy\nndarray\n(tRcnumpy\nndarray\n(tRb.",  # an array as state of an array
         b"Pid\n.",  # persistent id
         b"\x82\x01.",  # extension registry

@@ -50,6 +50,15 @@ class FootPlan:
         poses[:, 1] *= -side
         return poses
 
+    def leg_angles(self, phase: FloatArray, side: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return thigh, knee and foot pitch (n) in rad of a leg at phases (n), in its plane.
+
+        Thigh and foot are measured to the vertical and to the ground, positive forward and up.
+        """
+        own_phase = phase - (0.5 if side > 0.0 else 0.0)
+        thigh, knee, pitch, _ = self._angles_of(self.poses(own_phase, -1.0), own_phase).T
+        return thigh, knee, pitch
+
     def stance_reach(self) -> FloatArray:
         """Return the distances (n) in m from hip to ankle over the stance."""
         phase = np.linspace(0.0, self.stance.gait.duty, 100)

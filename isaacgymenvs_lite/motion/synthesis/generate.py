@@ -14,17 +14,21 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
 from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
-from isaacgymenvs_lite.motion.synthesis.plan import plan_gait
-from isaacgymenvs_lite.motion.synthesis.posture import target_rotations
+from isaacgymenvs_lite.motion.synthesis.leg import Leg
+from isaacgymenvs_lite.motion.synthesis.plan import plan_gait, right_hip_from_com
+from isaacgymenvs_lite.motion.synthesis.posture import set_leg, target_rotations
 from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
+from isaacgymenvs_lite.motion.synthesis.stance import Stance
 from isaacgymenvs_lite.utils import rotations
 
 FloatArray = npt.NDArray[np.float64]
 
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"
-_FEET = (("right_foot", -1.0), ("left_foot", 1.0))
+_SIDES = (("right", -1.0), ("left", 1.0))
+_PASSES = 3
 _PAD = 2  # frames of the endless motion on either side, for central differences
 
 
@@ -92,29 +96,32 @@ def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
         )
     phase = np.arange(frames) / frames
     model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / MODEL))
-    plan = plan_gait(gait, skeleton, model)
-    com = plan.com(phase)
-    targets = qpos_from_poses(skeleton, com, target_rotations(gait, skeleton, phase))
-    yaw = plan.feet.stance.yaw
-    foot_poses = [_foot_frames(plan.feet.poses(phase, side), -side * yaw) for _, side in _FEET]
-    solver = PoseSolver(model, tuple(name for name, _ in _FEET))
-    solved = np.stack(
-        [
-            solver.solve(targets[i], com[i], [poses[i] for poses in foot_poses])
-            for i in range(frames)
-        ]
-    )
+    solver = PoseSolver(model, tuple(f"{name}_foot" for name, _ in _SIDES))
+    stance = Stance(gait, Leg.from_skeleton(skeleton))
+    posture = target_rotations(gait, skeleton, phase)
+    solved = qpos_from_poses(skeleton, np.zeros((frames, 3)), posture)
+    # Where the hips are depends on the poses, and the poses on where the hips are planned.
+    for _ in range(_PASSES):
+        plan = plan_gait(stance, right_hip_from_com(model, solved))
+        for name, side in _SIDES:
+            set_leg(posture, skeleton, name, plan.feet.leg_angles(phase, side))
+        com = plan.com(phase)
+        targets = qpos_from_poses(skeleton, com, posture)
+        feet = [_foot_frames(plan.feet, phase, side) for _, side in _SIDES]
+        solved = np.stack(
+            [solver.solve(targets[i], com[i], [foot[i] for foot in feet]) for i in range(frames)]
+        )
     root, local = poses_from_qpos(skeleton, solved)
     root = root - root[0] * (1.0, 0.0, 0.0)
     return Cycle(root, local, gait.stride_m)
 
 
-def _foot_frames(poses: FloatArray, yaw: float) -> FloatArray:
-    """Return quaternions wxyz and positions (n, 7) of planned foot poses (n, 4)."""
+def _foot_frames(feet: FootPlan, phase: FloatArray, side: float) -> FloatArray:
+    """Return the planned quaternions wxyz and positions of a foot, (n, 7), at phases (n)."""
+    poses = feet.poses(phase, side)
     pitch = torch.from_numpy(-poses[:, 3])  # about +y the toes go down
-    turn = rotations.quat_from_euler_xyz(
-        torch.zeros_like(pitch), pitch, torch.full_like(pitch, yaw)
-    )
+    yaw = torch.full_like(pitch, -side * feet.stance.yaw)
+    turn = rotations.quat_from_euler_xyz(torch.zeros_like(pitch), pitch, yaw)
     return np.concatenate((rotations.wxyz_from_xyzw(turn).numpy(), poses[:, :3]), axis=1)
 
 

@@ -8,19 +8,14 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.motion.qpos import qpos_from_poses
-from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis.com_plan import ComPlan, plan_com
 from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
 from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
-from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.posture import target_rotations
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 
 FloatArray = npt.NDArray[np.float64]
 
-_SAMPLES = 40  # poses per cycle for the path of the hip
+_HIP_HARMONICS = 10
 _HEIGHT_STEPS = 30  # halvings of the search interval for the height
 
 
@@ -32,21 +27,24 @@ class GaitPlan:
     feet: FootPlan
 
 
-def plan_gait(gait: Gait, skeleton: Skeleton, model: mujoco.MjModel) -> GaitPlan:
-    """Plan a gait for a humanoid.
+def plan_gait(stance: Stance, hip_from_com: FloatArray) -> GaitPlan:
+    """Plan the motion of the centre of mass and of the feet.
 
     The body is as high as the legs allow when the straightest knee of the stance is as the gait
-    has it. The path of the hips is that of the published posture, carried by the centre of mass.
+    has it.
+
+    Args:
+        stance: the feet on the ground.
+        hip_from_com: (N, 3) m, from the centre of mass to the right hip at N evenly spaced phases.
     """
-    stance = Stance(gait, Leg.from_skeleton(skeleton))
-    hip_from_com = _right_hip_from_com(gait, skeleton, model)
-    longest = stance.leg.reach(np.radians(gait.straightest_knee_deg))
+    curves = [PeriodicCurve.through(hip_from_com[:, axis], _HIP_HARMONICS) for axis in range(3)]
+    longest = stance.leg.reach(np.radians(stance.gait.straightest_knee_deg))
 
     def plan(height_m: float) -> GaitPlan:
         com = plan_com(stance, height_m)
 
         def right_hip(phase: FloatArray) -> FloatArray:
-            return com(phase) + np.stack([curve(phase) for curve in hip_from_com], axis=-1)
+            return com(phase) + np.stack([curve(phase) for curve in curves], axis=-1)
 
         return GaitPlan(com, FootPlan(stance, right_hip))
 
@@ -60,17 +58,13 @@ def plan_gait(gait: Gait, skeleton: Skeleton, model: mujoco.MjModel) -> GaitPlan
     return plan(low)
 
 
-def _right_hip_from_com(gait: Gait, skeleton: Skeleton, model: mujoco.MjModel) -> list[PeriodicCurve]:
-    """Return x, y, z (m) from the centre of mass to the right hip in the published posture."""
-    phase = np.arange(_SAMPLES) / _SAMPLES
-    poses = qpos_from_poses(
-        skeleton, np.zeros((_SAMPLES, 3)), target_rotations(gait, skeleton, phase)
-    )
+def right_hip_from_com(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
+    """Return the vectors (N, 3) m from the centre of mass to the right hip in poses qpos (N, nq)."""
     data = mujoco.MjData(model)
-    offsets = np.empty((_SAMPLES, 3))
+    offsets = np.empty((len(poses), 3))
     for i, pose in enumerate(poses):
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         offsets[i] = data.body("right_thigh").xpos - data.subtree_com[1]
-    return [PeriodicCurve.through(offsets[:, axis]) for axis in range(3)]
+    return offsets

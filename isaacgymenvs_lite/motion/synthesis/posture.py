@@ -41,6 +41,31 @@ def target_rotations(gait: Gait, skeleton: Skeleton, phase: FloatArray) -> Float
     return torch.stack([turns[name] for name in skeleton.body_names], dim=1).numpy()
 
 
+def set_leg(
+    local_rotation: FloatArray,
+    skeleton: Skeleton,
+    side: str,
+    angles: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Write one leg's joints into rotations (n, J, 4) xyzw.
+
+    Args:
+        local_rotation: changed in place.
+        skeleton: names of the J bodies.
+        side: `right` or `left`.
+        angles: thigh to the vertical, knee, foot to the ground, each (n) in rad.
+    """
+    thigh, knee, pitch = angles
+    pelvis = torch.from_numpy(local_rotation[:, 0])
+    turns = {
+        f"{side}_thigh": rotations.quat_mul(rotations.quat_conjugate(pelvis), _turn("y", -thigh)),
+        f"{side}_shin": _turn("y", knee),
+        f"{side}_foot": _turn("y", thigh - knee - pitch),
+    }
+    for name, turn in turns.items():
+        local_rotation[:, skeleton.body_names.index(name)] = turn.numpy()
+
+
 def _limbs(gait: Gait, side: str, sign: float, phase: FloatArray) -> dict[str, Tensor]:
     """Return the rotations of one side's bodies; `sign` is -1 on the right and +1 on the left."""
 

@@ -15,11 +15,15 @@ from isaacgymenvs_lite.errors import ConfigError
 FloatArray = npt.NDArray[np.float64]
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
-_MAX_ITERATIONS = 60
-_CONVERGED = 1e-9  # largest joint step (rad, m) of the last iteration
+_MAX_ITERATIONS = 200
+_CONVERGED = 1e-7  # largest joint step (rad, m) of the last iteration
+# Distance to the joint limits. The knees stay bent a little: a straight leg does not feel, to first
+# order, that bending shortens it, and the search would stick there.
+_KEEP_OFF_RAD = np.radians(3.0)
 # Weights of the errors (1/m, 1/rad). The feet come first, to within micrometres; then the path of
-# the centre of mass and the attitude of the pelvis; the published angles fill the rest.
-_FOOT, _COM, _PELVIS, _POSTURE = 100.0, 3.0, 3.0, 0.05
+# the centre of mass, the attitude of the pelvis and the angles of trunk and arms. The angles of the
+# legs, which have to give way, come last.
+_FOOT, _COM, _PELVIS, _UPPER_BODY, _LEG = 100.0, 3.0, 3.0, 1.0, 0.05
 
 
 class PoseSolver:
@@ -42,8 +46,8 @@ class PoseSolver:
         self._feet = [self._frame_task(name, _FOOT, _FOOT) for name in foot_names]
         self._pelvis = self._frame_task(model.body(1).name, 0.0, _PELVIS)
         self._com = self._mink.ComTask(cost=_COM)
-        self._posture = self._mink.PostureTask(model, cost=_POSTURE)
-        self._limits = [self._mink.ConfigurationLimit(model)]
+        self._posture = self._mink.PostureTask(model, cost=_posture_costs(model, foot_names))
+        self._limits = [self._mink.ConfigurationLimit(model, min_distance_from_limits=_KEEP_OFF_RAD)]
 
     def solve(self, qpos: FloatArray, com: FloatArray, foot_poses: list[FloatArray]) -> FloatArray:
         """Return the pose (nq) nearest to `qpos` that meets the targets.
@@ -79,6 +83,18 @@ class PoseSolver:
 
     def _frame_task(self, body: str, position_cost: float, orientation_cost: float) -> Any:
         return self._mink.FrameTask(body, "body", position_cost, orientation_cost)
+
+
+def _posture_costs(model: mujoco.MjModel, foot_names: tuple[str, ...]) -> FloatArray:
+    """Return the weight of every joint velocity (nv): small between a foot and the root."""
+    costs = np.full(model.nv, _UPPER_BODY)
+    for name in foot_names:
+        body = model.body(name).id
+        while body > 1:
+            first = model.body_dofadr[body]
+            costs[first : first + model.body_dofnum[body]] = _LEG
+            body = model.body_parentid[body]
+    return costs
 
 
 def _import_mink() -> Any:

@@ -1,0 +1,66 @@
+"""Weights & Biases: opens a run that mirrors TensorBoard, with the published keys."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from rl_games.common.algo_observer import AlgoObserver
+
+from isaacgymenvs_lite.config.launch import LaunchSettings
+
+log = logging.getLogger(__name__)
+
+_ATTEMPTS = 3
+
+
+class WandbObserver(AlgoObserver):
+    """Initialises wandb before the agent makes its TensorBoard writer, so that it is mirrored.
+
+    A failure (no network, no login) is logged and the training goes on without.
+
+    Args:
+        cfg: the composed tree, stored with the run.
+        settings: the keys wandb_project, _entity, _group, _tags, _logcode_dir.
+        run_name: name of the run.
+    """
+
+    def __init__(self, cfg: DictConfig, settings: LaunchSettings, run_name: str) -> None:
+        super().__init__()
+        self._cfg = cfg
+        self._settings = settings
+        self._run_name = run_name
+
+    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
+        """Open the run; up to three attempts with growing pauses."""
+        del base_name, config, experiment_name
+        for attempt in range(1, _ATTEMPTS + 1):
+            try:
+                self._open()
+            except Exception as error:  # wandb raises many kinds; none may end a training
+                log.warning("wandb: attempt %d of %d failed: %s", attempt, _ATTEMPTS, error)
+                if attempt < _ATTEMPTS:
+                    time.sleep(attempt)
+            else:
+                return
+        log.error("wandb could not be opened; training goes on without it")
+
+    def _open(self) -> None:
+        import wandb  # an extra: pip install "isaacgymenvs-lite[wandb]"
+
+        settings = self._settings
+        wandb.init(
+            project=settings.wandb_project,
+            entity=settings.wandb_entity or None,
+            group=settings.wandb_group or None,
+            tags=settings.wandb_tags,
+            id=f"uid_{self._run_name}",
+            name=self._run_name,
+            resume="allow",
+            sync_tensorboard=True,
+            config=OmegaConf.to_container(self._cfg, resolve=True),  # type: ignore[arg-type]
+        )
+        if settings.wandb_logcode_dir and wandb.run is not None:
+            wandb.run.log_code(root=settings.wandb_logcode_dir)

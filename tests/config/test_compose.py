@@ -1,0 +1,161 @@
+import pytest
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir, version
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import cfg_dir
+
+ROOT_KEYS = {
+    *("task", "train", "pbt", "task_name", "experiment", "num_envs", "seed", "torch_deterministic"),
+    *("max_iterations", "physics_engine", "pipeline", "sim_device", "rl_device", "num_threads"),
+    *("graphics_device_id", "solver_type", "num_subscenes", "test", "checkpoint", "sigma"),
+    *("multi_gpu", "wandb_activate", "wandb_group", "wandb_entity", "wandb_logcode_dir"),
+    *("wandb_name", "wandb_project", "wandb_tags", "capture_video", "capture_video_freq"),
+    *("capture_video_len", "force_render", "headless"),
+}
+
+
+def message(overrides, config_dir=None) -> str:
+    with pytest.raises(ConfigError) as error:
+        compose(overrides, config_dir)
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+def test_root_has_every_key_of_the_contract_and_no_other():
+    cfg = compose()
+    assert set(cfg) == ROOT_KEYS
+    assert (cfg.task_name, cfg.sim_device, cfg.pipeline) == ("HumanoidAMP", "cpu", "cpu")
+
+
+def test_interpolations_resolve_through_the_tree():
+    cfg = compose(["num_envs=24", "max_iterations=7", "experiment=mine", "checkpoint=a.pth", "seed=5"])
+    params = cfg.train.params
+    assert cfg.task.env.numEnvs == params.config.num_actors == 24
+    assert params.config.max_epochs == 7
+    assert params.config.name == params.config.full_experiment_name == cfg.wandb_name == "mine"
+    assert (params.seed, params.load_checkpoint, params.load_path) == (5, True, "a.pth")
+    assert cfg.task.physics_engine == "physx"
+    assert cfg.task.sim.use_gpu_pipeline is False
+    assert compose(["pipeline=gpu"]).task.sim.use_gpu_pipeline is True
+
+
+@pytest.mark.parametrize(
+    ("rl_device", "sizes"), [("cpu", (1024, 4096, 512)), ("cuda:1", (4096, 32768, 4096))]
+)
+def test_sizes_follow_the_device_that_learns(rl_device, sizes):
+    cfg = compose([f"rl_device={rl_device}"])
+    config = cfg.train.params.config
+    assert (cfg.task.env.numEnvs, config.minibatch_size, config.amp_minibatch_size) == sizes
+
+
+def test_low_gradient_penalty_differs_in_one_value():
+    low, full = (
+        OmegaConf.to_container(compose([f"train={name}", "rl_device=cpu"]).train, resolve=True)
+        for name in ("HumanoidAMPPPOLowGP", "HumanoidAMPPPO")
+    )
+    assert full["params"]["config"].pop("disc_grad_penalty") == 5
+    assert low["params"]["config"].pop("disc_grad_penalty") == 0.2
+    assert low == full
+
+
+def test_files_of_a_user(config_dir):
+    cfg = compose(["task=Mine", "train=Published", "num_envs=3"], config_dir)
+    assert cfg.task.env.numEnvs == cfg.train.params.config.num_actors == 3
+    assert cfg.train.params.config.learning_rate == 5e-5
+    assert cfg.task.sim.physx.num_threads == 0
+    ours = compose(["task=Mine", "train=HumanoidAMPPPO"], config_dir)
+    assert ours.task.env.numEnvs == 512
+
+
+def test_train_file_that_is_only_a_defaults_list(config_dir):
+    cfg = compose(["train=OnlyDefaults", "num_envs=3"], config_dir)
+    assert cfg.train.params.config.num_actors == 3
+
+
+def test_repeated_key_composes(config_dir):
+    assert compose(["train=Ase"], config_dir).train.params.config.ppo is True
+
+
+def test_keys_can_be_added_and_set_by_path():
+    cfg = compose(["+train.params.config.weight_decay=0.1", "++task.env.motion_file=/a b/c=d.npy"])
+    assert cfg.train.params.config.weight_decay == 0.1
+    assert compose(["task.env.motion_file='/a b/c=d.npy'"]).task.env.motion_file == "/a b/c=d.npy"
+
+
+def test_running_hydra_job_has_no_influence_and_is_left_alone():
+    version.setbase("1.2")
+    before = version.getbase()
+    with initialize_config_dir(str(cfg_dir()), version_base="1.2"):
+        job = GlobalHydra.instance().hydra
+        cfg = compose(["num_envs=3"])
+        assert GlobalHydra.instance().hydra is job
+        assert version.getbase() == before
+        assert hydra_compose("config", ["num_envs=5"]).num_envs == 5
+    assert cfg.num_envs == 3
+    assert "hydra" not in cfg
+
+
+def test_unknown_task_lists_the_tasks(config_dir):
+    text = message(["task=HumanoidAMPP"], config_dir)
+    assert text.startswith("unknown task 'HumanoidAMPP' (did you mean 'HumanoidAMP'?); choices: ")
+    assert "HumanoidAMP, Mine" in text
+
+
+def test_unknown_train_file_lists_the_train_files():
+    assert message(["train=HumanoidAMPPO"]) == (
+        "unknown train file 'HumanoidAMPPO' (did you mean 'HumanoidAMPPPO'?); "
+        "choices: HumanoidAMPPPO, HumanoidAMPPPOLowGP"
+    )
+
+
+def test_task_without_a_default_train_file(config_dir):
+    text = message(["task=Mine"], config_dir)
+    assert "no default train file 'MinePPO'" in text
+    assert "train=" in text
+    assert "HumanoidAMPPPO, HumanoidAMPPPOLowGP, OnlyDefaults, Published" in text
+
+
+@pytest.mark.parametrize(
+    ("override", "parts"),
+    [
+        ("num_env=3", ["unknown key 'num_env' (did you mean 'num_envs'?)", "max_iterations"]),
+        ("task.env.numEnv=3", ["(did you mean 'task.env.numEnvs'?)", "the keys of task.env are"]),
+        ("motion_file=x", ["(did you mean 'task.env.motion_file'?)"]),
+        ("gamma=0.9", ["(did you mean 'train.params.config.gamma'?)"]),
+        ("a.b.c=3", ["unknown key 'a.b.c'", "+a.b.c=... adds a new one"]),
+        ("seed.x=3", ["'seed' holds a value, not further keys"]),
+        ("num_envs", ["cannot read 'num_envs'", "write key=value"]),
+        ("checkpoint=a=b.pth", ["cannot read 'checkpoint=a=b.pth'", "in quotes"]),
+        ("experiment=[a", ["cannot read 'experiment=[a'"]),
+        ("num_envs=1,2", ["'num_envs=1,2' gives several values", "--multirun"]),
+        ("+seed=3", ["'seed' exists", "leave out the +"]),
+        ("task=3", ["'task=3' names no file", "HumanoidAMP"]),
+        ("task=", ["unknown task ''"]),
+        ("pbt=pbt_default", ["unknown pbt 'pbt_default'", "no_pbt"]),
+        ("~foo", ["foo"]),
+        ("task@x=HumanoidAMP", ["task@x"]),
+        ("hydra.searchpath=3", ["searchpath"]),
+    ],
+)
+def test_wrong_overrides(override, parts):
+    text = message([override])
+    for part in parts:
+        assert part in text
+
+
+def test_broken_and_odd_files_of_a_user(config_dir):
+    (config_dir / "train" / "Broken.yaml").write_text("params: [1, 2")
+    assert "Broken.yaml is not valid YAML" in message(["train=Broken"], config_dir)
+    (config_dir / "train" / "Dangling.yaml").write_text("defaults: [Nowhere]\n")
+    assert "Nowhere" in message(["train=Dangling"], config_dir)
+    (config_dir / "train" / "BadGrammar.yaml").write_text("params: {seed: '${...seed'}\n")
+    assert "BadGrammar" in message(["train=BadGrammar"], config_dir)
+
+
+def test_config_dir_must_exist(tmp_path):
+    assert "does not exist" in message([], tmp_path / "absent")

@@ -1,0 +1,56 @@
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.dataset import DatasetEntry, read_dataset
+
+
+def test_entries_come_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "set.yaml"
+    path.write_text(
+        "motions:\n"
+        "  - {file: b.npz, weight: 3}\n"
+        "  - file: 'sub/a.npy'\n"
+        "    weight: 0.5\n"
+        "  - {file: c.npz, weight: 2e-5}\n"  # text for YAML 1.1, a number for everybody else
+        "  - {file: d.npz, weight: 0}\n"
+    )
+    assert read_dataset(path) == [
+        DatasetEntry("b.npz", 3.0),
+        DatasetEntry("sub/a.npy", 0.5),
+        DatasetEntry("c.npz", 2e-5),
+        DatasetEntry("d.npz", 0.0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no list of motions"),
+        ("clips: []", r"has no list of motions \(found \['clips'\]\)"),
+        ("motions: []", "has no list of motions"),
+        ("motions: a.npz", "has no list of motions"),
+        ("motions: [a.npz]", r"motions\[0\] is 'a.npz', expected the keys file and weight"),
+        ("motions: [{file: a, weight: 1}]\nmotion: 1", "unknown key 'motion' .*'motions'"),
+        ("motions: [{file: a, weigth: 1}]", r"motions\[0\]: unknown key 'weigth' .*'weight'"),
+        ("motions: [{file: a}]", r"motions\[0\] lacks the key 'weight'"),
+        ("motions: [{weight: 1}]", r"motions\[0\] lacks the key 'file'"),
+        ("motions: [{file: 3, weight: 1}]", r"motions\[0\]: file is 3"),
+        ("motions: [{file: a, weight: 1}, {file: b, weight: -1}]", r"motions\[1\] \('b'\): .* -1"),
+        ("motions: [{file: a, weight: much}]", "weight is 'much', expected a number"),
+        ("motions: [{file: a, weight: true}]", "weight is True"),
+        ("motions: [{file: a, weight: .nan}]", "weight is nan"),
+        ("motions: [{file: a, weight: .inf}]", "weight is inf"),
+        ("motions: [{file: a, weight: 0}, {file: b, weight: 0}]", "all 2 weights are 0"),
+        ("motions: [", "no readable YAML text"),
+        ("a: !!python/object/apply:os.system ['true']", "no readable YAML text"),
+    ],
+)
+def test_bad_data_sets_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "set.yaml"
+    path.write_text(text)
+    with pytest.raises(MotionFileError, match=message) as raised:
+        read_dataset(path)
+    assert str(raised.value).startswith(str(path))
+    assert "\n" not in str(raised.value)

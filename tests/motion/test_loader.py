@@ -1,0 +1,116 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.loader import load_clips, resolve_motion_file, shipped_motions
+from isaacgymenvs_lite.motion.npz import save_npz
+from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+
+
+@pytest.fixture
+def shipped(tmp_path: Path, make_humanoid_clip, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An assets folder that ships the clip march; the working directory is beside it."""
+    skeleton_for_num_dofs(28)  # cached before the model's folder moves away
+    folder = tmp_path / "assets" / "amp" / "motions"
+    folder.mkdir(parents=True)
+    save_npz(folder / "march.npz", make_humanoid_clip())
+    monkeypatch.setattr(paths, "assets_dir", lambda: tmp_path / "assets")
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["march", "march.npz"])
+def test_shipped_clips_go_by_name(shipped: Path, name: str) -> None:
+    ((clip, weight),) = load_clips(name)
+    assert (clip.name, weight) == (str(shipped / "march.npz"), 1.0)
+
+
+def test_absolute_path_and_path_from_here(shipped: Path) -> None:
+    assert load_clips(shipped / "march.npz")[0][0].num_frames == 10
+    assert load_clips("../assets/amp/motions/march.npz")[0][0].num_frames == 10
+
+
+def test_own_file_goes_before_a_shipped_one(
+    shipped: Path, make_humanoid_clip: Callable[..., MotionClip]
+) -> None:
+    save_npz(Path("march.npz"), make_humanoid_clip(num_frames=5))
+    assert load_clips("march")[0][0].num_frames == 5
+
+
+def test_missing_file_says_where_was_looked_and_what_is_shipped(shipped: Path) -> None:
+    with pytest.raises(MotionFileError) as raised:
+        load_clips("marsh.npy")
+    message = str(raised.value)
+    assert message.startswith("motion file 'marsh.npy' not found in ")
+    for part in (str(Path.cwd()), str(shipped), "did you mean 'march'?", "shipped clips: march;"):
+        assert part in message
+    assert "\n" not in message
+    with pytest.raises(MotionFileError, match=r"'/nowhere/a\.npy' not found; shipped clips"):
+        load_clips("/nowhere/a.npy")
+
+
+def test_folder_is_no_clip(shipped: Path) -> None:
+    with pytest.raises(MotionFileError, match="not found"):
+        load_clips(shipped)
+
+
+def test_unknown_suffix_lists_the_known(shipped: Path) -> None:
+    Path("clip.fbx").write_bytes(b"")
+    with pytest.raises(MotionFileError, match=r"ends in \.npz, \.npy, \.json, \.txt .*'\.fbx'"):
+        load_clips("clip.fbx")
+
+
+def test_json_is_told_apart_by_content(shipped: Path) -> None:
+    Path("clip.json").write_text(json.dumps({"Frames": []}))
+    with pytest.raises(MotionFileError, match="no DeepMimic clip"):
+        load_clips("clip.json")
+    Path("clip.json").write_text(json.dumps({"rotation": []}))
+    with pytest.raises(MotionFileError, match="expected 'SkeletonMotion'"):
+        load_clips("clip.json")
+
+
+def test_data_set_is_relative_to_its_own_folder(shipped: Path, make_humanoid_clip) -> None:
+    folder = Path("sets")
+    folder.mkdir()
+    save_npz(folder / "a.npz", make_humanoid_clip(num_frames=5))
+    (folder / "set.yaml").write_text(
+        "motions: [{file: a.npz, weight: 2}, {file: march, weight: 0.5}]"
+    )
+    clips = load_clips("sets/set.yaml")
+    assert [(clip.num_frames, weight) for clip, weight in clips] == [(5, 2.0), (10, 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("lost.npz", "motion file 'lost.npz' not found"),
+        ("bad.npz", "no readable .npz archive"),
+        ("set.yaml", "a clip ends in"),
+    ],
+)
+def test_data_set_errors_name_the_set_and_the_entry(shipped: Path, entry, message) -> None:
+    Path("bad.npz").write_bytes(b"x")
+    path = Path("set.yaml")
+    path.write_text(f"motions: [{{file: march, weight: 1}}, {{file: {entry}, weight: 1}}]")
+    with pytest.raises(MotionFileError, match=rf"^set.yaml: motions\[1\]: .*{message}"):
+        load_clips(path)
+
+
+def test_suffixes_are_tried_in_order(tmp_path: Path) -> None:
+    for name in ("clip.json", "clip.npy"):
+        (tmp_path / name).touch()
+    assert resolve_motion_file("clip", [tmp_path]).name == "clip.npy"
+    (tmp_path / "clip.npz").touch()
+    assert resolve_motion_file("clip", [tmp_path]).name == "clip.npz"
+
+
+def test_shipped_motions_lists_names(shipped: Path) -> None:
+    (shipped / "README.md").touch()
+    assert shipped_motions() == ["march"]
