@@ -52,7 +52,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> None:
     except OSError as error:
         _rescue(path, state, error)
     else:
-        log.info("saved %s", path)
+        log.debug("saved %s", path)
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
@@ -146,7 +146,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
             " rl_games writes it"
         )
-    log.info("loaded %s", path)
+    log.debug("loaded %s", path)
     return _modernize(state)
 
 

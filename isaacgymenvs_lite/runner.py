@@ -150,7 +150,7 @@ class Session:
         finally:
             progress.close()
         self._save_under_plain_name()
-        log.info("run folder: %s", self._run_folder)
+        self._report_end()
 
     @property
     def _run_folder(self) -> Path:
@@ -200,6 +200,14 @@ class Session:
         agent = self._agent_holder.agent
         if agent is not None:
             agent.save(str(self._run_folder / "nn" / f"{self._name}_{suffix}"))
+
+    def _report_end(self) -> None:
+        """Say where the newest checkpoint is and how to see what it can do."""
+        saved = sorted(
+            (self._run_folder / "nn").glob("*.pth"), key=lambda file: file.stat().st_mtime
+        )
+        if saved:
+            log.info("saved %s; play it: test=True checkpoint=last num_envs=16", saved[-1])
 
     def _save_under_plain_name(self) -> None:
         """Make sure that nn/<name>.pth exists: rl_games writes it only for a best reward after

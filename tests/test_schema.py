@@ -87,7 +87,9 @@ def test_values_become_the_declared_type(key, value, expected):
 
 
 def test_omegaconf_containers_become_plain():
-    tree = OmegaConf.create({"n": 5, "s": {"steps": "${n}", "units": [1, "${n}"], "extra": {"a": 1}}})
+    tree = OmegaConf.create(
+        {"n": 5, "s": {"steps": "${n}", "units": [1, "${n}"], "extra": {"a": 1}}}
+    )
     result = read_section(Example, tree.s, where="s")
     assert (result.steps, result.units) == (5, (1, 5))
     assert type(result.extra) is dict

@@ -26,8 +26,7 @@ def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) ->
     """
     if batch_size % multiple_of:
         raise ValueError(f"{multiple_of} does not divide the batch of {batch_size}")
-    candidates = sorted(d for d in _divisors(batch_size) if d % multiple_of == 0)
-    # Distances are compared as exact ratios, so that a tie is a tie.
+    candidates = [divisor for divisor in _divisors(batch_size) if divisor % multiple_of == 0]
     return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
 
 

@@ -60,7 +60,7 @@ class ReplayBuffer:
         for name, rows in data.items():
             if name not in self._rows:
                 shape = (self._size, *rows.shape[1:])
-                self._rows[name] = torch.zeros(shape, dtype=rows.dtype, device=self._device)
+                self._rows[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
             self._rows[name][slots] = rows[n - kept :].to(self._device)
         self._head = (self._head + n) % self._size
 

@@ -1,4 +1,4 @@
-"""Renders a motion clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
+"""Renders a clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
 
 The MuJoCo renderer needs an OpenGL library that works without a screen: MUJOCO_GL=egl or osmesa.
 """
@@ -24,9 +24,12 @@ from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 _MODEL = "mjcf/amp_humanoid.xml"
-_CAMERA_DISTANCE_M = 2.6
-_CAMERA_HEIGHT_M = 0.85
-_FRAME_WIDTH, _FRAME_HEIGHT = 200, 340
+_CAMERA_DISTANCE_M = 2.5
+_CAMERA_HEIGHT_M = 0.82
+_FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
+# Half width of the area in which shadows are drawn, in extents of the model: with MuJoCo's 1 the
+# shadow map ends in the picture, as noise on the floor.
+_SHADOW_CLIP = 4.0
 
 
 def render_frames(
@@ -45,6 +48,7 @@ def render_frames(
     path = str(paths.assets_dir() / _MODEL)
     skeleton = Skeleton.from_mjcf(path)
     model = mujoco.MjModel.from_xml_path(path)
+    model.vis.map.shadowclip = _SHADOW_CLIP
     data = mujoco.MjData(model)
     poses = qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
     camera = mujoco.MjvCamera()
@@ -87,7 +91,10 @@ def _import_pillow() -> Any:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.motion.strip", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.motion.strip",
+        description="Renders poses of a motion clip side by side; needs MUJOCO_GL=egl or osmesa.",
+    )
     parser.add_argument("clip", help="a motion file, or the name of one in assets/amp/motions")
     parser.add_argument("out", type=Path, help="the PNG to write")
     parser.add_argument("--seconds", type=float, help="the time to show (default: the whole clip)")

@@ -33,7 +33,9 @@ def test_root_has_every_key_of_the_contract_and_no_other():
 
 
 def test_interpolations_resolve_through_the_tree():
-    cfg = compose(["num_envs=24", "max_iterations=7", "experiment=mine", "checkpoint=a.pth", "seed=5"])
+    cfg = compose(
+        ["num_envs=24", "max_iterations=7", "experiment=mine", "checkpoint=a.pth", "seed=5"]
+    )
     params = cfg.train.params
     assert cfg.task.env.numEnvs == params.config.num_actors == 24
     assert params.config.max_epochs == 7
@@ -82,7 +84,8 @@ def test_repeated_key_composes(config_dir):
 
 
 def test_keys_can_be_added_and_set_by_path():
-    cfg = compose(["+train.params.config.weight_decay=0.1", "++task.env.motion_file=/a b/c=d.npy"])
+    cfg = compose(["+train.params.config.weight_decay=0.1", "++task.env.motion_file=/a b/c.npy"])
+    assert cfg.task.env.motion_file == "/a b/c.npy"
     assert cfg.train.params.config.weight_decay == 0.1
     assert compose(["task.env.motion_file='/a b/c=d.npy'"]).task.env.motion_file == "/a b/c=d.npy"
 

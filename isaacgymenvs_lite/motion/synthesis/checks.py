@@ -5,6 +5,7 @@ They look at the finished clip only, not at how it was made, and serve tests and
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,9 @@ import torch
 
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
-
-FloatArray = npt.NDArray[np.float64]
 
 CONTACT_HEIGHT_M = 0.003  # a corner of a sole this near to the ground counts as touching it
 _DEG = np.pi / 180.0
@@ -39,7 +39,7 @@ class FootFigures:
     Attributes:
         worst_slip_m: longest horizontal way of a corner during one touch.
         deepest_m: how far the lowest corner goes below the ground.
-        highest_stance_m: how far the lowest corner of the foot on the ground is above it, at most.
+        highest_m: height of the lowest corner of both feet, at most: 0 where one always stands.
         flight_share: share of the frames with no corner on the ground.
         double_support_share: share of the frames with corners of both feet on the ground.
         swing_clearance_m: lowest height of a foot in the middle half of its swings.
@@ -47,7 +47,7 @@ class FootFigures:
 
     worst_slip_m: float
     deepest_m: float
-    highest_stance_m: float
+    highest_m: float
     flight_share: float
     double_support_share: float
     swing_clearance_m: float
@@ -65,11 +65,10 @@ def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
         for corner in range(corners.shape[2])
     ]
     lowest = height.min(axis=-1)
-    # Between the frames where a foot first and last touches, it may not float.
     return FootFigures(
         worst_slip_m=max(slips),
         deepest_m=max(0.0, -float(height.min())),
-        highest_stance_m=float(np.where(on_ground, lowest, 0.0).max()),
+        highest_m=float(lowest.min(axis=1).max()),
         flight_share=float((~on_ground).all(axis=1).mean()),
         double_support_share=float(on_ground.all(axis=1).mean()),
         swing_clearance_m=_clearance(lowest, on_ground),
@@ -129,21 +128,28 @@ def closure_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float
 
 
 def velocity_seam(clip: MotionClip) -> tuple[float, float]:
-    """Return how much linear (m/s) and angular (rad/s) velocities of first and last frame differ."""
+    """Return how much the linear (m/s) and angular (rad/s) velocities of both ends differ."""
     linear = np.abs(clip.linear_velocity_w[-1] - clip.linear_velocity_w[0]).max()
     angular = np.abs(clip.angular_velocity_w[-1] - clip.angular_velocity_w[0]).max()
     return float(linear), float(angular)
 
 
-def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> float:
-    """Return the largest difference in rad between a pose and the mirrored one half a cycle later."""
+def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float]:
+    """Compare every pose with its mirror image half a cycle later.
+
+    Returns:
+        The largest differences of rotations (rad) and of the root's height and side (m).
+    """
     half = frames_per_cycle // 2
     names = clip.body_names
     partner = [names.index(_other_side(name)) for name in names]
     turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
     # The mirror image in the plane y = 0 keeps the turn about y and reverses the others.
     mirrored = turns[:, partner] * torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64)
-    return float(rotations.quat_diff_rad(turns[half:], mirrored[:-half]).abs().max())
+    angle = rotations.quat_diff_rad(turns[half:], mirrored[:-half])
+    place = clip.root_translation[:, 1:].astype(np.float64)
+    moved = place[half:] - place[:-half] * (-1.0, 1.0)
+    return float(angle.abs().max()), float(np.abs(moved).max())
 
 
 def _other_side(name: str) -> str:
@@ -168,7 +174,7 @@ def _clearance(lowest: FloatArray, on_ground: npt.NDArray[np.bool_]) -> float:
     heights = []
     for foot in range(lowest.shape[1]):
         changes = np.flatnonzero(np.diff(on_ground[:, foot].astype(int)))
-        for start, end in zip(changes[:-1], changes[1:], strict=True):
+        for start, end in itertools.pairwise(changes):
             if not on_ground[start + 1, foot]:
                 quarter = (end - start) // 4
                 heights.append(lowest[start + 1 + quarter : end + 1 - quarter, foot].min())

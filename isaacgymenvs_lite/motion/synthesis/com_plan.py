@@ -11,16 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
 from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 
-FloatArray = npt.NDArray[np.float64]
-
 GRAVITY = 9.81  # m/s^2
-_SAMPLES = 560  # per cycle; the forces are smooth on this scale
+_SAMPLES = 280  # per cycle; the forces are smooth on this scale
 _HARMONICS = 16
 
 
@@ -88,7 +86,8 @@ def _periodic_solution(stiffness: FloatArray, force: FloatArray, period_s: float
     n = len(stiffness)
     step = period_s / n
     identity = np.eye(n)
-    second = (np.roll(identity, 1, axis=0) - 2.0 * identity + np.roll(identity, -1, axis=0)) / step**2
+    neighbours = np.roll(identity, 1, axis=0) + np.roll(identity, -1, axis=0)
+    second = (neighbours - 2.0 * identity) / step**2
     return np.linalg.solve(second - np.diag(stiffness), force)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 
 # Gait curves hold little above the sixth harmonic (Winter: 99.7 % of the power below 6 Hz); fewer
 # harmonics than half of the 20 table values also smooth away the rounding to whole degrees.
@@ -22,7 +22,9 @@ class PeriodicCurve:
     coefficients: npt.NDArray[np.complex128]
 
     @classmethod
-    def through(cls, samples: Sequence[float] | FloatArray, harmonics: int = _HARMONICS) -> PeriodicCurve:
+    def through(
+        cls, samples: Sequence[float] | FloatArray, harmonics: int = _HARMONICS
+    ) -> PeriodicCurve:
         """Fit `harmonics` harmonics (least squares) to samples at evenly spaced phases from 0."""
         values = np.asarray(samples, dtype=np.float64)
         coefficients = np.fft.rfft(values) / len(values)

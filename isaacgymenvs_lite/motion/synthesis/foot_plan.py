@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve, hermite
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 
-FloatArray = npt.NDArray[np.float64]
-
+_EARLY = 0.75  # below 1: the extra lift of the foot comes before the middle of the swing
 _RATE_STEP = 1e-4  # of a cycle, for numerical rates
 
 
@@ -50,7 +49,9 @@ class FootPlan:
         poses[:, 1] *= -side
         return poses
 
-    def leg_angles(self, phase: FloatArray, side: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def leg_angles(
+        self, phase: FloatArray, side: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return thigh, knee and foot pitch (n) in rad of a leg at phases (n), in its plane.
 
         Thigh and foot are measured to the vertical and to the ground, positive forward and up.
@@ -71,8 +72,9 @@ class FootPlan:
         offset, slope = self._correction_at_ends()
         correction = hermite((offset[0], slope[0]), (offset[1], slope[1]), span, u)
         thigh, knee, pitch, aside = (self._published_angles(since) + correction).T
-        bump = np.sin(np.pi * u) ** 2
+        bump = np.sin(np.pi * u**_EARLY) ** 2
         ahead, below = leg.ankle(thigh, knee + np.radians(gait.swing_knee_deg) * bump)
+        pitch = pitch + np.radians(gait.swing_toe_up_deg) * bump
         aside = aside - gait.swing_out_m * bump
         hip = self.right_hip(since)
         down = np.sqrt(below**2 - (aside - hip[:, 1]) ** 2)

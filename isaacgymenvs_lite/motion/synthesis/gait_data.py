@@ -65,9 +65,11 @@ class Gait:
         step_width_m: distance between the lines that the two feet's centres are placed on.
         toe_out_deg: angle of the feet to the direction of travel.
         swing_out_m: how far the swinging foot moves outwards, to pass the other leg.
-        swing_knee_deg: extra knee flexion in mid-swing: the rigid foot needs more room than ours.
+        swing_knee_deg: how much more the knee flexes in mid-swing, to lift the foot.
+        swing_toe_up_deg: how much further the foot is turned up in mid-swing: it has no toes
+            that could give way.
         retraction_deg: rate per cycle at which the thigh moves back when the foot touches down.
-        straightest_knee_deg: smallest knee flexion of the stance; it decides how high the pelvis is.
+        straightest_knee_deg: smallest knee flexion of the stance; decides how high the pelvis is.
         pelvis_tilt: half cycle, forward positive.
         pelvis_obliquity: half cycle, right side up positive.
         pelvis_rotation: half cycle, right side forward positive.
@@ -93,6 +95,7 @@ class Gait:
     toe_out_deg: float
     swing_out_m: float
     swing_knee_deg: float
+    swing_toe_up_deg: float
     retraction_deg: float
     straightest_knee_deg: float
     pelvis_tilt: Table
@@ -121,7 +124,7 @@ WALK = Gait(
     sources=_WALK_SOURCES,
     period_s=54 / 60,
     stride_m=1.17,
-    duty=0.60,
+    duty=0.58,
     foot_flat=0.10,
     heel_off=0.40,
     strike_pitch_deg=18.0,
@@ -130,9 +133,10 @@ WALK = Gait(
     step_width_m=0.13,
     toe_out_deg=6.0,
     swing_out_m=0.01,
-    swing_knee_deg=18.0,
-    retraction_deg=60.0,
-    straightest_knee_deg=6.0,
+    swing_knee_deg=10.0,
+    swing_toe_up_deg=12.0,
+    retraction_deg=40.0,
+    straightest_knee_deg=10.0,
     pelvis_tilt=(2, 1, 1, 1, 1, 2, 2, 3, 3, 3),
     pelvis_obliquity=(0, 2, 4, 4, 4, 3, 2, 1, 1, 0),
     pelvis_rotation=(5, 5, 4, 3, 2, 0, -1, -3, -4, -5),
@@ -177,8 +181,9 @@ RUN = Gait(
     toe_out_deg=5.0,
     swing_out_m=0.04,
     swing_knee_deg=0.0,
-    retraction_deg=100.0,
-    straightest_knee_deg=14.0,
+    swing_toe_up_deg=8.0,
+    retraction_deg=40.0,
+    straightest_knee_deg=16.0,
     pelvis_tilt=(6, 5, 5, 5, 6, 8, 9, 9, 8, 7),
     pelvis_obliquity=(1, 3, 5, 5, 4, 3, 1, 0, -1, -1),
     pelvis_rotation=(0, -2, -3, -4, -5, -5, -4, -3, -2, -1),
@@ -204,8 +209,8 @@ RUN = Gait(
         *(85, 85, 86, 88, 91, 94, 97, 100, 102, 104),
         *(105, 104, 103, 101, 98, 95, 92, 89, 87, 86),
     ),
-    shoulder_abduction_deg=12.0,
-    shoulder_rotation_deg=25.0,
+    shoulder_abduction_deg=16.0,
+    shoulder_rotation_deg=20.0,
 )
 
 GAITS: dict[str, Gait] = {gait.name: gait for gait in (WALK, RUN)}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
@@ -23,12 +23,10 @@ from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 from isaacgymenvs_lite.utils import rotations
 
-FloatArray = npt.NDArray[np.float64]
-
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"
 _SIDES = (("right", -1.0), ("left", 1.0))
-_PASSES = 3
+_PASSES = 4
 _PAD = 2  # frames of the endless motion on either side, for central differences
 
 

@@ -1,15 +1,13 @@
-"""One leg of the humanoid: its dimensions, and its two links in the plane of hip, knee and ankle."""
+"""One leg of the humanoid: its dimensions, and its angles in the plane of hip, knee and ankle."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,8 @@ class Leg:
     def angles(self, ahead: FloatArray, below: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return thigh and knee angles (rad) that put the ankle there; straight if out of reach."""
         reach = np.hypot(ahead, below)
-        cos_knee = (reach**2 - self.thigh_m**2 - self.shin_m**2) / (2.0 * self.thigh_m * self.shin_m)
+        links = 2.0 * self.thigh_m * self.shin_m
+        cos_knee = (reach**2 - self.thigh_m**2 - self.shin_m**2) / links
         knee = np.arccos(np.clip(cos_knee, -1.0, 1.0))
         thigh = np.arctan2(ahead, below) + np.arctan2(
             self.shin_m * np.sin(knee), self.thigh_m + self.shin_m * np.cos(knee)

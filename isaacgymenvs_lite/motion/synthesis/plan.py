@@ -6,17 +6,15 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.synthesis.com_plan import ComPlan, plan_com
 from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
 from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 
-FloatArray = npt.NDArray[np.float64]
-
 _HIP_HARMONICS = 10
-_HEIGHT_STEPS = 30  # halvings of the search interval for the height
+_HEIGHT_STEPS = 22  # halvings of the search interval for the height
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ def plan_gait(stance: Stance, hip_from_com: FloatArray) -> GaitPlan:
 
 
 def right_hip_from_com(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
-    """Return the vectors (N, 3) m from the centre of mass to the right hip in poses qpos (N, nq)."""
+    """Return the vectors (N, 3) m from centre of mass to right hip in poses qpos (N, nq)."""
     data = mujoco.MjData(model)
     offsets = np.empty((len(poses), 3))
     for i, pose in enumerate(poses):

@@ -8,15 +8,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError
-
-FloatArray = npt.NDArray[np.float64]
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _MAX_ITERATIONS = 200
-_CONVERGED = 1e-7  # largest joint step (rad, m) of the last iteration
+_CONVERGED = 1e-8  # largest joint step (rad, m) of the last iteration
 # Distance to the joint limits. The knees stay bent a little: a straight leg does not feel, to first
 # order, that bending shortens it, and the search would stick there.
 _KEEP_OFF_RAD = np.radians(3.0)
@@ -47,7 +45,9 @@ class PoseSolver:
         self._pelvis = self._frame_task(model.body(1).name, 0.0, _PELVIS)
         self._com = self._mink.ComTask(cost=_COM)
         self._posture = self._mink.PostureTask(model, cost=_posture_costs(model, foot_names))
-        self._limits = [self._mink.ConfigurationLimit(model, min_distance_from_limits=_KEEP_OFF_RAD)]
+        self._limits = [
+            self._mink.ConfigurationLimit(model, min_distance_from_limits=_KEEP_OFF_RAD)
+        ]
 
     def solve(self, qpos: FloatArray, com: FloatArray, foot_poses: list[FloatArray]) -> FloatArray:
         """Return the pose (nq) nearest to `qpos` that meets the targets.

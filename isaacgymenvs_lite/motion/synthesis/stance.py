@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

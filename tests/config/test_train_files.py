@@ -1,0 +1,66 @@
+import pytest
+
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.errors import ConfigError
+
+
+def test_interpolations_into_the_tree_resolve(config_dir):
+    params = load_train_file(config_dir / "train" / "Published.yaml", num_envs=5)["params"]
+    config = params["config"]
+    assert (params["seed"], params["load_checkpoint"]) == (42, False)
+    assert (config["num_actors"], config["max_epochs"], config["name"]) == (5, 5000, "HumanoidAMP")
+    assert config["full_experiment_name"] == "HumanoidAMP"
+    assert config["learning_rate"] == 5e-5
+    assert type(params["network"]["mlp"]["units"]) is list
+
+
+def test_file_without_interpolations_and_with_a_repeated_key(config_dir):
+    params = load_train_file(config_dir / "train" / "Ase.yaml")["params"]
+    assert (params["seed"], params["config"]["ppo"]) == (-1, True)
+
+
+def test_defaults_list(config_dir):
+    file = config_dir / "train" / "Child.yaml"
+    file.write_text("defaults: [Published, _self_]\nparams: {config: {gamma: 0.5}}\n")
+    config = load_train_file(file)["params"]["config"]
+    assert (config["gamma"], config["tau"]) == (0.5, 0.95)
+    file.write_text("defaults: [_self_, Published]\nparams: {config: {gamma: 0.5}}\n")
+    assert load_train_file(file)["params"]["config"]["gamma"] == 0.99
+
+
+def test_relative_path_is_relative_to_the_working_directory(config_dir, monkeypatch):
+    monkeypatch.chdir(config_dir)
+    assert load_train_file("train/Published.yaml")["params"]["algo"]["name"] == "amp_continuous"
+
+
+def test_bare_name_is_one_of_ours():
+    params = load_train_file("HumanoidAMPPPOLowGP")["params"]
+    assert params["config"]["disc_grad_penalty"] == 0.2
+    on_gpu = load_train_file("HumanoidAMPPPO.yaml", rl_device="cuda:0")["params"]
+    assert on_gpu["config"]["minibatch_size"] == 32768
+
+
+def test_wrong_paths(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"did you mean 'HumanoidAMPPPO'\?.*choices"):
+        load_train_file("HumanoidAMPPO")
+    with pytest.raises(ConfigError, match=r"'some/where\.yaml' does not exist \(looked in"):
+        load_train_file("some/where.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\n", "is no train file"),
+        ("", "is no train file"),
+        ("params: {config: {n: '${....nowhere}'}}\n", "nowhere"),
+        ("defaults: [File]\nparams: {}\n", "run in a circle"),
+        ("defaults: [{task: Ant}]\nparams: {}\n", "is no file name"),
+        ("defaults: [Absent]\nparams: {}\n", "unknown train file 'Absent'"),
+    ],
+)
+def test_unusable_files(tmp_path, text, message):
+    file = tmp_path / "File.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_train_file(file)

@@ -1,0 +1,259 @@
+import logging
+from typing import Any
+
+import pytest
+
+from isaacgymenvs_lite import schema
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.errors import ConfigError
+
+AMP_KEYS = ("amp_minibatch_size",)
+NAMES = KnownNames(
+    algos=("a2c_continuous", "amp_continuous", "amp_agent"),
+    models=("continuous_amp", "continuous_a2c_logstd"),
+    networks=("amp", "actor_critic"),
+    config_keys=AMP_KEYS,
+)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_reported(monkeypatch):
+    monkeypatch.setattr(schema, "_reported", set())
+
+
+@pytest.fixture
+def prepare(config_dir):
+    def prepare_file(*overrides: str, train: str = "Published", **arguments: Any) -> dict[str, Any]:
+        cfg = compose([f"train={train}", "rl_device=cpu", *overrides], config_dir)
+        return prepare_train_params(cfg, **{"num_envs": 64, "seed": 1, "names": NAMES, **arguments})
+
+    return prepare_file
+
+
+def config_of(params: dict[str, Any]) -> dict[str, Any]:
+    return params["config"]
+
+
+def test_result_is_plain_and_complete(prepare):
+    params = prepare(num_envs=64, seed=9, run_name="run_1")
+    config = params["config"]
+    assert type(params["network"]["mlp"]["units"]) is list
+    assert params["seed"] == 9
+    assert (config["device"], config["device_name"]) == ("cpu", "cpu")
+    assert config["num_actors"] == 64
+    assert config["full_experiment_name"] == "run_1"
+    assert (config["population_based_training"], config["pbt_idx"]) == (False, None)
+    assert config["reward_shaper"] == {"scale_value": 1}
+    assert config["player"]["deterministic"] is True
+
+
+def test_without_a_run_name_rl_games_adds_its_time_stamp(prepare):
+    assert config_of(prepare())["full_experiment_name"] is None
+
+
+def test_ase_file_is_completed(prepare):
+    params = prepare(train="Ase", num_envs=8, seed=3)
+    assert (params["seed"], params["config"]["num_actors"], params["config"]["name"]) == (
+        *(3, 8),
+        "Humanoid",
+    )
+
+
+def test_device_of_the_caller_wins(prepare):
+    config = config_of(prepare(rl_device="cuda:1"))
+    assert (config["device"], config["device_name"]) == ("cuda:1", "cuda:1")
+
+
+def test_players_own_settings_win(prepare):
+    player = config_of(prepare("+train.params.config.player={deterministic: False}"))["player"]
+    assert player["deterministic"] is False
+    assert player["n_game_life"] == 1
+
+
+def test_missing_reward_shaper_shapes_nothing(prepare):
+    assert config_of(prepare("~train.params.config.reward_shaper"))["reward_shaper"] == {}
+
+
+def test_text_becomes_a_number(prepare):
+    config = config_of(prepare("train.params.config.learning_rate='2e-5'"))
+    assert config["learning_rate"] == 2e-5
+
+
+def test_frames_limit_under_its_former_name(prepare):
+    config = config_of(prepare("+train.params.config.max_steps=1000"))
+    assert config["max_frames"] == 1000
+    assert "max_steps" not in config
+    both = config_of(
+        prepare("+train.params.config.max_steps=1000", "+train.params.config.max_frames=500")
+    )
+    assert (both["max_frames"], "max_steps" in both) == (500, False)
+
+
+def test_sequence_length_without_a_recurrent_network_is_one(prepare, caplog):
+    config = config_of(prepare())
+    assert config["seq_length"] == 1
+    assert "seq_len" not in config
+    assert "seq_len" not in caplog.text
+
+
+RNN = "+train.params.network.rnn={name: lstm, units: 8, layers: 1}"
+
+
+def test_sequence_length_of_a_recurrent_network_is_kept_with_a_warning(prepare, caplog):
+    config = config_of(prepare(RNN, "train.params.config.seq_len=8"))
+    assert config["seq_length"] == 8
+    assert "seq_len" not in config
+    assert "seq_len is called seq_length now: using 8" in caplog.text
+
+
+def test_sequences_must_fit_into_the_horizon(prepare):
+    with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
+        prepare(RNN, "train.params.config.seq_len=5")
+
+
+@pytest.mark.parametrize(
+    ("algo", "device", "asked", "expected"),
+    [
+        ("amp_continuous", "cuda:0", None, False),
+        ("amp_continuous", "cuda:0", True, False),
+        ("amp_agent", "cpu", "default", False),
+        ("a2c_continuous", "cpu", None, False),
+        ("a2c_continuous", "cpu", True, True),
+        ("a2c_continuous", "cuda:0", None, True),
+        ("a2c_continuous", "cuda:0", False, False),
+        ("a2c_continuous", "cuda:0", "reduce-overhead", "reduce-overhead"),
+    ],
+)
+def test_torch_compile(prepare, algo, device, asked, expected):
+    overrides = [] if asked is None else [f"+train.params.config.torch_compile={asked}"]
+    params = prepare(f"train.params.algo.name={algo}", *overrides, rl_device=device)
+    assert params["config"]["torch_compile"] == expected
+
+
+def test_units_are_scaled(prepare):
+    params = prepare("+train.params.network.mlp.model_size_multiplier=2")
+    assert params["network"]["mlp"]["units"] == [64, 32]
+
+
+def test_minibatches_are_fitted_with_a_line_for_each(prepare, caplog):
+    with caplog.at_level(logging.INFO):
+        config = config_of(prepare(num_envs=64))
+    assert (config["minibatch_size"], config["amp_minibatch_size"]) == (1024, 1024)
+    assert [record.message for record in caplog.records] == [
+        "minibatch_size 32768 does not divide 1024 samples (64 envs x 16 steps): using 1024",
+        "amp_minibatch_size 4096 exceeds the minibatch: using 1024",
+    ]
+
+
+def test_minibatches_that_fit_are_left_alone_in_silence(prepare, caplog):
+    with caplog.at_level(logging.INFO):
+        config = config_of(prepare(num_envs=4096))  # 65,536 samples, as published
+    assert (config["minibatch_size"], config["amp_minibatch_size"]) == (32768, 4096)
+    assert not caplog.records
+
+
+def test_minibatch_size_for_each_environment(prepare, caplog):
+    overrides = (
+        "~train.params.config.minibatch_size",
+        "+train.params.config.minibatch_size_per_env=",
+    )
+    with caplog.at_level(logging.INFO):
+        assert config_of(prepare(overrides[0], overrides[1] + "8"))["minibatch_size"] == 512
+    # 6 x 64 = 384: 512/384 = 1.33 is nearer than 384/256 = 1.5
+    assert config_of(prepare(overrides[0], overrides[1] + "6"))["minibatch_size"] == 512
+
+
+def test_agents_share_environments(prepare, caplog):
+    with caplog.at_level(logging.INFO):
+        config = config_of(prepare(num_envs=8, num_agents=2))
+    assert config["minibatch_size"] == 256
+    assert "256 samples (8 envs x 16 steps x 2 agents)" in caplog.text
+
+
+def test_minibatch_of_a_recurrent_network_holds_whole_sequences(prepare, caplog):
+    # 3 x 16 = 48 samples in sequences of 8: 6 divides 48, but is no multiple of 8.
+    with caplog.at_level(logging.INFO):
+        config = config_of(
+            prepare(
+                *(RNN, "train.params.config.seq_len=8", "train.params.config.minibatch_size=6"),
+                num_envs=3,
+            )
+        )
+    assert config["minibatch_size"] == 8
+    assert "minibatch_size 6 is no multiple of seq_length 8: using 8" in caplog.text
+
+
+def test_central_critic_is_fitted_too(prepare):
+    config = config_of(prepare("+train.params.config.central_value_config={minibatch_size: 32768}"))
+    assert config["central_value_config"]["minibatch_size"] == 1024
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (
+            ["train.params.algo.name=amp_agnt"],
+            "unknown algo 'amp_agnt' (did you mean 'amp_agent'?)",
+        ),
+        (["train.params.model.name=x"], "train.params.model.name: unknown model 'x'"),
+        (["train.params.network.name=x"], "unknown network 'x'; choices: actor_critic, amp"),
+        (["~train.params.algo"], "'train.params.algo.name' is missing; choices: "),
+        (["~train.params.config"], "'train.params.config' is missing"),
+        (["train.params.config.gamma=1.5"], "train.params.config.gamma: got 1.5"),
+        (["train.params.config.learning_rate=fast"], "learning_rate: got 'fast'"),
+        (
+            ["train.params.config.learning_rate=0"],
+            "learning_rate: got 0, expected a number above 0",
+        ),
+        (["train.params.config.minibatch_size=0"], "minibatch_size: got 0"),
+        (["train.params.config.horizon_length=0"], "horizon_length: got 0"),
+        (["train.params.network.mlp.units=[0]"], "train.params.network.mlp.units: got [0]"),
+        (["+train.params.config.mixed_precision2=1"], None),
+        (["~train.params.config.gamma"], "'train.params.config.gamma' is missing"),
+        (
+            ["~train.params.config.gamma", "+train.params.config.gama=0.9"],
+            "unknown key 'train.params.config.gama' (did you mean 'gamma'?)",
+        ),
+        (
+            ["~train.params.config.minibatch_size"],
+            "'train.params.config.minibatch_size' is missing (is 'amp_minibatch_size' meant",
+        ),
+        (["train.params.config.lr_schedule=adaptive"], "'train.params.config.kl_threshold' is"),
+        (["+train.params.config.schedule_type=other"], "expected one of legacy, standard"),
+    ],
+)
+def test_wrong_files(prepare, overrides, expected):
+    if expected is None:
+        prepare(*overrides)
+        return
+    with pytest.raises(ConfigError) as error:
+        prepare(*overrides)
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_without_registered_names_any_name_passes(prepare):
+    prepare("train.params.algo.name=mine", names=None)
+
+
+def test_keys_that_nothing_reads_are_named(prepare, caplog):
+    prepare("+train.params.config.unheard_of=1")
+    assert "nothing reads train.params.config.unheard_of" in caplog.text
+
+
+def test_soft_actor_critic_has_keys_of_its_own(prepare):
+    params = prepare(
+        "train.params.algo.name=sac",
+        "~train.params.config.minibatch_size",
+        "+train.params.config.batch_size=4096",
+        names=None,
+    )
+    assert params["config"]["device"] == "cpu"
+    assert params["config"]["batch_size"] == 4096
+
+
+def test_tree_is_left_as_it_was(config_dir):
+    cfg = compose(["train=Published", "rl_device=cpu"], config_dir)
+    prepare_train_params(cfg, num_envs=64, seed=1)
+    assert cfg == compose(["train=Published", "rl_device=cpu"], config_dir)

@@ -1,0 +1,57 @@
+"""What tests of several rooms share: a small clip of the humanoid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.npz import save_npz
+from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+
+_FPS = 30.0
+_NUM_FRAMES = 46  # 1.5 s
+
+
+@pytest.fixture(scope="session")
+def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return `walk.npz`, 1.5 s at 30 Hz of the humanoid going forward on a curve, limbs swinging.
+
+    The root is at x = t, y = 0, z = 0.88 + 0.05 t (m, s): the height tells the time. Velocities
+    are those that the library computes from the poses.
+    """
+    skeleton = skeleton_for_num_dofs(28)
+    t = np.arange(_NUM_FRAMES) / _FPS
+    swing = 0.2 * np.sin(2.0 * np.pi * t / 1.2)
+    local_rotation = np.zeros((_NUM_FRAMES, skeleton.num_bodies, 4))
+    local_rotation[..., 3] = 1.0
+    heading = Rotation.from_euler("z", 0.3 * t[:, None])
+    lean = Rotation.from_euler("yx", np.stack((0.05 + 0.2 * swing, 0.1 * swing), axis=1))
+    local_rotation[:, 0] = (heading * lean).as_quat()
+    for group, (body, size) in enumerate(
+        zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
+    ):
+        sign = -1.0 if "left" in skeleton.body_names[body] else 1.0
+        vector = np.zeros((_NUM_FRAMES, 3))
+        if size == 3:
+            # Another size about each axis and for each joint, so that none can be mistaken.
+            weights = np.array([0.4, 1.0, 0.6]) * (0.5 + 0.1 * group)
+            vector = sign * swing[:, None] * weights
+        else:
+            bent = 0.5 + sign * swing
+            vector[:, 1] = bent if "shin" in skeleton.body_names[body] else -bent
+        local_rotation[:, body] = Rotation.from_rotvec(vector).as_quat()
+    root = np.stack((t, np.zeros_like(t), 0.88 + 0.05 * t), axis=1)
+    clip = MotionClip.from_poses(
+        "walk.npz",
+        _FPS,
+        skeleton.body_names,
+        skeleton.parent_indices,
+        skeleton.local_translation,
+        local_rotation,
+        root,
+    )
+    return save_npz(tmp_path_factory.mktemp("motions") / "walk.npz", clip)

@@ -1,0 +1,197 @@
+"""Agents with tiny networks on a few real humanoids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams
+from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.npz import save_npz
+from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.registration import build_runner, register_env
+from isaacgymenvs_lite.schema import keys_of
+
+_TINY = (
+    "task=HumanoidAMP",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=2",
+    "train.params.network.mlp.units=[16,8]",
+    "train.params.network.disc.units=[16,8]",
+    "train.params.config.mixed_precision=False",
+    "train.params.config.horizon_length=4",
+    "train.params.config.minibatch_size=16",
+    "train.params.config.mini_epochs=2",
+    "train.params.config.amp_minibatch_size=8",
+    "train.params.config.amp_batch_size=16",
+    "train.params.config.amp_obs_demo_buffer_size=40",
+    "train.params.config.amp_replay_buffer_size=64",
+)
+
+
+@pytest.fixture(scope="session")
+def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip of the humanoid that glides along x at 1 m/s in its zero pose, one second at 30 Hz."""
+    skeleton = skeleton_for_num_dofs(28)
+    frames, bodies = 31, skeleton.num_bodies
+    rotation = np.zeros((frames, bodies, 4))
+    rotation[..., 3] = 1.0
+    root = np.zeros((frames, 3))
+    root[:, 0] = np.arange(frames) / 30.0
+    root[:, 2] = 0.9
+    clip = MotionClip(
+        "walk",
+        30.0,
+        skeleton.body_names,
+        skeleton.parent_indices,
+        skeleton.local_translation,
+        rotation,
+        root,
+        np.tile([1.0, 0.0, 0.0], (frames, bodies, 1)),
+        np.zeros((frames, bodies, 3)),
+    )
+    return save_npz(tmp_path_factory.mktemp("clip") / "walk.npz", clip)
+
+
+@pytest.fixture
+def make_runner(tmp_path: Path, walk_clip: Path) -> Iterator[Callable[..., Any]]:
+    """Return make(*overrides, num_envs=8, observer=None), a loaded Runner with its task."""
+    tasks = []
+
+    def make(*overrides: str, num_envs: int = 8, observer: AlgoObserver | None = None) -> Any:
+        cfg = compose(
+            [*_TINY, f"task.env.motion_file={walk_clip}", f"num_envs={num_envs}", *overrides]
+        )
+        task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+        tasks.append(task)
+        register_env(lambda **kwargs: task)
+        runner = build_runner(observer)
+        keys = [*keys_of(AMPParams), "imitation_frequency", "print_disc_prediction"]
+        params = prepare_train_params(
+            cfg,
+            num_envs=num_envs,
+            seed=1,
+            run_name=f"run{len(tasks)}",
+            rl_device="cpu",
+            names=KnownNames(config_keys=keys),
+        )
+        params["config"]["train_dir"] = str(tmp_path / "runs")
+        params["torch_threads"] = 1
+        runner.load({"params": params})
+        return runner
+
+    yield make
+    for task in tasks:
+        task.close()
+
+
+@pytest.fixture
+def make_agent(make_runner: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
+    """Return make(*overrides, ...) as `make_runner`, an agent before its first epoch."""
+    agents = []
+
+    def make(*overrides: str, **kwargs: Any) -> Any:
+        runner = make_runner(*overrides, **kwargs)
+        agent = runner.algo_factory.create(
+            runner.algo_name, base_name="run", params=runner.params
+        )
+        agents.append(agent)
+        return agent
+
+    yield make
+    for agent in agents:
+        agent.writer.close()
+
+
+class Tape:
+    """What went through an agent's vec-env, per step; see `record`."""
+
+    def __init__(self) -> None:
+        self.before: list[Tensor] = []
+        """Observations that `reset_done` gave."""
+        self.after: list[Tensor] = []
+        """Observations that `step` gave, terminal ones included."""
+        self.actions: list[Tensor] = []
+        self.rewards: list[Tensor] = []
+        self.dones: list[Tensor] = []
+        self.terminate: list[Tensor] = []
+        self.amp_obs: list[Tensor] = []
+
+
+@pytest.fixture
+def record() -> Callable[..., Tape]:
+    """Return record(agent, falls=()), which taps the agent's vec-env.
+
+    `falls` are pairs (step, environment) at which an episode is made to end by a failure.
+    """
+
+    def tap(agent: Any, falls: tuple[tuple[int, int], ...] = ()) -> Tape:
+        tape, vec_env = Tape(), agent.vec_env
+        step, reset_done = vec_env.step, vec_env.reset_done
+
+        def taped_reset_done() -> Any:
+            obs, ids = reset_done()
+            tape.before.append(obs["obs"].clone())
+            return obs, ids
+
+        def taped_step(actions: Tensor) -> Any:
+            obs, rewards, dones, infos = step(actions)
+            for at, env in falls:
+                if at == len(tape.after):
+                    dones[env] = infos["terminate"][env] = vec_env.env.reset_buf[env] = 1
+            tape.after.append(obs["obs"].clone())
+            tape.actions.append(actions.clone())
+            tape.rewards.append(rewards.clone())
+            tape.dones.append(dones.clone())
+            tape.terminate.append(infos["terminate"].clone())
+            tape.amp_obs.append(infos["amp_obs"].clone())
+            return obs, rewards, dones, infos
+
+        vec_env.step, vec_env.reset_done = taped_step, taped_reset_done
+        return tape
+
+    return tap
+
+
+@pytest.fixture
+def roll_out() -> Callable[[Any], dict[str, Any]]:
+    """Return roll_out(agent), which makes one rollout as an epoch does."""
+
+    def once(agent: Any) -> dict[str, Any]:
+        agent.init_tensors()
+        agent.obs = agent.env_reset()
+        agent.set_eval()
+        with torch.no_grad():
+            return agent.play_steps()
+
+    return once
+
+
+@pytest.fixture
+def scramble() -> Callable[[Any], None]:
+    """Return scramble(agent), which gives the normalisers statistics that are easily noticed."""
+
+    def scramble_normalisers(agent: Any) -> None:
+        generator = torch.Generator().manual_seed(5)
+        for normalizer in (
+            agent.model.running_mean_std,
+            agent.model.value_mean_std,
+            agent.discriminator.normalizer,
+        ):
+            shape = normalizer.running_mean.shape
+            normalizer.running_mean.copy_(torch.rand(shape, generator=generator) + 0.5)
+            normalizer.running_var.copy_(torch.rand(shape, generator=generator) + 2.0)
+            normalizer.count.fill_(100.0)
+
+    return scramble_normalisers

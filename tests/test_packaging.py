@@ -1,0 +1,102 @@
+"""What a wheel carries, and that the pinned set lies within the declared ranges."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import isaacgymenvs_lite
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+# wandb is not part of the tested set.
+UNPINNED = {"wandb"}
+
+
+def pins() -> dict[str, str]:
+    lines = (REPOSITORY / "constraints.txt").read_text().splitlines()
+    entries = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return {str(canonicalize_name(name)): version for name, version in entries}
+
+
+def requirements() -> list[Requirement]:
+    extras = PROJECT["optional-dependencies"].values()
+    texts = [*PROJECT["dependencies"], *(text for extra in extras for text in extra)]
+    return [r for r in map(Requirement, texts) if r.name not in (PROJECT["name"], *UNPINNED)]
+
+
+@pytest.mark.parametrize("requirement", requirements(), ids=lambda requirement: requirement.name)
+def test_every_dependency_is_pinned_within_its_range(requirement):
+    version = pins()[str(canonicalize_name(requirement.name))]
+    assert requirement.specifier.contains(version)
+
+
+def test_pins_name_versions_that_any_machine_can_get():
+    for name, version in pins().items():
+        assert re.fullmatch(r"[0-9][0-9a-z.]*", version), f"{name}=={version}"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    result = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    (file,) = folder.glob("*.whl")
+    return file
+
+
+def test_wheel_carries_configuration_and_assets(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    data = [
+        file.relative_to(REPOSITORY).as_posix()
+        for folder in ("cfg", "assets")
+        for file in (REPOSITORY / folder).rglob("*")
+        if file.is_file()
+    ]
+    assert "cfg/config.yaml" in data
+    assert "assets/mjcf/amp_humanoid.xml" in data
+    assert {f"isaacgymenvs_lite/{name}" for name in data} <= names
+    assert "isaacgymenvs_lite/train.py" in names
+    assert not [name for name in names if name.startswith("tests/")]
+
+
+def test_wheel_states_version_licence_and_command(wheel):
+    archive = zipfile.ZipFile(wheel)
+    version = isaacgymenvs_lite.__version__
+    info = f"isaacgymenvs_lite-{version}.dist-info"
+    metadata = archive.read(f"{info}/METADATA").decode()
+    assert f"Version: {version}\n" in metadata
+    assert "License-Expression: BSD-3-Clause\n" in metadata
+    assert f"{info}/licenses/LICENSE" in archive.namelist()
+    assert "isaacgymenvs_lite.train:main" in archive.read(f"{info}/entry_points.txt").decode()
+
+
+def test_unpacked_wheel_finds_its_data(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    code = (
+        "from isaacgymenvs_lite.config import compose\n"
+        "from isaacgymenvs_lite.paths import cfg_dir, assets_dir\n"
+        "print(cfg_dir(), assets_dir(), compose(['num_envs=3']).task.name)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path / "site")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    inside = tmp_path / "site" / "isaacgymenvs_lite"
+    assert result.stdout.split() == [str(inside / "cfg"), str(inside / "assets"), "HumanoidAMP"], (
+        result.stderr
+    )

@@ -1,0 +1,199 @@
+"""The command line in this process with a stand-in for the runner, and twice in its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import DictConfig
+
+from isaacgymenvs_lite import train
+from isaacgymenvs_lite.errors import MotionFileError
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+class Runner(types.ModuleType):
+    """Stands for isaacgymenvs_lite.runner: notes what it is asked to run."""
+
+    def __init__(self) -> None:
+        super().__init__("isaacgymenvs_lite.runner")
+        self.runs: list[DictConfig] = []
+        self.error: BaseException | None = None
+
+    def run(self, cfg: DictConfig) -> None:
+        self.runs.append(cfg)
+        logging.getLogger("isaacgymenvs_lite.some").info("running")
+        logging.getLogger("isaacgymenvs_lite.some").warning("careful")
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.fixture
+def runner(monkeypatch) -> Runner:
+    stand_in = Runner()
+    monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
+    return stand_in
+
+
+@pytest.fixture
+def call(monkeypatch, tmp_path, runner) -> Any:
+    """Run the command line in an empty folder; returns the exit code."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # restored afterwards; the command line sets it
+    monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [])
+    level = root.level
+
+    def call_main(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+        try:
+            train.main()
+        except SystemExit as error:
+            return int(error.code or 0)
+        return 0
+
+    yield call_main
+    root.setLevel(level)
+
+
+Call = Callable[..., int]
+
+
+def test_runs_with_the_composed_tree(call: Call, runner, capsys):
+    assert call("task=HumanoidAMP", "num_envs=7", "seed=3") == 0
+    (cfg,) = runner.runs
+    assert (cfg.task.env.numEnvs, cfg.seed, cfg.task_name) == (7, 3, "HumanoidAMP")
+    assert "hydra" not in cfg
+
+
+def test_log_shows_messages_and_the_level_of_warnings(call: Call, runner, capsys):
+    call()
+    output = capsys.readouterr()
+    assert output.err.splitlines() == ["running", "warning: careful"]
+    assert output.out == ""
+
+
+def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, tmp_path):
+    runner.error = None
+    call("checkpoint=some/file.pth")
+    assert list(tmp_path.iterdir()) == []
+    assert Path.cwd() == tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (
+            ["task=Humanoid"],
+            "error: unknown task 'Humanoid' (did you mean 'HumanoidAMP'?); choices",
+        ),
+        (["num_env=3"], "error: unknown key 'num_env' (did you mean 'num_envs'?)"),
+        (["num_envs=0"], "error: num_envs: got 0, expected a whole number of at least 1"),
+        (["num_envs=1,2"], "error: 'num_envs=1,2' gives several values"),
+        (["num_envs"], "error: cannot read 'num_envs'"),
+        (["rl_device=cuda:0"], "error: rl_device=cuda:0: torch sees no GPU"),
+        (["seed=${nowhere}"], "error: seed: interpolation key 'nowhere' not found"),
+        (["--num_envs", "64"], "error: unknown option '--num_envs': settings are written without"),
+        (["--experiment", "x"], "error: unknown option '--experiment'"),
+        (["--config-dir", "absent"], "error: the configuration folder 'absent' does not exist"),
+        (["-m", "num_env=1,2"], "error: unknown key 'num_env'"),
+        (["-m", "task=Humanoid,HumanoidAMP"], "error: unknown task 'Humanoid'"),
+        (["--cfg", "job", "num_env=1"], "error: unknown key 'num_env'"),
+        (["task=3"], "error: 'task=3' names no file"),
+    ],
+)
+def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys, arguments, expected):
+    assert call(*arguments) == train.EXIT_USER_ERROR
+    output = capsys.readouterr()
+    assert output.err.startswith(expected)
+    assert len(output.err.splitlines()) == 1
+    assert output.out == ""
+    assert runner.runs == []
+
+
+def test_users_mistake_found_by_the_runner_is_one_line_too(call: Call, runner, capsys):
+    runner.error = MotionFileError("walk.npy: truncated")
+    assert call() == train.EXIT_USER_ERROR
+    assert capsys.readouterr().err.splitlines()[-1] == "error: walk.npy: truncated"
+
+
+@pytest.mark.parametrize("error", [ValueError("a bug"), RuntimeError("a bug"), KeyError("x")])
+def test_bugs_keep_their_traceback(call: Call, runner, error):
+    runner.error = error
+    with pytest.raises(type(error)) as raised:
+        call()
+    assert raised.value is error
+
+
+def test_interrupt_ends_without_a_traceback(call: Call, runner, capsys):
+    runner.error = KeyboardInterrupt()
+    assert call() == train.EXIT_INTERRUPTED
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_runs_of_a_sweep_follow_one_another(call: Call, runner):
+    assert call("--multirun", "num_envs=2,3", "seed=1") == 0
+    assert [cfg.num_envs for cfg in runner.runs] == [2, 3]
+
+
+def test_config_can_be_shown_without_running(call: Call, runner, capsys):
+    assert call("--cfg", "job", "num_envs=5", "--package", "task.env", "--resolve") == 0
+    assert "numEnvs: 5" in capsys.readouterr().out
+    assert runner.runs == []
+
+
+def test_help_lists_the_groups(call: Call, runner, capsys):
+    assert call("--help") == 0
+    assert "task: HumanoidAMP" in capsys.readouterr().out
+
+
+def test_folder_of_a_user(call: Call, runner, tmp_path):
+    folder = tmp_path / "mine" / "train"
+    folder.mkdir(parents=True)
+    ours = (REPOSITORY / "cfg" / "train" / "HumanoidAMPPPO.yaml").read_text()
+    (folder / "Other.yaml").write_text(ours.replace("    gamma: 0.99\n", "    gamma: 0.5\n"))
+    assert call("--config-dir", "mine", "train=Other") == 0
+    assert runner.runs[0].train.params.config.gamma == 0.5
+
+
+def test_file_with_a_repeated_key(call: Call, runner, tmp_path, capsys):
+    folder = tmp_path / "mine" / "train"
+    folder.mkdir(parents=True)
+    ours = (REPOSITORY / "cfg" / "train" / "HumanoidAMPPPO.yaml").read_text()
+    (folder / "Twice.yaml").write_text(ours + "    ppo: False\n")
+    assert call("--config-dir", "mine", "train=Twice") == 0
+    assert runner.runs[0].train.params.config.ppo is False
+    assert capsys.readouterr().err.count("states 'ppo' more than once") == 1
+
+
+@pytest.mark.parametrize("command", [["train.py"], ["-m", "isaacgymenvs_lite.train"]])
+def test_both_ways_to_start_and_no_heavy_import_for_a_mistake(tmp_path, command):
+    if command == ["train.py"]:
+        command = [str(REPOSITORY / "train.py")]
+    result = subprocess.run(
+        [sys.executable, "-X", "importtime", *command, "num_env=3"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == train.EXIT_USER_ERROR
+    *imports, message = result.stderr.splitlines()
+    assert message.startswith("error: unknown key 'num_env'")
+    imported = {line.rpartition("|")[2].strip() for line in imports}
+    assert "hydra" in imported
+    assert not imported & {"torch", "mujoco", "rl_games", "numpy"}
+    assert list(tmp_path.iterdir()) == []
