@@ -72,7 +72,8 @@ def main() -> None:
     frames = args.num_envs * _STEPS_PER_ROUND
     print(describe_machine())
     print(
-        f"HumanoidAMP, {args.num_envs} envs, {args.threads} threads, {simulation.substeps} substeps:"
+        f"HumanoidAMP, {args.num_envs} envs, {args.threads} threads, {simulation.substeps}"
+        " substeps:"
         f" env.step {frames / statistics.median(env_s):,.0f} frames/s,"
         f" raw Batch.step {frames / statistics.median(raw_s):,.0f} frames/s,"
         f" ratio median {statistics.median(ratios):.3f}"

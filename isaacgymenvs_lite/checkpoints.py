@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -157,13 +158,11 @@ def _numpy_scalar_globals() -> list[Any]:
 
 
 def _unsafe_message(path: Path, error: Exception) -> str:
-    text = str(error)
-    marker = "Unsupported global: GLOBAL "
-    if marker in text:
-        name = text.split(marker, 1)[1].split()[0]
+    unsupported = re.search(r"GLOBAL ([\w.]+)", str(error))
+    if unsupported:
         return (
-            f"checkpoint={path}: refused, it would run code ({name}); expected tensors and plain"
-            " containers only, do not trust this file"
+            f"checkpoint={path}: refused, nothing was run: the file asks for {unsupported[1]}, but a"
+            " checkpoint needs only tensors and plain containers; do not trust this file"
         )
     return (
         f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth file"

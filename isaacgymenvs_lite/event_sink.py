@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tensorboardX.proto import event_pb2
+from tensorboardX.proto.event_pb2 import Event  # type: ignore[attr-defined]  # made at run time
 from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class EventSink:
         """Return the folder of the event file."""
         return str(self._logdir)
 
-    def add_event(self, event: event_pb2.Event) -> None:
+    def add_event(self, event: Event) -> None:
         """Take an event; it reaches the file within ten seconds, or when the disk has room."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
             self._waiting += _record(event.SerializeToString())
@@ -84,7 +84,7 @@ class EventSink:
     def reopen(self) -> None:
         """Begin a new file at the next flush."""
         self._close_file()
-        version = event_pb2.Event(wall_time=time.time(), file_version="brain.Event:2")
+        version = Event(wall_time=time.time(), file_version="brain.Event:2")
         self._header = _record(version.SerializeToString())
 
     def _write(self) -> None:

@@ -53,8 +53,8 @@ class MultiObserver(AlgoObserver):
     def after_clear_stats(self) -> None:
         """The agent's meters were cleared."""
         for observer in self.observers:
-            if hasattr(observer, "after_clear_stats"):
-                observer.after_clear_stats()
+            # rl_games calls it on the outermost observer, but its base class lacks it.
+            getattr(observer, "after_clear_stats", lambda: None)()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """After each epoch."""

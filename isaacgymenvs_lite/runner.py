@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import shutil
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.notes import startup_notes
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.making import make_from_config, seed_everything
@@ -144,6 +145,9 @@ class Session:
         try:
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
+        except UserError:
+            self._remove_unused_run_folder()
+            raise
         except KeyboardInterrupt:
             self._save("interrupted")
             log.warning("stopped at once; the last full update is in the checkpoint")
@@ -173,6 +177,11 @@ class Session:
                 f" ({error.strerror or error}); choose another with"
                 " +train.params.config.train_dir=FOLDER"
             ) from error
+
+    def _remove_unused_run_folder(self) -> None:
+        """Leave nothing behind of a run that a mistake ended before its first checkpoint."""
+        if not any((self._run_folder / "nn").iterdir()):
+            shutil.rmtree(self._run_folder, ignore_errors=True)
 
     def _imitation_observer(self) -> ImitationObserver | None:
         frequency = self._params["config"].get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
@@ -210,8 +219,11 @@ class Session:
             log.info("saved %s; play it: test=True checkpoint=last num_envs=16", saved[-1])
 
     def _save_under_plain_name(self) -> None:
-        """Make sure that nn/<name>.pth exists: rl_games writes it only for a best reward after
-        `save_best_after` epochs, which short runs never reach."""
+        """Make sure that nn/<name>.pth exists.
+
+        rl_games writes it for a best reward after `save_best_after` epochs, which short runs never
+        reach.
+        """
         agent = self._agent_holder.agent
         plain = self._run_folder / "nn" / f"{self._name}.pth"
         if agent is not None and not plain.exists():

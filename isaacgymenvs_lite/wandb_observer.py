@@ -48,7 +48,7 @@ class WandbObserver(AlgoObserver):
         log.error("wandb could not be opened; training goes on without it")
 
     def _open(self) -> None:
-        import wandb  # an extra: pip install "isaacgymenvs-lite[wandb]"
+        import wandb  # type: ignore[import-not-found]  # the extra [wandb]
 
         settings = self._settings
         wandb.init(

@@ -75,7 +75,8 @@ class AMPBuilder(A2CBuilder):
             mu = self.mu_act(self.mu(hidden))
             if self.fixed_sigma:
                 return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)
-            return mu, self.sigma_act(self.sigma(hidden))
+            layer: Any = self.sigma
+            return mu, self.sigma_act(layer(hidden))
 
         def eval_critic(self, obs: Tensor) -> Tensor:
             """Return normalised values (n, values) for normalised obs (n, O)."""

@@ -47,11 +47,19 @@ class CommonAgent(A2CAgent):
         ConfigError: a key that this family of agents does not support.
     """
 
+    # rl_games declares these as None and fills them in its constructors.
+    vec_env: Any
+    writer: Any
+    obs: Any
+    train_result: Any
+
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
         for key in _UNSUPPORTED_KEYS:
             if config.get(key):
-                raise ConfigError(f"train.params.config.{key} is not supported by AMP-family agents")
+                raise ConfigError(
+                    f"train.params.config.{key} is not supported by AMP-family agents; remove it"
+                )
         wanted_precision = config.get("mixed_precision", False)
         # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
         config["mixed_precision"] = False
@@ -109,7 +117,7 @@ class CommonAgent(A2CAgent):
         buffer = self.experience_buffer.tensor_dict
         buffer["next_values"] = torch.zeros_like(buffer["values"])
 
-    def env_reset(self) -> dict[str, Tensor]:
+    def env_reset(self) -> Any:
         """Reset the environment at the start of training, and keep the restored best reward.
 
         rl_games forgets the best reward of a checkpoint between restoring and training, and
@@ -152,7 +160,7 @@ class CommonAgent(A2CAgent):
             self._track_episodes(rewards, shaped_rewards, infos)
         return self._rollout_batch(step_time_s)
 
-    def _reset_done_envs(self) -> dict[str, Tensor]:
+    def _reset_done_envs(self) -> Any:
         obs, _ = self.vec_env.reset_done()
         return self.obs_to_tensors(obs)
 
@@ -291,7 +299,7 @@ class CommonAgent(A2CAgent):
         lr_mul = 1.0
         for mini_epoch in range(self.mini_epochs_num):
             for index in range(len(self.dataset)):
-                result = self.train_actor_critic(self.dataset[index])
+                result: Any = self.train_actor_critic(self.dataset[index])
                 lr_mul = result["lr_mul"]
                 kls.append(result["kl"])
                 if self.schedule_type == "legacy":
@@ -378,7 +386,9 @@ class CommonAgent(A2CAgent):
 
     def train_info_means(self) -> dict[str, float]:
         """Return the epoch means of all collected scalars."""
-        return {name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()}
+        return {
+            name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()
+        }
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
         """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""

@@ -24,11 +24,17 @@ _REWARD_ROWS = 8192
 class DiscriminatorNetwork(Protocol):
     """What this module needs of a network (AMPBuilder's and its descendants' have it)."""
 
-    def eval_disc(self, amp_obs: Tensor) -> Tensor: ...
+    def eval_disc(self, amp_obs: Tensor) -> Tensor:
+        """Return logits (n, 1) of normalised AMP observations (n, F)."""
+        ...
 
-    def get_disc_logit_weights(self) -> Tensor: ...
+    def get_disc_logit_weights(self) -> Tensor:
+        """Return the last layer's weights, flat."""
+        ...
 
-    def get_disc_weights(self) -> list[Tensor]: ...
+    def get_disc_weights(self) -> list[Tensor]:
+        """Return all weight matrices, flat."""
+        ...
 
 
 class StyleDiscriminator:

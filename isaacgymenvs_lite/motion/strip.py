@@ -19,6 +19,7 @@ import numpy.typing as npt
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
@@ -33,7 +34,7 @@ _SHADOW_CLIP = 4.0
 
 
 def render_frames(
-    clip: MotionClip, times_s: npt.NDArray[np.float64], azimuth_deg: float = 90.0
+    clip: MotionClip, times_s: FloatArray, azimuth_deg: float = 90.0
 ) -> list[npt.NDArray[np.uint8]]:
     """Render the poses nearest to `times_s` from the side, the camera moving along.
 

@@ -48,8 +48,10 @@ class SimulationBackend(Protocol):
 
     @property
     def root_states(self) -> Tensor:
-        """(N, 13) position (m), rotation xyzw, linear (m/s) and angular (rad/s) velocity of the
-        free root body, all in world axes; position and velocity of the body's origin."""
+        """(N, 13) position, rotation xyzw, linear and angular velocity of the free root body.
+
+        All in world axes, of the body's origin; m, m/s, rad/s.
+        """
         ...
 
     @property
@@ -84,14 +86,18 @@ class SimulationBackend(Protocol):
 
     @property
     def contact_forces(self) -> Tensor:
-        """(N, B, 3) net contact force on each body in world axes (N) during the last physics step;
-        zero for environments written since then."""
+        """(N, B, 3) net contact force on each body in world axes (N).
+
+        Of the last physics step; zero for environments written since then.
+        """
         ...
 
     @property
     def failed(self) -> Tensor:
-        """(N,) bool: the simulation diverged in the last `step()` and was put back to its default
-        state. The task should end the episode."""
+        """(N,) bool: the simulation diverged in the last `step()`.
+
+        It was put back to its default state; the task should end the episode.
+        """
         ...
 
     def set_controls(self, controls: Tensor) -> None:

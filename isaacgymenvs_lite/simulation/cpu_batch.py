@@ -68,10 +68,11 @@ class CpuBatchSimulation:
         self.body_names = self.layout.body_names
         self.dof_names = self.layout.dof_names
         self.num_failures = 0
-        self._batch: Batch | None = Batch(model, num_envs, num_threads)
-        self._bind_views(self._batch)
+        batch = Batch(model, num_envs, num_threads)
+        self._batch: Batch | None = batch
+        self._bind_views(batch)
         self._allocate()
-        self._batch.forward(stage=_STAGE_VEL)
+        batch.forward(stage=_STAGE_VEL)
         self._refresh()
 
     def _bind_views(self, batch: Batch) -> None:
@@ -89,7 +90,7 @@ class CpuBatchSimulation:
             sensordata = _read_only_tensor(batch.bind("sensordata"))
             first, last = int(columns.min()), int(columns.max()) + 1
             if last - first != columns.size or (np.diff(columns.ravel()) != 1).any():
-                raise ConfigError("contact sensors must stand together, in body order, in the model")
+                raise ConfigError("the model's contact sensors must stand together, in body order")
             self._contact64 = sensordata[:, first:last].view(self.num_envs, -1, 3)
 
     def _allocate(self) -> None:

@@ -108,7 +108,7 @@ def _contact_columns(model: mujoco.MjModel, body_names: tuple[str, ...]) -> np.n
     if missing:
         raise ConfigError(
             f"the model has contact sensors for some bodies but not '{missing[0]}'; expected one"
-            f" <contact name=\"{CONTACT_SENSOR_PREFIX}BODY\" body1=\"BODY\" reduce=\"netforce\"/>"
+            f' <contact name="{CONTACT_SENSOR_PREFIX}BODY" body1="BODY" reduce="netforce"/>'
             " for every body or for none"
         )
     first = np.array([model.sensor_adr[sensors[name]] for name in wanted], dtype=np.int64)

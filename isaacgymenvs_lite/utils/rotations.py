@@ -73,7 +73,7 @@ def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
 
 
 def _rotate(u: Tensor, w: Tensor, v: Tensor) -> Tensor:
-    """v (2 w^2 - 1) + 2 w (u x v) + 2 u (u . v), as IsaacGymEnvs."""
+    """Rotate by the formula v (2 w^2 - 1) + 2 w (u x v) + 2 u (u . v), as IsaacGymEnvs."""
     along = (u * v).sum(dim=-1, keepdim=True)
     return v * (2.0 * w * w - 1.0) + 2.0 * w * cross(u, v) + 2.0 * u * along
 
@@ -112,7 +112,7 @@ def quat_to_angle_axis(q: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def quat_to_exp_map(q: Tensor) -> Tensor:
-    """Return the rotation vectors (..., 3) of quaternions (..., 4): angle * axis, at most pi long."""
+    """Return the rotation vectors (..., 3) of quaternions (..., 4), at most pi long."""
     angle, axis = quat_to_angle_axis(q)
     return angle.unsqueeze(-1) * axis
 
@@ -129,7 +129,8 @@ def quat_log(q: Tensor) -> Tensor:
     sign = torch.where(w < 0.0, -torch.ones_like(w), torch.ones_like(w))
     angle = 2.0 * torch.atan2(sign * sin_half, sign * w)
     small = sin_half < 1e-8
-    return v * torch.where(small, 2.0 * sign, angle / torch.where(small, torch.ones_like(w), sin_half))
+    per_sine = angle / torch.where(small, torch.ones_like(w), sin_half)
+    return v * torch.where(small, 2.0 * sign, per_sine)
 
 
 def exp_map_to_angle_axis(exp_map: Tensor, keep_long: bool = False) -> tuple[Tensor, Tensor]:
@@ -148,7 +149,8 @@ def exp_map_to_angle_axis(exp_map: Tensor, keep_long: bool = False) -> tuple[Ten
     axis = exp_map / torch.where(turns, length, torch.ones_like(length)).unsqueeze(-1)
     up = torch.zeros_like(axis)
     up[..., 2] = 1.0
-    return torch.where(turns, angle, torch.zeros_like(angle)), torch.where(turns.unsqueeze(-1), axis, up)
+    angle = torch.where(turns, angle, torch.zeros_like(angle))
+    return angle, torch.where(turns.unsqueeze(-1), axis, up)
 
 
 def exp_map_to_quat(exp_map: Tensor, keep_long: bool = False) -> Tensor:

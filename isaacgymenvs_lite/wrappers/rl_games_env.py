@@ -50,8 +50,9 @@ class RLGPUEnv(IVecEnv):
             "observation_space": self.env.observation_space,
             "agents": self.env.num_agents,
         }
-        if hasattr(self.env, "amp_observation_space"):
-            info["amp_observation_space"] = self.env.amp_observation_space
+        amp_observation_space = getattr(self.env, "amp_observation_space", None)
+        if amp_observation_space is not None:
+            info["amp_observation_space"] = amp_observation_space
         if self.env.num_states > 0:
             info["state_space"] = self.env.state_space
         return info

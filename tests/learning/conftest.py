@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from rl_games.common.algo_observer import AlgoObserver
@@ -16,9 +15,6 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.making import make_from_config
-from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.npz import save_npz
-from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 from isaacgymenvs_lite.registration import build_runner, register_env
 from isaacgymenvs_lite.schema import keys_of
 
@@ -38,30 +34,6 @@ _TINY = (
     "train.params.config.amp_obs_demo_buffer_size=40",
     "train.params.config.amp_replay_buffer_size=64",
 )
-
-
-@pytest.fixture(scope="session")
-def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A clip of the humanoid that glides along x at 1 m/s in its zero pose, one second at 30 Hz."""
-    skeleton = skeleton_for_num_dofs(28)
-    frames, bodies = 31, skeleton.num_bodies
-    rotation = np.zeros((frames, bodies, 4))
-    rotation[..., 3] = 1.0
-    root = np.zeros((frames, 3))
-    root[:, 0] = np.arange(frames) / 30.0
-    root[:, 2] = 0.9
-    clip = MotionClip(
-        "walk",
-        30.0,
-        skeleton.body_names,
-        skeleton.parent_indices,
-        skeleton.local_translation,
-        rotation,
-        root,
-        np.tile([1.0, 0.0, 0.0], (frames, bodies, 1)),
-        np.zeros((frames, bodies, 3)),
-    )
-    return save_npz(tmp_path_factory.mktemp("clip") / "walk.npz", clip)
 
 
 @pytest.fixture

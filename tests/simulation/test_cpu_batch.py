@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -159,6 +160,7 @@ def _threads_of_this_process() -> int:
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads in /proc")
 def test_close_ends_the_threads() -> None:
     model = mujoco.MjModel.from_xml_string(FALLING_BALL)
+    gc.collect()  # what earlier tests left behind must not end its threads in between
     before = _threads_of_this_process()
     simulation = CpuBatchSimulation(model, 8, 1, num_threads=4)
     assert _threads_of_this_process() == before + 3  # and the caller's

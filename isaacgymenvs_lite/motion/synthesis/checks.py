@@ -58,7 +58,7 @@ def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
     corners = sole_corners(clip, skeleton)
     height = corners[..., 2]
     touching = height < CONTACT_HEIGHT_M
-    on_ground = touching.any(axis=-1)
+    on_ground: npt.NDArray[np.bool_] = np.asarray(touching.any(axis=-1))
     slips = [
         _longest_way(corners[:, foot, corner, :2], touching[:, foot, corner])
         for foot in range(corners.shape[1])

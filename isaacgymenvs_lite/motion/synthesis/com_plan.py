@@ -18,7 +18,7 @@ from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
 
 GRAVITY = 9.81  # m/s^2
-_SAMPLES = 280  # per cycle; the forces are smooth on this scale
+_SAMPLES = 200  # per cycle; the forces are smooth on this scale
 _HARMONICS = 16
 
 

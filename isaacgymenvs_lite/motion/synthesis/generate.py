@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils import rotations
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"
 _SIDES = (("right", -1.0), ("left", 1.0))
-_PASSES = 4
+_PASSES = 3
 _PAD = 2  # frames of the endless motion on either side, for central differences
 
 

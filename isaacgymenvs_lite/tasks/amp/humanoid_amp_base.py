@@ -139,7 +139,8 @@ class HumanoidAMPBase(VecTask):
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set PD targets offset + scale * action (rad), or torques (Nm)."""
-        self.simulation.set_controls(torch.addcmul(self._action_offset, self._action_scale, actions))
+        controls = torch.addcmul(self._action_offset, self._action_scale, actions)
+        self.simulation.set_controls(controls)
 
     def post_physics_step(self) -> None:
         """Count the step; observe; reward; end episodes at falls and at the time limit."""
@@ -191,9 +192,7 @@ class HumanoidAMPBase(VecTask):
         self.extras["diverged_simulations"] = total
         # Say it at the first failure and at every power of ten, not at every step.
         if total > self._failures_reported and total >= 10 * self._failures_reported:
-            log.warning(
-                "%d simulation(s) diverged so far and were reset; the run goes on", total
-            )
+            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", total)
             self._failures_reported = total
 
     def failures(self) -> Tensor:

@@ -84,8 +84,9 @@ class HumanoidAMPConfig:
     repair_repeated_frames: bool = setting(True, key="repairRepeatedFrames")
     """This project's: drop the repeats of a clip that stores every frame twice, whose joint
     velocities would alternate between zero and twice the truth."""
-    enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
-    """This project's: limit PD torques to the published motor efforts."""
+    enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
+    """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
+    The originals do not limit them, and a walk needs more than the ankles' 50 Nm."""
     asset: AssetConfig = field(default_factory=AssetConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
 

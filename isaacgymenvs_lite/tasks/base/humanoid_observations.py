@@ -6,6 +6,7 @@ environments, and can be checked without a simulator. B bodies, D degrees of fre
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import lru_cache
 
@@ -31,7 +32,7 @@ _HINGE_TARGET_SHARE = 0.7
 def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     """Index tensors: DOFs of the ball joints (balls, 3), of the hinges, and the output order."""
     offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
-    groups = list(zip(offsets[:-1], offsets[1:], strict=True))
+    groups = list(itertools.pairwise(offsets))
     balls = [list(range(a, b)) for a, b in groups if b - a == 3]
     hinges = [a for a, b in groups if b - a == 1]
     order: list[int] = []
@@ -43,7 +44,11 @@ def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor
         else:
             order.append(next_hinge)
             next_hinge += 1
-    return tuple(torch.tensor(index, device=device) for index in (balls, hinges, order))  # type: ignore[return-value]
+    return (
+        torch.tensor(balls, device=device),
+        torch.tensor(hinges, device=device),
+        torch.tensor(order, device=device),
+    )
 
 
 def dof_to_obs(dof_pos: Tensor) -> Tensor:
@@ -184,7 +189,7 @@ def pd_action_offset_scale(
     low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
     offset = 0.5 * (low + high)
     scale = _HINGE_TARGET_SHARE * (high - low)
-    for first, end in zip(dof_offsets[:-1], dof_offsets[1:], strict=True):
+    for first, end in itertools.pairwise(dof_offsets):
         if end - first == 3:
             offset[first:end] = 0.0
             scale[first:end] = math.pi

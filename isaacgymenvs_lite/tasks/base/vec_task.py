@@ -26,7 +26,7 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 log = logging.getLogger(__name__)
 
 
-class Env(ABC):
+class Env(ABC):  # noqa: B024  a task is abstract through VecTask
     """Sizes, clip limits, devices and spaces, read from the configuration.
 
     Args:
@@ -98,6 +98,7 @@ class Env(ABC):
 
     def set_env_state(self, env_state: Any) -> None:
         """Take back what `get_env_state` gave."""
+        del env_state
 
 
 class VecTask(Env):

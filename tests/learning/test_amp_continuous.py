@@ -1,0 +1,509 @@
+"""AMPAgent: demonstrations, replay, rewards, discriminator, checkpoints, stop rules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+
+CONFIG = "train.params.config"
+# Without falls of its own an environment times out after 2 control steps.
+VERY_SHORT_EPISODES = ("task.env.episodeLength=3", "task.env.enableEarlyTermination=False")
+
+
+def start(agent: Any) -> Any:
+    """What rl_games' `train()` does before its first epoch."""
+    agent.init_tensors()
+    agent.obs = agent.env_reset()
+    agent.epoch_num = 1
+    return agent
+
+
+def snapshot(module: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {name: value.clone() for name, value in module.state_dict().items()}
+
+
+def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
+    return all(torch.equal(first[name], second[name]) for name in first)
+
+
+# --- rewards ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind"),
+    [
+        (("train.params.algo.name=amp_agent",), "least_squares"),
+        (("train.params.algo.name=amp_continuous",), "logistic"),
+        (("train.params.algo.name=amp",), "logistic"),
+        (("train.params.algo.name=amp_agent", f"+{CONFIG}.disc_reward=logistic"), "logistic"),
+        (
+            ("train.params.algo.name=amp_continuous", f"+{CONFIG}.disc_reward=least_squares"),
+            "least_squares",
+        ),
+    ],
+    ids=["amp_agent", "amp_continuous", "amp", "key-logistic", "key-least_squares"],
+)
+def test_the_style_reward_of_each_algorithm(overrides, kind, make_agent, scramble):
+    agent = make_agent(*overrides, f"{CONFIG}.disc_reward_scale=3.0")
+    scramble(agent)
+    with torch.no_grad():
+        agent.model.a2c_network._disc_logits.bias.fill_(0.7)
+    amp_obs = torch.randn(4, 8, 210, generator=torch.Generator().manual_seed(0))
+    before = snapshot(agent.discriminator.normalizer)
+    rewards = agent._calc_amp_rewards(amp_obs)["disc_rewards"]
+    assert same(before, snapshot(agent.discriminator.normalizer))
+
+    stats = agent.discriminator.normalizer
+    normalized = (amp_obs.double() - stats.running_mean) / (stats.running_var + 1e-5).sqrt()
+    with torch.no_grad():
+        d = agent.model.a2c_network.eval_disc(normalized.clamp(-5, 5).float()).double()
+    if kind == "logistic":
+        expected = -torch.log((1 - torch.sigmoid(d)).clamp(min=1e-4)) * 3.0
+    else:
+        expected = (1 - 0.25 * (d - 1) ** 2).clamp(min=0) * 3.0
+    assert rewards.shape == (4, 8, 1)
+    assert expected.std() > 1e-3
+    torch.testing.assert_close(rewards.double(), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_rewards_are_combined_by_weight(make_agent, record, roll_out):
+    agent = make_agent(
+        f"{CONFIG}.task_reward_w=0.3",
+        f"{CONFIG}.disc_reward_w=0.7",
+        f"{CONFIG}.reward_shaper.scale_value=2.0",
+    )
+    task, style = torch.tensor([[1.0]]), torch.tensor([[10.0]])
+    combined = agent._combine_rewards(task, {"disc_rewards": style})
+    assert combined.item() == pytest.approx(7.3)
+
+    # What the advantages of a rollout are made of: shaped task reward and style, before GAE.
+    tape = record(agent)
+    seen = []
+    total_rewards = agent._total_rewards
+
+    def tapped(task_rewards: torch.Tensor) -> torch.Tensor:
+        seen.append(total_rewards(task_rewards))
+        return seen[-1]
+
+    agent._total_rewards = tapped
+    batch = roll_out(agent)
+    style = agent._calc_amp_rewards(torch.stack(tape.amp_obs))["disc_rewards"]
+    expected = 0.3 * 2.0 * torch.stack(tape.rewards).unsqueeze(-1) + 0.7 * style
+    assert len(seen) == 1
+    torch.testing.assert_close(seen[0], expected)
+    buffer = agent.experience_buffer.tensor_dict
+    last = (batch["returns"] - batch["values"]).view(8, 4)[:, -1]
+    delta = expected[-1] + 0.99 * buffer["next_values"][-1] - buffer["values"][-1]
+    torch.testing.assert_close(last, delta[:, 0], rtol=1e-5, atol=1e-5)
+
+
+def test_amp_observations_are_stored_with_their_transition(make_agent, record, roll_out):
+    agent = make_agent()
+    tape = record(agent)
+    batch = roll_out(agent)
+    stored = agent.experience_buffer.tensor_dict["amp_obs"]
+    assert torch.equal(stored, torch.stack(tape.amp_obs))
+    assert batch["amp_obs"].shape == (32, 210)
+
+
+def test_the_split_of_the_reward_is_logged(make_agent):
+    agent = start(make_agent(f"{CONFIG}.task_reward_w=0.5", f"{CONFIG}.disc_reward_w=0.5"))
+    agent.train_epoch()
+    means = agent.train_info_means()
+    # the task pays 1 per step
+    assert means["task_reward_mean"] == pytest.approx(1.0)
+    style = means["disc_reward_mean"]
+    assert means["style_share"] == pytest.approx(style / (1.0 + style), rel=1e-5)
+    assert means["disc_reward_std"] >= 0.0
+
+
+# --- demonstrations and replay ----------------------------------------------------------------
+
+
+def test_demonstrations_fill_their_buffer_and_come_in_every_epoch(make_agent, monkeypatch):
+    agent = make_agent()
+    fetched = []
+    fetch = agent.vec_env.env.fetch_amp_obs_demo
+    monkeypatch.setattr(
+        agent.vec_env.env, "fetch_amp_obs_demo", lambda n: fetched.append(n) or fetch(n)
+    )
+    before = snapshot(agent.discriminator.normalizer)
+    start(agent)
+    # 40 rows in fetches of 16
+    assert fetched == [16, 16, 16]
+    assert agent._demo_buffer.get_total_count() == 48
+    assert same(before, snapshot(agent.discriminator.normalizer))
+    agent.train_epoch()
+    agent.train_epoch()
+    assert fetched == [16] * 5
+    assert agent._demo_buffer.get_total_count() == 48 + 32
+
+
+def prepared(agent: Any) -> dict[str, torch.Tensor]:
+    """The rows of one epoch's training set."""
+    agent.set_eval()
+    with torch.no_grad():
+        batch = agent.play_steps()
+    agent._before_update(batch)
+    agent.prepare_dataset(batch)
+    agent._after_update(batch)
+    return agent.dataset.values_dict
+
+
+def rows_of(data: torch.Tensor) -> set[tuple[float, ...]]:
+    return {tuple(row) for row in data.tolist()}
+
+
+def test_the_training_set_has_as_many_demonstrations_and_replays_as_rows(make_agent):
+    agent = start(make_agent())
+    first = prepared(agent)
+    for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo", "obs"):
+        assert len(first[name]) == 32, name
+    # nothing to replay yet: the current observations
+    assert torch.equal(first["amp_obs_replay"], first["amp_obs"])
+    # 32 of the 40 rows in the buffer, none of them twice
+    demos = rows_of(agent._demo_buffer.sample(40)["amp_obs"])
+    assert rows_of(first["amp_obs_demo"]) <= demos
+    assert len(rows_of(first["amp_obs_demo"])) == 32
+    own = rows_of(first["amp_obs"])
+    second = prepared(agent)
+    # the replay buffer held the 32 rows of the first epoch, each drawn once or more
+    assert rows_of(second["amp_obs_replay"]) <= own
+    assert rows_of(second["amp_obs_replay"]).isdisjoint(rows_of(second["amp_obs"]))
+
+
+def test_demonstrations_are_those_of_the_motion_library(make_agent, monkeypatch):
+    agent = make_agent()
+    monkeypatch.setattr(
+        agent.vec_env.env, "fetch_amp_obs_demo", lambda n: torch.full((n, 210), 7.0)
+    )
+    rows = prepared(start(agent))
+    assert (rows["amp_obs_demo"] == 7.0).all()
+    assert not (rows["amp_obs"] == 7.0).any(dim=1).all()
+
+
+def test_the_discriminator_sees_the_first_rows_of_a_minibatch(make_agent):
+    agent = start(make_agent())
+    rows = prepared(agent)
+    minibatch = agent.dataset[0]
+    assert {len(minibatch[n]) for n in ("amp_obs", "amp_obs_replay", "amp_obs_demo")} == {8}
+    assert len(minibatch["obs"]) == 16
+    index = [
+        int((rows["obs"] == row).all(dim=1).nonzero()[0]) for row in minibatch["obs"][:8]
+    ]
+    for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo"):
+        assert torch.equal(minibatch[name], rows[name][index])
+
+
+def test_a_discriminator_minibatch_is_no_larger_than_the_minibatch(make_runner):
+    runner = make_runner()
+    runner.params["config"]["amp_minibatch_size"] = 1000
+    agent = runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+    prepared(start(agent))
+    assert len(agent.dataset[0]["amp_obs"]) == agent.minibatch_size == 16
+    agent.writer.close()
+
+
+def replay(agent: Any, count: int, offset: int = 0) -> None:
+    """End an epoch of `count` rows whose numbers are offset, offset + 1, ..."""
+    numbers = torch.arange(offset, offset + count, dtype=torch.float32)
+    agent._after_update({"amp_obs": numbers.view(-1, 1).expand(-1, 210)})
+
+
+def test_all_rows_are_kept_until_the_replay_buffer_has_run_over(make_agent):
+    agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.0"))
+    buffer = agent._replay_buffer
+    replay(agent, 32)
+    replay(agent, 32)  # exactly full: 64 rows
+    assert buffer.get_total_count() == 64
+    replay(agent, 32)  # the total did not exceed the size yet
+    assert buffer.get_total_count() == 96
+    replay(agent, 32)  # now it does, and nothing is kept: an empty selection is legal
+    assert buffer.get_total_count() == 96
+    agent.train_epoch()
+    assert buffer.get_total_count() == 96
+
+
+def test_a_full_replay_buffer_takes_its_share(make_agent):
+    agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.25"))
+    buffer = agent._replay_buffer
+    for _ in range(3):
+        replay(agent, 32)
+    torch.manual_seed(0)
+    before, epochs = buffer.get_total_count(), 400
+    for _ in range(epochs):
+        replay(agent, 32)
+    kept = (buffer.get_total_count() - before) / (32 * epochs)
+    # standard error sqrt(.25 * .75 / 12800) = 0.004
+    assert kept == pytest.approx(0.25, abs=0.02)
+
+
+def test_of_more_rows_than_fit_a_random_subset_is_kept(make_agent):
+    agent = start(make_agent(f"{CONFIG}.amp_replay_buffer_size=8"))
+    replay(agent, 100)
+    kept = agent._replay_buffer.sample(8)["amp_obs"][:, 0].tolist()
+    assert len(set(kept)) == 8
+    # the last 8 or the first 8 by chance: 1 in 2e11
+    assert set(kept) != set(range(92, 100))
+    assert set(kept) != set(range(8))
+
+
+# --- discriminator update ---------------------------------------------------------------------
+
+
+def test_the_normaliser_hears_agent_replay_and_demonstration_in_this_order(make_agent):
+    agent = make_agent()
+    generator = torch.Generator().manual_seed(0)
+    kinds = {
+        name: scale * torch.randn(8, 210, generator=generator) + scale
+        for name, scale in (("amp_obs", 1.0), ("amp_obs_replay", 3.0), ("amp_obs_demo", 9.0))
+    }
+    inputs = agent._training_inputs(dict(kinds))
+    mean, var, count = np.zeros(210), np.ones(210), 1.0
+    for name, data in kinds.items():
+        rows = data.double().numpy()
+        delta, total = rows.mean(0) - mean, count + len(rows)
+        var = (
+            var * count + rows.var(0) * len(rows) + delta**2 * count * len(rows) / total
+        ) / total
+        mean, count = mean + delta * len(rows) / total, total
+        # each kind is normalised with the statistics after its own update
+        expected = ((rows - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)
+        np.testing.assert_allclose(inputs[name].detach().numpy(), expected, atol=1e-4)
+    assert agent.discriminator.normalizer.count.item() == 25.0
+    assert inputs["amp_obs_demo"].requires_grad
+    assert not inputs["amp_obs"].requires_grad
+    assert not inputs["amp_obs_replay"].requires_grad
+
+
+def test_the_losses_of_a_minibatch_are_those_of_the_discriminator(make_agent):
+    agent = start(make_agent())
+    prepared(agent)
+    minibatch = agent.dataset[0]
+    outputs = []
+    handle = agent.model.register_forward_hook(lambda module, args, out: outputs.append(out))
+    weights = [w.detach().clone() for w in agent.model.a2c_network.get_disc_weights()]
+    agent.train_actor_critic(minibatch)
+    handle.remove()
+    result = {k: v.detach().double() for k, v in outputs[0].items() if v is not None}
+    fakes = torch.cat((result["disc_agent_logit"], result["disc_agent_replay_logit"]))
+    assert fakes.shape == (16, 1)
+    prediction = 0.5 * (
+        torch.log1p(fakes.exp()).mean() + torch.log1p((-result["disc_demo_logit"]).exp()).mean()
+    )
+    info = {name: value[0].item() for name, value in agent._train_info.items() if len(value) == 1}
+    penalty = info["disc_grad_penalty"]
+    assert penalty > 0.0
+    squares = [w.double().square().sum() for w in weights]
+    loss = prediction + 0.05 * squares[-1] + 5 * penalty + 0.0001 * sum(squares)
+    assert info["disc_loss"] == pytest.approx(loss.item(), rel=1e-5)
+    assert info["disc_logit_loss"] == pytest.approx(squares[-1].item(), rel=1e-5)
+    assert info["disc_agent_acc"] == (fakes < 0).double().mean().item()
+    assert info["disc_agent_logit"] == pytest.approx(fakes.mean().item(), abs=1e-6)
+
+
+def test_the_discriminator_learns_to_tell_apart(make_agent):
+    """Fifty epochs against a policy that cannot move its limbs on purpose yet."""
+    agent = start(make_agent(f"{CONFIG}.learning_rate=1e-3", num_envs=16))
+    accuracies = []
+    for _ in range(50):
+        agent.train_epoch()
+        means = agent.train_info_means()
+        accuracies.append(0.5 * (means["disc_agent_acc"] + means["disc_demo_acc"]))
+    assert np.mean(accuracies[-5:]) > 0.8
+
+
+# --- what it needs of the task ----------------------------------------------------------------
+
+
+def test_a_task_without_reference_motions_is_refused(make_runner):
+    runner = make_runner()
+    task = runner.params["config"]
+    env_info = {"observation_space": _Space(105), "action_space": _Space(28), "agents": 1}
+    task["env_info"] = env_info
+    with pytest.raises(ConfigError, match="amp_observation_space") as caught:
+        runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+    assert "\n" not in str(caught.value)
+    # a value of the key algo.name, if any: not the name of a Python class
+    assert "'AMPAgent'" not in str(caught.value)
+
+
+class _Space:
+    def __init__(self, size: int) -> None:
+        self.shape = (size,)
+        self.low, self.high = -np.ones(size, np.float32), np.ones(size, np.float32)
+        self.dtype = np.dtype(np.float32)
+
+
+# --- rl_games' own loop -----------------------------------------------------------------------
+
+
+def names_in(agent: Any) -> list[str]:
+    return sorted(path.name for path in Path(agent.nn_dir).iterdir())
+
+
+def test_max_epochs_is_exact(make_agent):
+    agent = make_agent("max_iterations=3")
+    agent.train()
+    assert agent.epoch_num == 3
+    assert agent.frame == 3 * 32
+    assert len(names_in(agent)) == 1
+    assert names_in(agent)[0].startswith("last_HumanoidAMP_ep_3_rew_")
+
+
+def test_max_frames_ends_the_training(make_agent):
+    agent = make_agent("max_iterations=100", f"+{CONFIG}.max_frames=65")
+    agent.train()
+    assert agent.frame == 96
+    assert names_in(agent)[0].startswith("last_HumanoidAMP_frame_96_rew_")
+
+
+def test_the_best_checkpoint_is_saved_after_save_best_after(make_agent):
+    agent = make_agent(*VERY_SHORT_EPISODES, "max_iterations=3", f"{CONFIG}.save_best_after=2")
+    saved = []
+    save = agent.save
+    agent.save = lambda fn: saved.append((agent.epoch_num, Path(fn).name)) or save(fn)
+    agent.train()
+    # every episode earns the same: the first look after epoch 2 is the best one
+    assert saved[0] == (2, "HumanoidAMP")
+    assert [name for _, name in saved].count("HumanoidAMP") == 1
+    assert "HumanoidAMP.pth" in names_in(agent)
+
+
+def test_score_to_win_ends_the_training(make_agent):
+    agent = make_agent(
+        *VERY_SHORT_EPISODES,
+        "max_iterations=100",
+        f"{CONFIG}.save_best_after=1",
+        f"{CONFIG}.score_to_win=1.5",
+    )
+    reward, epochs = agent.train()
+    assert epochs == agent.epoch_num == 1
+    assert reward == pytest.approx(2.0)
+    assert any("_ep_1_rew_" in name for name in names_in(agent))
+
+
+def test_intermediate_checkpoints(make_agent):
+    agent = make_agent(*VERY_SHORT_EPISODES, "max_iterations=4", f"{CONFIG}.save_frequency=2")
+    agent.train()
+    kept = [name for name in names_in(agent) if name.startswith("last_HumanoidAMP_ep_")]
+    assert {name.split("_")[3] for name in kept} == {"2", "4"}
+
+
+# --- resuming ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trained(make_agent) -> Any:
+    agent = make_agent(*VERY_SHORT_EPISODES, f"{CONFIG}.save_best_after=1")
+    agent.train()
+    return agent
+
+
+def saved_at(agent: Any, path: Path) -> str:
+    agent.save(str(path / "model"))
+    return str(path / "model.pth")
+
+
+def test_resuming_restores_everything(trained, make_agent, tmp_path):
+    trained.last_mean_rewards = 12.5
+    checkpoint = saved_at(trained, tmp_path)
+    agent = make_agent()
+    agent.restore(checkpoint)
+    assert (agent.epoch_num, agent.frame) == (2, 64)
+    assert agent.last_mean_rewards == 12.5
+    assert same(snapshot(agent.model), snapshot(trained.model))
+    assert same(
+        snapshot(agent.discriminator.normalizer), snapshot(trained.discriminator.normalizer)
+    )
+    assert agent.discriminator.normalizer.count.item() > 1.0
+    own, other = agent.optimizer.state_dict(), trained.optimizer.state_dict()
+    assert own["state"].keys() == other["state"].keys() != set()
+    for index, moments in own["state"].items():
+        assert same(moments, other["state"][index])
+
+
+def test_a_resumed_training_takes_the_same_gradient_step(trained, make_agent, tmp_path):
+    prepared(start(trained))
+    minibatch = trained.dataset[0]
+    checkpoint = saved_at(trained, tmp_path)
+    agent = make_agent()
+    agent.restore(checkpoint)
+    for each in (trained, agent):
+        each._train_info = {}
+        each.train_actor_critic({name: value.clone() for name, value in minibatch.items()})
+    assert same(snapshot(agent.model), snapshot(trained.model))
+
+
+def test_resuming_goes_on_counting(trained, make_agent, tmp_path):
+    checkpoint = saved_at(trained, tmp_path)
+    agent = make_agent("max_iterations=4")
+    agent.restore(checkpoint)
+    agent.train()
+    assert (agent.epoch_num, agent.frame) == (4, 128)
+
+
+def test_a_worse_model_does_not_replace_the_best_of_before(trained, make_agent, tmp_path):
+    trained.last_mean_rewards = 1000.0
+    checkpoint = saved_at(trained, tmp_path)
+    agent = make_agent(*VERY_SHORT_EPISODES, "max_iterations=4", f"{CONFIG}.save_best_after=1")
+    agent.restore(checkpoint)
+    agent.train()
+    assert agent.last_mean_rewards == 1000.0
+    assert "HumanoidAMP.pth" not in names_in(agent)
+
+
+def test_a_better_model_replaces_the_best_of_before(trained, make_agent, tmp_path):
+    trained.last_mean_rewards = 0.5
+    checkpoint = saved_at(trained, tmp_path)
+    agent = make_agent(*VERY_SHORT_EPISODES, "max_iterations=4", f"{CONFIG}.save_best_after=1")
+    agent.restore(checkpoint)
+    agent.train()
+    assert agent.last_mean_rewards == pytest.approx(2.0)
+    assert "HumanoidAMP.pth" in names_in(agent)
+
+
+def test_the_checkpoint_has_the_documented_keys(trained, tmp_path):
+    state = torch.load(saved_at(trained, tmp_path), weights_only=True)
+    assert set(state) == {
+        "model",
+        "epoch",
+        "frame",
+        "optimizer",
+        "last_mean_rewards",
+        "env_state",
+        "amp_input_mean_std",
+    }
+    statistics = state["amp_input_mean_std"]
+    assert {k: tuple(v.shape) for k, v in statistics.items()} == {
+        "running_mean": (210,),
+        "running_var": (210,),
+        "count": (),
+    }
+    assert not [name for name in state["model"] if "amp_input" in name]
+    assert isinstance(state["last_mean_rewards"], float)
+
+
+def test_without_normaliser_the_checkpoint_has_no_statistics(make_agent, tmp_path):
+    agent = make_agent(f"{CONFIG}.normalize_amp_input=False")
+    agent.train()
+    checkpoint = saved_at(agent, tmp_path)
+    assert "amp_input_mean_std" not in torch.load(checkpoint, weights_only=True)
+    make_agent(f"{CONFIG}.normalize_amp_input=False").restore(checkpoint)
+
+
+@pytest.mark.parametrize("key", ["amp_input_mean_std", "epoch", "optimizer"])
+def test_training_on_from_less_than_a_training_state_is_a_users_error(
+    key, trained, make_agent, tmp_path
+):
+    """Such as a file of a run with normalize_amp_input=False, or one that kept the model only."""
+    whole = torch.load(saved_at(trained, tmp_path), weights_only=True)
+    torch.save({k: v for k, v in whole.items() if k != key}, tmp_path / "less.pth")
+    with pytest.raises(CheckpointError, match=key):
+        make_agent().restore(str(tmp_path / "less.pth"))

@@ -1,0 +1,409 @@
+"""The life cycle of a task, on a cart that is pushed along a rail."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+CART = """
+<mujoco><option gravity="0 0 0"/><worldbody>
+  <body name="cart"><joint name="rail" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/></body>
+</worldbody><actuator><motor joint="rail"/></actuator></mujoco>
+"""
+DT, SUBSTEPS, FREQUENCY_INV = 0.02, 2, 3
+EPISODE_LENGTH = 5
+# How far one control step under 1 N moves a cart at rest: six physics steps of h = 0.01 s,
+# F / m h^2 (1 + ... + 6).
+FIRST_MOVE_M = 0.5 * 1e-4 * 21
+FIRST_SPEED = 0.5 * 0.06
+
+
+class PushedCart(VecTask):
+    """Observes position and velocity; the test may declare failures; writes down what happens."""
+
+    def __init__(self, config: dict[str, Any], **arguments: Any) -> None:
+        self.events: list[str] = []
+        self.fail = torch.zeros(max(config["env"].get("numEnvs", 0), 0), dtype=torch.bool)
+        self.actions: list[Tensor] = []
+        defaults = {
+            "rl_device": "cpu",
+            "sim_device": "cpu",
+            "graphics_device_id": 0,
+            "headless": True,
+        }
+        super().__init__(config, **{**defaults, **arguments})
+        self.max_episode_length = EPISODE_LENGTH
+
+    def create_sim(self) -> None:
+        self.events.append("create_sim")
+        assert not hasattr(self, "obs_buf")  # buffers come after the simulation
+        model = mujoco.MjModel.from_xml_string(CART)
+        model.opt.timestep = self.dt / SUBSTEPS
+        self.simulation = make_simulation(
+            model, self.num_envs, SUBSTEPS * self.control_freq_inv, num_threads=1
+        )
+        step = self.simulation.step
+
+        def noted_step() -> None:
+            self.events.append("simulate")
+            step()
+
+        setattr(self.simulation, "step", noted_step)  # noqa: B010
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        self.events.append(f"pre, control_steps {self.control_steps}")
+        self.actions.append(actions)
+        self.simulation.set_controls(actions)
+
+    def post_physics_step(self) -> None:
+        self.events.append(f"post, control_steps {self.control_steps}")
+        self.progress_buf += 1
+        self.obs_buf[:] = torch.cat((self.simulation.dof_pos, self.simulation.dof_vel), dim=-1)
+        if self.num_states > 0:
+            self.states_buf[:] = 100.0 * self.obs_buf[:, :1]
+        self.rew_buf[:] = self.simulation.dof_pos[:, 0]
+        at_limit = self.progress_buf >= self.max_episode_length - 1
+        self.reset_buf[:] = (at_limit | self.fail).long()
+
+    def failures(self) -> Tensor:
+        return self.fail
+
+    def compute_time_outs(self) -> Tensor:
+        self.events.append(f"time outs, control_steps {self.control_steps}")
+        return super().compute_time_outs()
+
+    def reset_idx(self, env_ids: Tensor) -> None:
+        self.events.append(f"reset {env_ids.tolist()}")
+        n = len(env_ids)
+        zeros = torch.zeros(n, 1)
+        self.simulation.write_state(env_ids, torch.zeros(n, 13), zeros, zeros)
+        self.progress_buf[env_ids] = 0
+        self.reset_buf[env_ids] = 0
+        self.obs_buf[env_ids] = 0.0
+
+
+MakeCart = Callable[..., PushedCart]
+
+
+def _config(**env: Any) -> dict[str, Any]:
+    return {
+        "name": "PushedCart",
+        "physics_engine": "physx",
+        "env": {
+            "numEnvs": 3,
+            "numObservations": 2,
+            "numActions": 1,
+            "controlFrequencyInv": FREQUENCY_INV,
+            **env,
+        },
+        "sim": {"dt": DT, "substeps": SUBSTEPS, "up_axis": "z", "use_gpu_pipeline": False},
+    }
+
+
+@pytest.fixture
+def make_cart() -> Iterator[MakeCart]:
+    made: list[PushedCart] = []
+
+    def make(arguments: dict[str, Any] | None = None, **env: Any) -> PushedCart:
+        made.append(PushedCart(_config(**env), **(arguments or {})))
+        return made[-1]
+
+    yield make
+    for task in made:
+        task.close()
+
+
+def _push(task: PushedCart, force: float = 1.0) -> tuple[Tensor, Tensor, Tensor, dict[str, Any]]:
+    observations, rewards, dones, infos = task.step(torch.full((task.num_envs, 1), force))
+    return observations["obs"], rewards, dones, infos
+
+
+# --- making -----------------------------------------------------------------------------------
+
+
+def test_sizes_spaces_and_first_buffers(make_cart: MakeCart) -> None:
+    cart = make_cart(numStates=4)
+    assert (cart.num_envs, cart.num_environments) == (3, 3)
+    assert (cart.num_obs, cart.num_observations) == (2, 2)
+    assert (cart.num_acts, cart.num_actions, cart.num_states, cart.num_agents) == (1, 1, 4, 1)
+    assert cart.control_freq_inv == FREQUENCY_INV
+    assert cart.dt == DT
+    unbounded = {
+        size: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for size in (2, 4)
+    }
+    assert cart.observation_space == cart.obs_space == unbounded[2]
+    assert cart.state_space == unbounded[4]
+    assert cart.action_space == gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+    buffers = {
+        "obs_buf": ((3, 2), torch.float32, 0),
+        "states_buf": ((3, 4), torch.float32, 0),
+        "rew_buf": ((3,), torch.float32, 0),
+        "reset_buf": ((3,), torch.int64, 1),  # every environment starts with a reset
+        "timeout_buf": ((3,), torch.bool, 0),
+        "progress_buf": ((3,), torch.int64, 0),
+        "randomize_buf": ((3,), torch.int64, 0),
+    }
+    for name, (shape, dtype, value) in buffers.items():
+        buffer = getattr(cart, name)
+        assert (tuple(buffer.shape), buffer.dtype) == (shape, dtype), name
+        assert (buffer == value).all(), name
+
+
+@pytest.mark.parametrize("num_envs", [0, -1])
+def test_no_environments(num_envs: int) -> None:
+    with pytest.raises(ConfigError, match=f"num_envs={num_envs}: expected at least one"):
+        PushedCart(_config(numEnvs=num_envs))
+
+
+@pytest.mark.parametrize(("section", "key"), [("env", "numEnvs"), ("sim", "dt")])
+def test_a_missing_number_is_named(section: str, key: str) -> None:
+    config = _config()
+    del config[section][key]
+    with pytest.raises(ConfigError, match=key):
+        PushedCart(config)
+
+
+def test_an_unknown_up_axis_lists_the_choices() -> None:
+    config = _config()
+    config["sim"]["up_axis"] = "x"
+    with pytest.raises(ConfigError, match=r"task\.sim\.up_axis 'x'.*choices: y, z"):
+        PushedCart(config)
+
+
+def test_tasks_stand_side_by_side(make_cart: MakeCart) -> None:
+    first, second = make_cart(), make_cart()
+    _push(first)
+    _close(first.simulation.dof_vel, FIRST_SPEED)
+    _close(second.simulation.dof_vel, 0.0)
+
+
+# --- devices ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sim_device", "gpu_pipeline"), [("cuda:0", True), ("cpu", True), ("cuda:1", False)]
+)
+def test_physics_stays_on_the_cpu_and_says_so(
+    sim_device: str, gpu_pipeline: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = _config()
+    config["sim"]["use_gpu_pipeline"] = gpu_pipeline
+    with caplog.at_level(logging.INFO):
+        cart = PushedCart(config, sim_device=sim_device)
+    assert cart.device == torch.device("cpu")
+    assert any(f"sim_device={sim_device}" in message for message in caplog.messages)
+    cart.close()
+
+
+def test_what_a_step_returns_lies_on_the_rl_device(make_cart: MakeCart) -> None:
+    # torch's `meta` device has no data and needs no hardware.
+    cart = make_cart({"rl_device": "meta"}, numStates=1)
+    observations, rewards, dones, infos = cart.step(torch.zeros(3, 1))
+    after_reset, done_ids = cart.reset_done()
+    returned = {
+        "obs": observations["obs"],
+        "states": observations["states"],
+        "rewards": rewards,
+        "dones": dones,
+        "time_outs": infos["time_outs"],
+        "obs after reset_done": after_reset["obs"],
+        "done_ids": done_ids,
+        "reset": cart.reset()["obs"],
+        "zero_actions": cart.zero_actions(),
+        "get_state": cart.get_state(),
+    }
+    for name, tensor in returned.items():
+        assert tensor.device.type == "meta", name
+    assert cart.obs_buf.device.type == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("headless", "sensors", "expected"), [(True, False, -1), (True, True, 2), (False, False, 2)]
+)
+def test_graphics_device(
+    make_cart: MakeCart, headless: bool, sensors: bool, expected: int
+) -> None:
+    cart = make_cart({"headless": headless, "graphics_device_id": 2}, enableCameraSensors=sensors)
+    assert cart.graphics_device_id == expected
+
+
+# --- a step -----------------------------------------------------------------------------------
+
+
+def test_order_of_a_step(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    assert cart.events == ["create_sim"]
+    _push(cart)
+    assert cart.events[1:] == [
+        "pre, control_steps 0",
+        "simulate",
+        "post, control_steps 0",
+        "time outs, control_steps 1",
+    ]
+    assert cart.control_steps == 1
+
+
+def test_a_control_step_simulates_its_time(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    observed, rewards, dones, _ = _push(cart)
+    expected = torch.tensor([FIRST_MOVE_M, FIRST_SPEED]).expand(3, 2)
+    torch.testing.assert_close(observed, expected, rtol=1e-5, atol=0.0)
+    _close(rewards, FIRST_MOVE_M)
+    assert (rewards.dtype, dones.dtype) == (torch.float32, torch.int64)
+
+
+def test_actions_are_clamped(make_cart: MakeCart) -> None:
+    cart = make_cart(clipActions=0.5)
+    given = torch.tensor([[7.0], [-7.0], [0.25]])
+    cart.step(given)
+    assert cart.actions[0].tolist() == [[0.5], [-0.5], [0.25]]
+    assert given.tolist() == [[7.0], [-7.0], [0.25]]  # the caller's tensor is left alone
+    free = make_cart()
+    free.step(given)
+    assert free.actions[0].tolist() == given.tolist()
+
+
+def test_observations_are_clamped_but_not_their_buffer(make_cart: MakeCart) -> None:
+    cart = make_cart(clipObservations=0.01, numStates=1)
+    observations, *_ = cart.step(torch.tensor([[1.0], [-1.0], [0.0]]))
+    expected = [[FIRST_MOVE_M, 0.01], [-FIRST_MOVE_M, -0.01], [0.0, 0.0]]
+    torch.testing.assert_close(observations["obs"], torch.tensor(expected), rtol=1e-5, atol=1e-8)
+    assert observations["states"].tolist() == pytest.approx(np.array([[0.01], [-0.01], [0.0]]))
+    assert torch.equal(cart.get_state(), observations["states"])
+    _close(cart.obs_buf[0, 1], FIRST_SPEED)
+    _close(cart.states_buf[0, 0], 100.0 * FIRST_MOVE_M)
+
+
+def test_states_are_absent_without_numstates(make_cart: MakeCart) -> None:
+    observations, *_ = make_cart().step(torch.zeros(3, 1))
+    assert list(observations) == ["obs"]
+
+
+def test_what_a_step_returned_is_not_touched_by_the_next(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    observed, rewards, dones, infos = _push(cart)
+    time_outs = infos["time_outs"]
+    kept = [tensor.clone() for tensor in (observed, rewards, dones, time_outs)]
+    for _ in range(EPISODE_LENGTH - 2):
+        _push(cart)
+    assert cart.reset_buf.all()
+    for tensor, copy in zip((observed, rewards, dones, time_outs), kept, strict=True):
+        assert torch.equal(tensor, copy)
+    # nor does a caller who writes into it write into the task
+    observed, rewards, dones, _ = _push(cart)
+    for tensor in (observed, rewards, dones):
+        tensor.fill_(77)
+    for buffer in (cart.obs_buf, cart.rew_buf, cart.reset_buf):
+        assert not (buffer == 77).any()
+
+
+def test_infos_are_the_same_dictionary_at_every_step(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    *_, first = _push(cart)
+    *_, second = _push(cart)
+    assert first is second is cart.extras
+
+
+# --- ends of episodes -------------------------------------------------------------------------
+
+
+def test_time_outs_at_the_limit_only(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    cart.reset_done()
+    for step in range(1, EPISODE_LENGTH):
+        *_, dones, infos = _push(cart)
+        at_limit = step == EPISODE_LENGTH - 1
+        assert dones.tolist() == [int(at_limit)] * 3
+        assert infos["time_outs"].tolist() == [at_limit] * 3
+        assert infos["time_outs"].dtype == torch.bool
+
+
+def test_a_failure_is_no_time_out(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    cart.reset_done()
+    cart.fail[1] = True
+    *_, dones, infos = _push(cart)
+    assert dones.tolist() == [0, 1, 0]
+    assert infos["time_outs"].tolist() == [False] * 3
+    cart.fail[1] = False
+    for _ in range(EPISODE_LENGTH - 3):
+        _push(cart)
+    # In the last step the first cart fails, the others only run out of time.
+    cart.fail[0] = True
+    *_, dones, infos = _push(cart)
+    assert dones.tolist() == [1, 1, 1]
+    assert infos["time_outs"].tolist() == [False, True, True]
+
+
+def test_no_time_out_where_the_task_goes_on(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    cart.max_episode_length = 3
+    cart.progress_buf[:] = 10
+    assert cart.compute_time_outs().tolist() == [True] * 3
+    cart.reset_buf[1] = 0
+    assert cart.compute_time_outs().tolist() == [True, False, True]
+
+
+def test_reset_resets_nothing(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    assert cart.reset()["obs"].tolist() == [[0.0, 0.0]] * 3
+    assert cart.reset_buf.tolist() == [1, 1, 1]
+    _push(cart)
+    _close(cart.reset()["obs"][:, 1], FIRST_SPEED)
+    assert not any(event.startswith("reset") for event in cart.events)
+
+
+def test_reset_done_resets_what_is_done(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    observations, done_ids = cart.reset_done()
+    assert done_ids.tolist() == [0, 1, 2]  # at the start all
+    cart.fail[1] = True
+    _push(cart)
+    observations, done_ids = cart.reset_done()
+    assert done_ids.tolist() == [1]
+    assert cart.progress_buf.tolist() == [1, 0, 1]
+    _close(observations["obs"][:, 1], [FIRST_SPEED, 0.0, FIRST_SPEED])
+    assert cart.events[-1] == "reset [1]"
+    # Nobody is done now.
+    _, done_ids = cart.reset_done()
+    assert done_ids.tolist() == []
+    assert cart.events[-1] == "reset [1]"
+
+
+# --- hooks of trainers ------------------------------------------------------------------------
+
+
+def test_hooks_of_trainers(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    assert cart.total_train_env_frames == 0
+    cart.set_train_info(1234, "whatever", more=1)
+    assert cart.total_train_env_frames == 1234
+    assert cart.get_env_state() is None
+    cart.set_env_state({"anything": 1})
+    assert torch.equal(cart.zero_actions(), torch.zeros(3, 1))
+    assert cart.render() is None
+
+
+def test_a_closed_task_cannot_be_stepped(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    cart.close()
+    cart.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        _push(cart)
+
+
+def _close(actual: Tensor, expected: float | list[float]) -> None:
+    wanted = torch.as_tensor(expected).expand_as(actual)
+    torch.testing.assert_close(actual, wanted, rtol=1e-5, atol=1e-8)
