@@ -288,7 +288,7 @@ class Malicious:
 
 @pytest.mark.parametrize(
     ("function", "name"),
-    [(os.system, "posix.system"), (eval, "eval"), (subprocess.Popen, "subprocess.Popen")],
+    [(os.system, "posix.system"), (eval, "eval"), (subprocess.Popen, "Popen")],
     ids=["os.system", "eval", "Popen"],
 )
 @pytest.mark.parametrize("zipped", [True, False], ids=["zip", "legacy"])

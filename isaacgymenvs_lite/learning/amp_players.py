@@ -69,7 +69,8 @@ class AMPPlayerContinuous(CommonPlayer):
     def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
         return lambda amp_obs: self.discriminator.reward(amp_obs.to(self.device)).to(amp_obs.device)
 
-    def _on_step(self, infos: dict[str, Any]) -> None:
+    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        super()._on_step(dones, infos)
         if self._print_disc_prediction:
             logit = self.discriminator.logits(infos["amp_obs"][:1].to(self.device))
             reward = self.discriminator.reward_from_logits(logit)

@@ -12,6 +12,7 @@ from rl_games.common.player import BasePlayer
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
+from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
 
 log = logging.getLogger(__name__)
 
@@ -22,7 +23,8 @@ class CommonPlayer(PpoPlayerContinuous):
     """rl_games' PPO player with the play loop of `evaluation`.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
-    `deterministic` (default True: mean actions).
+    `deterministic` (default True: mean actions), `record` (a .npz file that the first episode of
+    environment 0 is written to as a motion clip).
 
     Attributes:
         result: what `run` measured; None before.
@@ -44,6 +46,8 @@ class CommonPlayer(PpoPlayerContinuous):
         self.normalize_value = self.config.get("normalize_value", False)
         self.model = self.network.build(self._build_net_config()).to(self.device).eval()
         self.is_rnn = False
+        path = self.player_config.get("record")
+        self._recorder = MotionRecorder(self.env, path) if path else None
 
     def _build_net_config(self) -> dict[str, Any]:
         """Return the arguments that the model is built with."""
@@ -74,5 +78,8 @@ class CommonPlayer(PpoPlayerContinuous):
         """Return a function from AMP observations to rewards, None without a discriminator."""
         return None
 
-    def _on_step(self, infos: dict[str, Any]) -> None:
-        """Called with the infos of each step."""
+    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        """Called with the dones (N,) and infos of each step, before resets."""
+        del infos
+        if self._recorder is not None:
+            self._recorder.step(dones)

@@ -81,7 +81,7 @@ def evaluate(
     policy: Policy,
     num_episodes: int,
     style_reward: Callable[[Tensor], Tensor] | None = None,
-    on_step: Callable[[dict[str, Any]], None] | None = None,
+    on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> EvaluationResult:
     """Play at least `num_episodes` episodes and measure them.
 
@@ -93,7 +93,7 @@ def evaluate(
         policy: what acts.
         num_episodes: at least 1; rounded up to a multiple of the number of environments.
         style_reward: maps `infos["amp_obs"]` (N, F) to rewards (N, 1).
-        on_step: called with the infos of each step.
+        on_step: called with the dones (N,) and infos of each step, before resets.
     """
     episodes_per_env = max(1, -(-num_episodes // env.num_envs))
     probe = _ImitationProbe(env, episodes_per_env) if hasattr(env, "motion_lib") else None
@@ -113,7 +113,7 @@ def evaluate(
         if probe is not None:
             probe.record(dones, infos)
         if on_step is not None:
-            on_step(infos)
+            on_step(dones, infos)
         left -= (dones != 0).to(left.dtype)
     count = episodes_per_env * env.num_envs
     return EvaluationResult(

@@ -67,7 +67,13 @@ def render_frames(
     return images
 
 
-def save_strip(clip: MotionClip, path: str | Path, span_s: float, num_frames: int = 8) -> Path:
+def save_strip(
+    clip: MotionClip,
+    path: str | Path,
+    span_s: float,
+    num_frames: int = 8,
+    azimuth_deg: float = 90.0,
+) -> Path:
     """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
 
     Raises:
@@ -75,7 +81,7 @@ def save_strip(clip: MotionClip, path: str | Path, span_s: float, num_frames: in
     """
     image = _import_pillow()
     times_s = np.arange(num_frames) * (span_s / num_frames)
-    strip = np.concatenate(render_frames(clip, times_s), axis=1)
+    strip = np.concatenate(render_frames(clip, times_s, azimuth_deg), axis=1)
     path = Path(path)
     image.fromarray(strip).quantize(128).save(path, optimize=True)
     return path
@@ -100,10 +106,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path, help="the PNG to write")
     parser.add_argument("--seconds", type=float, help="the time to show (default: the whole clip)")
     parser.add_argument("--frames", type=int, default=8, help="the number of poses (default: 8)")
+    parser.add_argument(
+        "--azimuth",
+        type=float,
+        default=90.0,
+        help="90 from the right (default), 180 from the front",
+    )
     options = parser.parse_args(arguments)
     try:
         clip = load_clips(options.clip)[0][0]
-        save_strip(clip, options.out, options.seconds or clip.length_s, options.frames)
+        seconds = options.seconds or clip.length_s
+        save_strip(clip, options.out, seconds, options.frames, options.azimuth)
     except UserError as error:
         parser.exit(2, f"{parser.prog}: {error}\n")
     return 0

@@ -18,7 +18,13 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.utils.rotations import cross, quat_log, quat_rotate, quat_rotate_inverse
+from isaacgymenvs_lite.utils.rotations import (
+    cross,
+    quat_log,
+    quat_rotate,
+    quat_rotate_inverse,
+    xyzw_from_wxyz,
+)
 
 log = logging.getLogger(__name__)
 
@@ -265,7 +271,7 @@ class CpuBatchSimulation:
         return _read_only_tensor(rows)[:, 1:].float()
 
     def _compute_body_rot(self) -> Tensor:
-        return self._derived("xquat")[..., [1, 2, 3, 0]]
+        return xyzw_from_wxyz(self._derived("xquat"))
 
     def _compute_body_lin_vel(self) -> Tensor:
         # cvel is the velocity of the point of the body that passes through the tree's centre of

@@ -75,9 +75,7 @@ def make_agent(make_runner: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
 
     def make(*overrides: str, **kwargs: Any) -> Any:
         runner = make_runner(*overrides, **kwargs)
-        agent = runner.algo_factory.create(
-            runner.algo_name, base_name="run", params=runner.params
-        )
+        agent = runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
         agents.append(agent)
         return agent
 

@@ -194,9 +194,7 @@ def test_the_discriminator_sees_the_first_rows_of_a_minibatch(make_agent):
     minibatch = agent.dataset[0]
     assert {len(minibatch[n]) for n in ("amp_obs", "amp_obs_replay", "amp_obs_demo")} == {8}
     assert len(minibatch["obs"]) == 16
-    index = [
-        int((rows["obs"] == row).all(dim=1).nonzero()[0]) for row in minibatch["obs"][:8]
-    ]
+    index = [int((rows["obs"] == row).all(dim=1).nonzero()[0]) for row in minibatch["obs"][:8]]
     for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo"):
         assert torch.equal(minibatch[name], rows[name][index])
 
@@ -269,9 +267,7 @@ def test_the_normaliser_hears_agent_replay_and_demonstration_in_this_order(make_
     for name, data in kinds.items():
         rows = data.double().numpy()
         delta, total = rows.mean(0) - mean, count + len(rows)
-        var = (
-            var * count + rows.var(0) * len(rows) + delta**2 * count * len(rows) / total
-        ) / total
+        var = (var * count + rows.var(0) * len(rows) + delta**2 * count * len(rows) / total) / total
         mean, count = mean + delta * len(rows) / total, total
         # each kind is normalised with the statistics after its own update
         expected = ((rows - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)

@@ -109,9 +109,7 @@ def test_parameters_are_float32(published):
 
 def test_a_checkpoint_of_these_names_loads_strictly():
     generator = torch.Generator().manual_seed(3)
-    state = {
-        name: torch.rand(shape, generator=generator) for name, shape in PUBLISHED.items()
-    }
+    state = {name: torch.rand(shape, generator=generator) for name, shape in PUBLISHED.items()}
     network = build()
     network.load_state_dict(state, strict=True)
     for name, parameter in network.named_parameters():
@@ -203,9 +201,7 @@ def test_forward_agrees_with_numpy(name, activation):
     np.testing.assert_allclose(mu.detach().numpy(), expected_mu, **close)
     np.testing.assert_allclose(value.detach().numpy(), expected_value, **close)
     np.testing.assert_allclose(logit.detach().numpy(), expected_logit, **close)
-    np.testing.assert_allclose(
-        log_sigma.detach().numpy(), np.tile(state["sigma"], (4, 1)), **close
-    )
+    np.testing.assert_allclose(log_sigma.detach().numpy(), np.tile(state["sigma"], (4, 1)), **close)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,9 @@ def test_a_restored_player_judges_style_as_the_agent(checkpoint, make_runner):
     agent, path = checkpoint
     player = make_runner().create_player()
     amp_obs = torch.randn(20, 210, generator=torch.Generator().manual_seed(1))
-    assert not torch.equal(player.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs))
+    assert not torch.equal(
+        player.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs)
+    )
     player.restore(path)
     assert torch.equal(player.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs))
 

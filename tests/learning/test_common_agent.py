@@ -274,7 +274,9 @@ def minibatch_of(agent: Any) -> dict[str, torch.Tensor]:
 
 
 def test_total_loss_and_kl_against_the_formulas(make_agent):
-    agent = make_agent("train.params.config.entropy_coef=0.3", "train.params.config.clip_value=True")
+    agent = make_agent(
+        "train.params.config.entropy_coef=0.3", "train.params.config.clip_value=True"
+    )
     minibatch = minibatch_of(agent)
     # policies further apart than one minibatch brings them, and means beyond the bounds
     with torch.no_grad():
@@ -401,7 +403,9 @@ def test_the_adaptive_schedule_moves_the_rate(make_agent):
 
 
 def test_truncated_gradients(make_agent):
-    agent = make_agent("train.params.config.truncate_grads=True", "train.params.config.grad_norm=0.01")
+    agent = make_agent(
+        "train.params.config.truncate_grads=True", "train.params.config.grad_norm=0.01"
+    )
     agent.train_actor_critic(minibatch_of(agent))
     gradients = [p.grad.flatten() for p in agent.model.parameters() if p.grad is not None]
     # clip_grad_norm_ divides by norm + 1e-6

@@ -42,7 +42,9 @@ def test_of_more_rows_than_fit_the_last_stay():
     assert content(buffer) == [9, 10, 11, 12]
 
 
-@pytest.mark.parametrize("chunks", [(1,) * 23, (3, 5, 2, 9, 4), (6, 6, 6), (13, 1, 6, 7), (7, 0, 8)])
+@pytest.mark.parametrize(
+    "chunks", [(1,) * 23, (3, 5, 2, 9, 4), (6, 6, 6), (13, 1, 6, 7), (7, 0, 8)]
+)
 def test_any_sequence_of_stores_keeps_the_newest_rows(chunks):
     size, stored = 6, []
     buffer = ReplayBuffer(size, "cpu")

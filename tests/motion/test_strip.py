@@ -33,7 +33,7 @@ def test_strip_shows_poses_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_pat
     image = pytest.importorskip("PIL.Image")
     shown: list[float] = []
 
-    def frames(clip: object, times_s: np.ndarray) -> list[np.ndarray]:
+    def frames(clip: object, times_s: np.ndarray, azimuth_deg: float) -> list[np.ndarray]:
         shown.extend(times_s)
         return [np.full((4, 3, 3), 10 * i, dtype=np.uint8) for i in range(len(times_s))]
 

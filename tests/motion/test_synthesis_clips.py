@@ -171,7 +171,7 @@ def test_ground_gives_what_the_gait_needs(
 def test_run_falls_freely_in_flight(humanoid: Skeleton, model: mujoco.MjModel) -> None:
     clip = load_clips("run")[0][0]
     touching = checks.sole_corners(clip, humanoid)[..., 2] < checks.CONTACT_HEIGHT_M
-    flying = ~touching.any(axis=(1, 2))
+    flying = np.asarray(~touching.any(axis=(1, 2)))
     # Frames with a neighbour on the ground see part of its force.
     inside = flying[1:-1] & flying[2:] & flying[:-2]
     force = model_checks.ground_force(clip, humanoid, model)[inside]

@@ -1,8 +1,8 @@
 """The path of the centre of mass that the ground reaction forces of a gait demand.
 
-The vertical force of each foot has the published shape; its line of action passes from the centre
-of pressure through the centre of mass, which is what people come close to. With
-both, the motion of the centre of mass follows from Newton's law, and there is exactly one that
+The vertical force F of each foot has the published shape; its line of action passes from the centre
+of pressure p through the centre of mass, which is what people come close to. With both, the motion
+of the centre of mass follows from Newton's law, h being its mean height, and exactly one motion
 repeats with every stride: z'' = sum F / m - g, x'' = sum F / m (x - p) / h, the same for y.
 """
 

@@ -20,8 +20,8 @@ class FootPlan:
     """The path of the right ankle and the attitude of the foot; the left one mirrors it.
 
     The swing follows the published angles of thigh, knee and foot, plus a cubic correction of each
-    that joins it in value and rate to the angles that the stances before and after it ask for. So
-    the leg is never asked to reach further than it can.
+    that joins it to the angles that the stances before and after it ask for. So the leg is never
+    asked to reach further than it can.
 
     Attributes:
         stance: the foot on the ground.

@@ -1,9 +1,9 @@
 """Published joint angles, timing and forces of walking and running, as tables over the gait cycle.
 
 The cycle starts when the right foot touches the ground. Tables hold the right side in degrees,
-every 5 % of the cycle; the left side is the same half a cycle later. They were entered from the
-publications named with each gait, rounded to the nearest degree, for a typical adult; they are not
-the data of one person.
+every 5 % of the cycle; the left side is the same half a cycle later. They follow the curves of a
+typical adult in the publications named with each gait, rounded to the nearest degree; they were not
+digitised from the figures and are not the data of one person.
 
 Joint angles are relative to upright standing (pelvis level, all joints zero), as the humanoid has
 them. Gait laboratories measure hip angles from a pelvis that is tilted forward by some 12 degrees
@@ -127,16 +127,16 @@ WALK = Gait(
     duty=0.58,
     foot_flat=0.10,
     heel_off=0.40,
-    strike_pitch_deg=18.0,
-    toe_off_pitch_deg=-50.0,
+    strike_pitch_deg=20.0,
+    toe_off_pitch_deg=-45.0,
     force_shape=0.45,
     step_width_m=0.13,
     toe_out_deg=6.0,
     swing_out_m=0.01,
-    swing_knee_deg=10.0,
-    swing_toe_up_deg=12.0,
+    swing_knee_deg=3.0,
+    swing_toe_up_deg=14.0,
     retraction_deg=40.0,
-    straightest_knee_deg=10.0,
+    straightest_knee_deg=8.0,
     pelvis_tilt=(2, 1, 1, 1, 1, 2, 2, 3, 3, 3),
     pelvis_obliquity=(0, 2, 4, 4, 4, 3, 2, 1, 1, 0),
     pelvis_rotation=(5, 5, 4, 3, 2, 0, -1, -3, -4, -5),

@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils import rotations
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"
 _SIDES = (("right", -1.0), ("left", 1.0))
-_PASSES = 3
+_PASSES = 4
 _PAD = 2  # frames of the endless motion on either side, for central differences
 
 
@@ -57,7 +57,7 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
 
     It starts as the right foot touches down, with the root at x = 0, and travels along +x.
     Velocities are those of the endless motion, by central differences. (The filter that poselib
-    applies to motion capture would take off 16 % of the run's vertical speed.)
+    applies to motion capture would take off a fifth of the run's vertical speed.)
 
     Raises:
         ConfigError: mink is not installed.

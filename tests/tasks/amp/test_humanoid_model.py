@@ -143,7 +143,6 @@ def test_gains_efforts_and_armature(model: mujoco.MjModel) -> None:
         np.testing.assert_allclose(model.dof_armature[in_qvel], armature, err_msg=message)
         first += size
     assert first == model.nu == model.nv - 6 == 28
-    assert (model.actuator_forcelimited == 1).all()
 
 
 def test_no_passive_springs_or_dampers(model: mujoco.MjModel) -> None:
@@ -300,13 +299,32 @@ def _force(model: mujoco.MjModel, control: float) -> np.ndarray:
     return data.actuator_force
 
 
+KP = np.array([row[2] for row in DRIVES for _ in range(row[1])])
+EFFORT = np.array([row[5] for row in DRIVES for _ in range(row[1])])
+
+
+def test_the_force_of_a_drive_is_kp_times_the_error() -> None:
+    np.testing.assert_allclose(_force(_build(), -0.1), -0.1 * KP)
+    np.testing.assert_allclose(_force(_build(), 2.0), 2.0 * KP)
+
+
+def test_the_force_of_a_drive_does_not_turn_round_at_half_a_turn() -> None:
+    # MuJoCo 4 wraps the error of a position servo on a ball joint (kp == -biasprm[1]) into
+    # [-pi, pi]. A target of the action 1 is pi in float32, 9e-8 more than pi: there the torque
+    # would turn round, where the drive of the originals is kp (target - q).
+    almost = float(np.nextafter(np.float32(math.pi), np.float32(0.0)))
+    np.testing.assert_allclose(_force(_build(), almost), math.pi * KP, rtol=1e-6)
+    np.testing.assert_allclose(_force(_build(), float(np.float32(math.pi))), math.pi * KP, rtol=1e-6)
+    np.testing.assert_allclose(_force(_build(), 4.0), 4.0 * KP, rtol=1e-6)
+
+
 def test_drives_end_at_their_efforts_if_asked_to() -> None:
-    kp = np.array([row[2] for row in DRIVES for _ in range(row[1])])
-    effort = np.array([row[5] for row in DRIVES for _ in range(row[1])])
-    np.testing.assert_allclose(_force(_build(), math.pi), effort)
-    np.testing.assert_allclose(_force(_build(), -0.1), -0.1 * kp)
-    free = _build({"enforceEffortLimits": False})
-    np.testing.assert_allclose(_force(free, math.pi), math.pi * kp)
+    limited = _build({"enforceEffortLimits": True})
+    np.testing.assert_allclose(_force(limited, 2.5), EFFORT)
+    np.testing.assert_allclose(_force(limited, -2.5), -EFFORT)
+    np.testing.assert_allclose(_force(limited, 0.1), 0.1 * KP)
+    for unlimited in (_build(), _build({"enforceEffortLimits": False})):
+        np.testing.assert_allclose(_force(unlimited, 2.5), 2.5 * KP)
 
 
 def test_torque_mode_passes_controls_on() -> None:

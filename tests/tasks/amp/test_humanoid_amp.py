@@ -1,0 +1,342 @@
+"""Starts of episodes, AMP observations and demonstrations. The height of the clip tells its time.
+
+See `walk_clip` in tests/conftest.py: 1.5 s, root height 0.88 + 0.05 t.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP, build_amp_observations
+from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+
+DT = 0.0332
+CLIP_S = 1.5
+FRAME_S = 1.0 / 30.0
+DEFAULT_HEIGHT_M = 0.89
+# float32 of numbers up to 10; the simulation keeps the joints as quaternions.
+ATOL = 5e-6
+
+
+def _time_of(height_m: Tensor) -> Tensor:
+    """The time (s) at which the clip has these root heights; exact to 2e-6 s."""
+    return (height_m.double() - 0.88) / 0.05
+
+
+def _library(walk_clip: Path) -> MotionLib:
+    return MotionLib(walk_clip, 28, [5, 8, 11, 14], "cpu")
+
+
+def _features(library: MotionLib, times_s: Tensor, local_root_obs: bool = False) -> Tensor:
+    """AMP features (n, 105) of the clip at times (n,)."""
+    ids = torch.zeros(len(times_s), dtype=torch.int64)
+    pos, rot, dof_pos, vel, ang_vel, dof_vel, key_pos = library.get_motion_state(ids, times_s)
+    root = torch.cat((pos, rot, vel, ang_vel), dim=-1)
+    return build_amp_observations(root, dof_pos, dof_vel, key_pos, local_root_obs)
+
+
+def _away_from_frames(times_s: Tensor, steps: int) -> Tensor:
+    """Mask of times whose history does not touch a frame, where velocities jump (n,)."""
+    at = times_s.unsqueeze(1) - DT * torch.arange(steps)
+    phase = at / FRAME_S
+    return ((phase - phase.round()).abs() * FRAME_S > 1e-5).all(dim=1)
+
+
+def _zero_step(task: HumanoidAMP):
+    return task.step(torch.zeros(task.num_envs, 28))
+
+
+# --- the features -----------------------------------------------------------------------------
+
+
+def test_one_step_of_the_amp_observation_is_the_policy_s() -> None:
+    torch.manual_seed(0)
+    root = torch.randn(6, 13)
+    root[:, 3:7] /= root[:, 3:7].norm(dim=-1, keepdim=True)
+    state = root, torch.randn(6, 28), torch.randn(6, 28), torch.randn(6, 4, 3)
+    for local in (False, True):
+        assert torch.equal(
+            build_amp_observations(*state, local), compute_humanoid_observations(*state, local)
+        )
+
+
+@pytest.mark.parametrize(("steps", "size"), [(2, 210), (10, 1050)])
+def test_amp_observation_space(make_humanoid, steps: int, size: int) -> None:
+    task = make_humanoid(2, numAMPObsSteps=steps)
+    assert task.amp_observation_space == gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+    assert task.num_amp_obs == size
+    task.reset()
+    assert _zero_step(task)[-1]["amp_obs"].shape == (2, size)
+
+
+# --- starts of episodes -----------------------------------------------------------------------
+
+
+def test_default_start(make_humanoid) -> None:
+    task = make_humanoid(3, stateInit="Default")
+    task.reset_done()
+    sim = task.simulation
+    expected = torch.tensor([[0.0, 0.0, DEFAULT_HEIGHT_M, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6]] * 3)
+    torch.testing.assert_close(sim.root_states, expected, rtol=0.0, atol=1e-7)
+    assert (sim.dof_pos == 0.0).all()
+    assert (sim.dof_vel == 0.0).all()
+
+
+@pytest.mark.parametrize("local_root_obs", [False, True])
+def test_start_at_the_beginning_of_the_clip(
+    make_humanoid, walk_clip: Path, local_root_obs: bool
+) -> None:
+    task = make_humanoid(2, stateInit="Start", localRootObs=local_root_obs)
+    observations, done_ids = task.reset_done()
+    assert done_ids.tolist() == [0, 1]
+    library = _library(walk_clip)
+    zeros = torch.zeros(2)
+    pos, rot, dof_pos, vel, ang_vel, dof_vel, key_pos = library.get_motion_state([0, 0], zeros)
+    sim = task.simulation
+    root = torch.cat((pos, rot, vel, ang_vel), dim=-1)
+    torch.testing.assert_close(sim.root_states, root, rtol=0.0, atol=ATOL)
+    torch.testing.assert_close(sim.dof_pos, dof_pos, rtol=0.0, atol=ATOL)
+    torch.testing.assert_close(sim.dof_vel, dof_vel, rtol=0.0, atol=ATOL)
+    # The bodies are those of the new state at once.
+    torch.testing.assert_close(sim.body_pos[:, [5, 8, 11, 14]], key_pos, rtol=0.0, atol=ATOL)
+    expected = _features(library, zeros, local_root_obs)
+    torch.testing.assert_close(observations["obs"], expected, rtol=0.0, atol=ATOL)
+
+
+def test_random_start(make_humanoid, walk_clip: Path) -> None:
+    torch.manual_seed(0)
+    task = make_humanoid(400, stateInit="Random")
+    observed = task.reset_done()[0]["obs"]
+    times = _time_of(observed[:, 0])
+    assert times.min() > -1e-5
+    assert times.max() < CLIP_S + 1e-5
+    # Uniform over the clip: mean 0.75 s with a standard error of 1.5 / sqrt(12 * 400) = 0.022 s.
+    assert abs(float(times.mean()) - 0.75) < 0.1
+    assert float(times.min()) < 0.05 < CLIP_S - 0.05 < float(times.max())
+    clear = _away_from_frames(times, 1)
+    assert clear.sum() > 350
+    expected = _features(_library(walk_clip), times)
+    torch.testing.assert_close(observed[clear], expected[clear], rtol=0.0, atol=2e-5)
+
+
+def _starts_in_clip(task: HumanoidAMP) -> Tensor:
+    """Mask (N,) of environments that do not stand in the default pose."""
+    return (task.simulation.dof_pos != 0.0).any(dim=-1)
+
+
+@pytest.mark.parametrize(("probability", "tolerance"), [(0.0, 0.0), (0.25, 0.1), (1.0, 0.0)])
+def test_hybrid_start(make_humanoid, probability: float, tolerance: float) -> None:
+    # Five standard deviations of a share of 400: 5 sqrt(0.25 * 0.75 / 400) = 0.11.
+    torch.manual_seed(1)
+    task = make_humanoid(400, stateInit="Hybrid", hybridInitProb=probability)
+    task.reset_done()
+    in_clip = _starts_in_clip(task)
+    assert abs(float(in_clip.float().mean()) - probability) <= tolerance
+    heights = task.simulation.root_states[:, 2]
+    torch.testing.assert_close(
+        heights[~in_clip], torch.full_like(heights[~in_clip], DEFAULT_HEIGHT_M)
+    )
+
+
+def test_the_same_seed_gives_the_same_starts(make_humanoid) -> None:
+    observed = []
+    for seed in (5, 5, 6):
+        torch.manual_seed(seed)
+        observed.append(make_humanoid(8, stateInit="Hybrid").reset_done()[0]["obs"])
+    assert torch.equal(observed[0], observed[1])
+    assert not torch.equal(observed[0], observed[2])
+
+
+# --- the history of AMP observations ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+def test_history_of_a_default_start_repeats_the_first_observation(
+    make_humanoid, steps: int
+) -> None:
+    task = make_humanoid(2, stateInit="Default", numAMPObsSteps=steps)
+    first = task.reset_done()[0]["obs"]
+    seen = [first]
+    for count in range(1, steps + 2):
+        observations, *_, infos = _zero_step(task)
+        seen.insert(0, observations["obs"])
+        history = infos["amp_obs"].view(2, steps, 105)
+        for slot in range(steps):
+            # newest first; before the start the character stood still
+            expected = seen[slot] if slot <= count else first
+            assert torch.equal(history[:, slot], expected), (count, slot)
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+@pytest.mark.parametrize("local_root_obs", [False, True])
+def test_history_of_a_start_in_the_clip_is_the_clip_s(
+    make_humanoid, walk_clip: Path, steps: int, local_root_obs: bool
+) -> None:
+    torch.manual_seed(2)
+    task = make_humanoid(60, numAMPObsSteps=steps, localRootObs=local_root_obs)
+    observed = task.reset_done()[0]["obs"]
+    times = _time_of(observed[:, 0])
+    clear = _away_from_frames(times, steps)
+    assert clear.sum() > 30
+    infos = _zero_step(task)[-1]
+    history = infos["amp_obs"].view(60, steps, 105)
+    # After one step slot 1 is the start, slot k + 1 the clip k control steps earlier; times
+    # before its beginning extrapolate.
+    torch.testing.assert_close(history[:, 1], observed, rtol=0.0, atol=0.0)
+    library = _library(walk_clip)
+    for k in range(1, steps - 1):
+        expected = _features(library, times - k * DT, local_root_obs)
+        torch.testing.assert_close(
+            history[clear, k + 1], expected[clear], rtol=0.0, atol=2e-5
+        )
+    assert times.min() < DT
+
+
+def test_history_at_the_beginning_of_the_clip_extrapolates(
+    make_humanoid, walk_clip: Path
+) -> None:
+    task = make_humanoid(1, stateInit="Start", numAMPObsSteps=4)
+    task.reset_done()
+    history = _zero_step(task)[-1]["amp_obs"].view(4, 105)
+    expected = _features(_library(walk_clip), torch.tensor([0.0, -DT, -2.0 * DT]))
+    torch.testing.assert_close(history[1:], expected, rtol=0.0, atol=ATOL)
+    # 0.05 m/s upwards: 1.66 mm lower a control step earlier
+    assert float(history[1, 0] - history[2, 0]) == pytest.approx(0.05 * DT, abs=1e-6)
+
+
+def test_a_reset_leaves_the_history_of_the_others(make_humanoid) -> None:
+    # In IsaacGymEnvs a later reset wrote over the history of environments still running.
+    torch.manual_seed(3)
+    task = make_humanoid(40, stateInit="Hybrid", numAMPObsSteps=4)
+    task.reset_done()
+    for _ in range(2):
+        _zero_step(task)
+    before = task._amp_obs_buf.clone()
+    task.reset_idx(torch.arange(20))
+    assert torch.equal(task._amp_obs_buf[20:], before[20:])
+    task.reset_idx(torch.tensor([20]))
+    assert torch.equal(task._amp_obs_buf[21:], before[21:])
+    assert not torch.equal(task._amp_obs_buf[:20], before[:20])
+
+
+def test_the_terminal_observation_is_seen_before_the_reset(make_humanoid) -> None:
+    task = make_humanoid(2, stateInit="Start", episodeLength=3, enableEarlyTermination=False)
+    task.reset_done()
+    first, *_, infos = _zero_step(task)
+    last, _, dones, infos = _zero_step(task)
+    assert dones.tolist() == [1, 1]
+    assert infos["terminate"].tolist() == [0, 0]
+    assert infos["time_outs"].tolist() == [True, True]
+    history = infos["amp_obs"].view(2, 2, 105)
+    assert torch.equal(history[:, 0], last["obs"])
+    assert torch.equal(history[:, 1], first["obs"])
+    fresh = task.reset_done()[0]["obs"]
+    torch.testing.assert_close(fresh[:, 0], torch.full((2,), 0.88), rtol=0.0, atol=1e-6)
+    # what the agent holds stays
+    assert torch.equal(infos["amp_obs"].view(2, 2, 105), history)
+
+
+def test_infos_of_a_step(make_humanoid) -> None:
+    task = make_humanoid(3)
+    task.reset_done()
+    *_, first = _zero_step(task)
+    kept = first["amp_obs"]
+    copy = kept.clone()
+    *_, second = _zero_step(task)
+    assert first is second
+    assert torch.equal(kept, copy)
+    assert {"amp_obs", "terminate", "time_outs"} <= set(second)
+    assert (second["terminate"].shape, second["terminate"].dtype) == ((3,), torch.int64)
+    assert (second["time_outs"].shape, second["time_outs"].dtype) == ((3,), torch.bool)
+
+
+# --- demonstrations ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("steps", "local_root_obs"), [(2, False), (4, True)])
+def test_demonstrations_lie_inside_the_clip(
+    make_humanoid, walk_clip: Path, steps: int, local_root_obs: bool
+) -> None:
+    torch.manual_seed(4)
+    task = make_humanoid(1, numAMPObsSteps=steps, localRootObs=local_root_obs)
+    demos = task.fetch_amp_obs_demo(300)
+    assert (demos.shape, demos.dtype) == ((300, steps * 105), torch.float32)
+    demos = demos.view(300, steps, 105)
+    newest, oldest = _time_of(demos[:, 0, 0]), _time_of(demos[:, -1, 0])
+    assert oldest.min() > -1e-5
+    assert newest.max() < CLIP_S + 1e-5
+    # The whole of the clip is used.
+    assert oldest.min() < 0.05
+    assert newest.max() > CLIP_S - 0.05
+    clear = _away_from_frames(newest, steps)
+    assert clear.sum() > 150
+    library = _library(walk_clip)
+    for k in range(steps):
+        expected = _features(library, newest - k * DT, local_root_obs)
+        torch.testing.assert_close(demos[clear, k], expected[clear], rtol=0.0, atol=2e-5)
+
+
+def test_any_number_of_demonstrations(make_humanoid) -> None:
+    task = make_humanoid(1)
+    for n in (7, 1, 64, 7):
+        assert task.fetch_amp_obs_demo(n).shape == (n, 210)
+    first, second = task.fetch_amp_obs_demo(5), task.fetch_amp_obs_demo(5)
+    assert not torch.equal(first, second)
+
+
+def test_demonstrations_are_drawn_by_weight(make_humanoid, walk_clip: Path) -> None:
+    dataset = walk_clip.with_name("weighted.yaml")
+    dataset.write_text(
+        "motions:\n  - file: walk.npz\n    weight: 1.0\n  - file: walk.npz\n    weight: 3.0\n"
+    )
+    torch.manual_seed(0)
+    task = make_humanoid(1, motion_file=str(dataset))
+    assert task.motion_lib.num_motions() == 2
+    ids = task.motion_lib.sample_motions(1000)
+    # standard deviation of the share: sqrt(0.25 * 0.75 / 1000) = 0.014
+    assert abs(float((ids == 1).float().mean()) - 0.75) < 0.07
+    assert task.fetch_amp_obs_demo(3).shape == (3, 210)
+
+
+def test_demonstrations_go_to_the_rl_device(humanoid_cfg) -> None:
+    task = HumanoidAMP(humanoid_cfg(1), "meta", "cpu", -1, True)
+    assert task.fetch_amp_obs_demo(2).device.type == "meta"
+    infos = _zero_step(task)[-1]
+    assert {name: infos[name].device.type for name in ("amp_obs", "terminate", "time_outs")} == {
+        "amp_obs": "meta",
+        "terminate": "meta",
+        "time_outs": "meta",
+    }
+    task.close()
+
+
+# --- bad input --------------------------------------------------------------------------------
+
+
+def test_a_missing_motion_file(make_humanoid, tmp_path: Path) -> None:
+    with pytest.raises(MotionFileError, match=r"motion file '.*nowhere\.npz' not found") as error:
+        make_humanoid(1, motion_file=str(tmp_path / "nowhere.npz"))
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_motion_file(make_humanoid, tmp_path: Path, walk_clip: Path) -> None:
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(walk_clip.read_bytes()[:2000])
+    with pytest.raises(MotionFileError, match=r"damaged\.npz"):
+        make_humanoid(1, motion_file=str(damaged))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("stateInit", "Sitting"), ("numAMPObsSteps", 1), ("hybridInitProb", 2.0)]
+)
+def test_bad_values_are_config_errors(make_humanoid, key: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=rf"task\.env\.{key}"):
+        make_humanoid(1, **{key: value})

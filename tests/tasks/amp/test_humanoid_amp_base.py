@@ -1,0 +1,366 @@
+"""The simulated humanoid: actions, observations, ends of episodes."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
+from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+
+ELBOWS, KNEES = [9, 13], [17, 24]
+EFFORTS = [125] * 3 + [20] * 3 + ([70] * 3 + [60]) * 2 + ([125] * 3 + [100] + [50] * 3) * 2
+# float32 of numbers of order 1
+ATOL = 1e-6
+# A state on its back just above the floor, whose contacts end an episode (root, all else zero).
+ON_ITS_BACK = [0.0, 0.0, 0.085, 0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5), *[0.0] * 6]
+
+
+@pytest.fixture
+def make(make_humanoid):
+    """Return a maker of the base task: without a motion library."""
+    return lambda *args, **env: make_humanoid(*args, cls=HumanoidAMPBase, **env)
+
+
+def _controls(task: HumanoidAMPBase, monkeypatch: pytest.MonkeyPatch) -> list[Tensor]:
+    """Note the controls that a task sets."""
+    seen: list[Tensor] = []
+    set_controls = task.simulation.set_controls
+
+    def noting(controls: Tensor) -> None:
+        seen.append(controls.clone())
+        set_controls(controls)
+
+    monkeypatch.setattr(task.simulation, "set_controls", noting)
+    return seen
+
+
+def _lay_down(task: HumanoidAMPBase, env_ids: list[int]) -> None:
+    n = len(env_ids)
+    root, zeros = torch.tensor([ON_ITS_BACK] * n), torch.zeros(n, 28)
+    task.simulation.write_state(torch.tensor(env_ids), root, zeros, zeros)
+
+
+# --- making -----------------------------------------------------------------------------------
+
+
+def test_sizes_and_times(make) -> None:
+    task = make(3)
+    assert (task.num_envs, task.num_obs, task.num_actions) == (3, 105, 28)
+    assert task.max_episode_length == 300
+    assert task.control_freq_inv == 2
+    # two calls of 0.0166 s, of two physics steps each
+    assert task.dt == pytest.approx(0.0332)
+    assert task.simulation.substeps == 4
+    assert task.simulation.dt == pytest.approx(0.0332)
+    assert task.simulation.num_envs == 3
+    assert isinstance(task.simulation.model, mujoco.MjModel)
+    assert task.simulation.device == task.device == torch.device("cpu")
+    assert (task.cfg["env"]["numObservations"], task.cfg["env"]["numActions"]) == (105, 28)
+
+
+def test_other_times(make) -> None:
+    task = make(1, sim={"dt": 0.02, "substeps": 3}, controlFrequencyInv=4)
+    assert task.dt == pytest.approx(0.08)
+    assert task.simulation.substeps == 12
+    assert task.simulation.model.opt.timestep == pytest.approx(0.02 / 3.0)
+
+
+def test_number_of_threads(make) -> None:
+    assert make(4, sim={"physx": {"num_threads": 2}}).simulation.num_threads == 2
+
+
+def test_an_unknown_contact_body_lists_the_choices(make) -> None:
+    with pytest.raises(ConfigError, match=r"contactBodies.*'right_foott' \(did you mean 'right_f"):
+        make(1, contactBodies=["right_foott"])
+
+
+def test_a_model_of_another_kind_is_refused(make, tmp_path) -> None:
+    (tmp_path / "ball.xml").write_text(
+        '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ConfigError, match="0 degrees of freedom and 0 actuators.*expects 28"):
+        make(1, asset={"assetFileName": str(tmp_path / "ball.xml")})
+
+
+# --- actions ----------------------------------------------------------------------------------
+
+
+def test_actions_become_pd_targets(make, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = make(3)
+    controls = _controls(task, monkeypatch)
+    actions = torch.zeros(3, 28)
+    actions[1], actions[2] = 0.5, -9.0  # the last is clamped to -1
+    task.step(actions)
+    # offset + scale * action: 0 and pi of ball joints, -+1.39626 and 1.95477 of hinges
+    for row, action in enumerate((0.0, 0.5, -1.0)):
+        expected = torch.full((28,), math.pi * action)
+        expected[ELBOWS] = -1.396263 + 1.954769 * action
+        expected[KNEES] = 1.396263 + 1.954769 * action
+        torch.testing.assert_close(controls[0][row], expected, rtol=0.0, atol=2e-6)
+
+
+def test_clip_actions_is_a_key(make, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = make(1, clipActions=0.25)
+    controls = _controls(task, monkeypatch)
+    task.step(torch.ones(1, 28))
+    assert float(controls[0][0, 0]) == pytest.approx(0.25 * math.pi)
+
+
+def test_joints_go_to_their_targets(make) -> None:
+    # In the air without gravity the drives bring all joints to their targets.
+    task = make(1, sim={"gravity": [0.0, 0.0, 0.0]}, enableEarlyTermination=False)
+    task.reset()
+    targets = torch.full((1, 28), 0.3)
+    targets[:, 6] = -0.3  # the right arm away from the body, as the left one
+    targets[:, ELBOWS], targets[:, KNEES] = -0.6, 0.6
+    scale = torch.full((28,), math.pi)
+    offset = torch.zeros(28)
+    scale[ELBOWS + KNEES] = 1.954769
+    offset[ELBOWS], offset[KNEES] = -1.396263, 1.396263
+    for _ in range(60):  # 2 s
+        task.step((targets - offset) / scale)
+    # The time constant kd / kp is 0.1 s; the whole body still sways a little.
+    torch.testing.assert_close(task.simulation.dof_pos, targets, rtol=0.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("action", [0.99, 1.0, -1.0])
+def test_a_full_action_turns_a_joint_in_its_direction(make, action: float) -> None:
+    task = make(1, sim={"gravity": [0.0, 0.0, 0.0]})
+    task.reset()
+    actions = torch.zeros(1, 28)
+    actions[:, ELBOWS], actions[:, KNEES] = 1.396263 / 1.954769, -1.396263 / 1.954769
+    actions[:, 6] = action  # right_shoulder_x, target almost or just pi
+    task.step(actions)
+    assert float(task.simulation.dof_pos[0, 6]) * action > 0.2
+
+
+@pytest.mark.parametrize("power_scale", [1.0, 0.4])
+def test_torque_mode(make, monkeypatch: pytest.MonkeyPatch, power_scale: float) -> None:
+    task = make(2, pdControl=False, powerScale=power_scale)
+    controls = _controls(task, monkeypatch)
+    actions = torch.full((2, 28), 0.5)
+    actions[1] = torch.linspace(-1.0, 1.0, 28)
+    task.step(actions)
+    expected = actions * torch.tensor(EFFORTS) * power_scale
+    torch.testing.assert_close(controls[0], expected, rtol=1e-6, atol=1e-5)
+
+
+def test_torque_mode_turns_joints(make) -> None:
+    # A quarter of the neck's 20 Nm about z, in the air without gravity, for one control step:
+    # the head (m = 3.88 kg, radius 0.095 m) has 2/5 m r^2 + armature = 0.014 + 0.017 kg m^2.
+    task = make(1, sim={"gravity": [0.0, 0.0, 0.0]}, pdControl=False)
+    task.reset()
+    actions = torch.zeros(1, 28)
+    actions[0, 5] = 0.25
+    task.step(actions)
+    speed = float(task.simulation.dof_vel[0, 5])
+    assert speed == pytest.approx(5.0 / 0.031 * 0.0332, rel=0.15)  # the rest recoils
+
+
+# --- observations -----------------------------------------------------------------------------
+
+
+def test_observation_of_the_default_pose(make) -> None:
+    task = make(2, stateInit="Default")
+    observed = task.reset()["obs"]
+    ball = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    arm, leg = [*ball, 0.0], [*ball, 0.0, *ball]
+    # Hands: offsets of torso, upper arm, lower arm and hand added up.
+    hand_z = 0.236151 + 0.24350 - 0.274788 - 0.258947
+    expected = [
+        *(0.89, *ball, *[0.0] * 6),
+        *(*ball, *ball, *arm, *arm, *leg, *leg),
+        *[0.0] * 28,
+        *(-0.02405, -0.18311, hand_z, -0.02405, 0.18311, hand_z),
+        *(0.0, -0.084887, -0.831416, 0.0, 0.084887, -0.831416),
+    ]
+    torch.testing.assert_close(observed, torch.tensor([expected] * 2), rtol=0.0, atol=ATOL)
+
+
+@pytest.mark.parametrize("local_root_obs", [False, True])
+def test_observation_after_steps_is_that_of_the_state(make, local_root_obs: bool) -> None:
+    task = make(3, localRootObs=local_root_obs)
+    task.reset()
+    torch.manual_seed(0)
+    for _ in range(5):
+        observations, *_ = task.step(0.3 * torch.randn(3, 28))
+    sim = task.simulation
+    expected = compute_humanoid_observations(
+        sim.root_states,
+        sim.dof_pos,
+        sim.dof_vel,
+        # right hand, left hand, right foot, left foot
+        sim.body_pos[:, [5, 8, 11, 14]],
+        local_root_obs,
+    )
+    torch.testing.assert_close(observations["obs"], expected, rtol=0.0, atol=ATOL)
+
+
+def test_reset_starts_all_episodes_and_observes_them(make) -> None:
+    task = make(3)
+    task.step(torch.zeros(3, 28))
+    observed = task.reset()["obs"]
+    torch.testing.assert_close(observed[:, 0], torch.full((3,), 0.89), rtol=0.0, atol=ATOL)
+    assert task.progress_buf.tolist() == [0, 0, 0]
+    assert task.reset_buf.tolist() == [0, 0, 0]
+
+
+def test_reset_done_leaves_the_others_alone(make) -> None:
+    task = make(4)
+    task.reset()
+    torch.manual_seed(0)
+    for _ in range(3):
+        task.step(torch.randn(4, 28))
+    names = ("root_states", "dof_pos", "dof_vel", "body_pos", "body_rot", "contact_forces")
+    others = [0, 1, 3]
+    before = {name: getattr(task.simulation, name)[others].numpy().tobytes() for name in names}
+    observed, progress = task.obs_buf[others].clone(), task.progress_buf[others].clone()
+    task.reset_buf[2] = 1
+    observations, done_ids = task.reset_done()
+    assert done_ids.tolist() == [2]
+    for name in names:
+        assert getattr(task.simulation, name)[others].numpy().tobytes() == before[name], name
+    assert torch.equal(task.obs_buf[others], observed)
+    assert torch.equal(task.progress_buf[others], progress)
+    assert task.progress_buf[2] == 0
+    assert float(observations["obs"][2, 0]) == pytest.approx(0.89)
+
+
+def test_environments_may_be_reset_in_any_order(make) -> None:
+    task = make(4)
+    task.reset()
+    for _ in range(2):
+        task.step(torch.zeros(4, 28))
+    task.reset_idx(torch.tensor([3, 0]))
+    assert task.progress_buf.tolist() == [0, 2, 2, 0]
+    torch.testing.assert_close(task.obs_buf[[3, 0], 0], torch.full((2,), 0.89))
+
+
+# --- ends of episodes -------------------------------------------------------------------------
+
+
+def test_before_the_first_reset_all_flags_are_up(make) -> None:
+    task = make(2)
+    assert task.reset_buf.tolist() == [1, 1]
+    _, done_ids = task.reset_done()
+    assert done_ids.tolist() == [0, 1]
+
+
+def test_an_episode_ends_one_step_before_its_length(make) -> None:
+    task = make(2, episodeLength=5)
+    task.reset()
+    for step in range(1, 5):
+        _, rewards, dones, infos = task.step(torch.zeros(2, 28))
+        ended = step == 4
+        assert dones.tolist() == [int(ended)] * 2
+        assert infos["time_outs"].tolist() == [ended] * 2
+        assert infos["terminate"].tolist() == [0, 0]
+        assert rewards.tolist() == [1.0, 1.0]
+
+
+def test_a_fall_ends_the_episode_but_not_in_its_first_step(make) -> None:
+    task = make(3)
+    task.reset()
+    _lay_down(task, [1])
+    *_, dones, infos = task.step(torch.zeros(3, 28))
+    assert task.simulation.contact_forces[1].abs().max() > 1.0
+    assert dones.tolist() == infos["terminate"].tolist() == [0, 0, 0]
+    *_, dones, infos = task.step(torch.zeros(3, 28))
+    assert dones.tolist() == infos["terminate"].tolist() == [0, 1, 0]
+    assert infos["time_outs"].tolist() == [False] * 3
+    # The observation is the terminal one; the reset comes when it is asked for.
+    assert float(task.obs_buf[1, 0]) < 0.2
+    task.reset_done()
+    assert float(task.obs_buf[1, 0]) == pytest.approx(0.89)
+    assert task._terminate_buf.tolist() == [0, 0, 0]
+
+
+def test_a_fall_in_the_last_step_is_no_time_out(make) -> None:
+    task = make(2, episodeLength=4)
+    task.reset()
+    for _ in range(2):
+        task.step(torch.zeros(2, 28))
+    _lay_down(task, [0])
+    *_, dones, infos = task.step(torch.zeros(2, 28))
+    assert dones.tolist() == [1, 1]
+    assert infos["terminate"].tolist() == [1, 0]
+    assert infos["time_outs"].tolist() == [False, True]
+
+
+def test_early_termination_can_be_switched_off(make) -> None:
+    task = make(1, enableEarlyTermination=False, episodeLength=6)
+    task.reset()
+    _lay_down(task, [0])
+    flags = [
+        (int(dones[0]), int(infos["terminate"][0]))
+        for *_, dones, infos in (task.step(torch.zeros(1, 28)) for _ in range(5))
+    ]
+    assert flags == [(0, 0)] * 4 + [(1, 0)]
+
+
+def test_contact_bodies_may_touch_the_floor(make) -> None:
+    every_body = list(make(1).simulation.body_names)
+    task = make(1, contactBodies=every_body)
+    task.reset()
+    _lay_down(task, [0])
+    for _ in range(3):
+        *_, dones, _ = task.step(torch.zeros(1, 28))
+        assert dones.tolist() == [0]
+
+
+def test_termination_height_is_a_key(make) -> None:
+    task = make(1, terminationHeight=0.0)
+    task.reset()
+    _lay_down(task, [0])
+    for _ in range(3):
+        *_, dones, _ = task.step(torch.zeros(1, 28))
+        assert dones.tolist() == [0]
+
+
+def test_a_diverged_simulation_ends_its_episode_as_a_fall(
+    make, caplog: pytest.LogCaptureFixture
+) -> None:
+    task = make(3, enableEarlyTermination=False)
+    task.reset()
+    zeros = torch.zeros(1, 28)
+    root = torch.tensor([[0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6]])
+    task.simulation.write_state(torch.tensor([2]), root, zeros, zeros * float("nan"))
+    observations, _, dones, infos = task.step(torch.zeros(3, 28))
+    assert dones.tolist() == infos["terminate"].tolist() == [0, 0, 1]
+    assert infos["time_outs"].tolist() == [False] * 3
+    assert infos["diverged_simulations"] == 1
+    assert observations["obs"].isfinite().all()
+    assert any("1 simulation(s) diverged" in message for message in caplog.messages)
+    task.reset_done()
+    *_, dones, _ = task.step(torch.zeros(3, 28))
+    assert dones.tolist() == [0, 0, 0]
+
+
+def test_infos_are_copies(make) -> None:
+    task = make(2, episodeLength=3)
+    task.reset()
+    *_, infos = task.step(torch.zeros(2, 28))
+    terminate = infos["terminate"]
+    terminate.fill_(7)
+    assert task._terminate_buf.tolist() == [0, 0]
+
+
+def test_the_same_actions_give_the_same_course(make) -> None:
+    def course(threads: int) -> list[bytes]:
+        task = make(5, sim={"physx": {"num_threads": threads}})
+        generator = torch.Generator().manual_seed(3)
+        task.reset()
+        observed = []
+        for _ in range(30):
+            observations, *_ = task.step(0.5 * torch.randn(5, 28, generator=generator))
+            observed.append(observations["obs"].numpy().tobytes())
+            task.reset_done()
+        return observed
+
+    assert course(1) == course(2)

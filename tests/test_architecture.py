@@ -1,0 +1,180 @@
+"""Rules of the house that can be read off the syntax tree."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import isaacgymenvs_lite
+
+PACKAGE = "isaacgymenvs_lite"
+ROOT = Path(isaacgymenvs_lite.__file__).parent
+FILES = sorted(ROOT.rglob("*.py"))
+LOOPS = {"play_steps", "train_epoch", "calc_gradients"}
+
+# Room or top-level module -> what it must not import, directly or through others.
+FORBIDDEN = {
+    "learning": {"tasks"},
+    "tasks": {"learning"},
+    "simulation": {"tasks", "learning", "motion"},
+    "motion": {"tasks", "learning", "simulation"},
+    "wrappers": {"learning"},
+    "imitation": {"tasks", "learning", "simulation"},
+    "config": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
+    "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
+}
+# Nobody imports those that stand above: train.py -> runner -> registration -> rooms.
+ABOVE = ("train", "runner", "registration")
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join((PACKAGE, *(part for part in parts if part != "__init__")))
+
+
+def room_of(module: str) -> str:
+    """First name below the package: 'learning' for isaacgymenvs_lite.learning.losses."""
+    return module.split(".")[1] if "." in module else ""
+
+
+MODULES = {module_of(path): path for path in FILES}
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Modules of the project that a file imports anywhere, functions and TYPE_CHECKING included."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            base = node.module or ""
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            if name in MODULES:
+                yield name
+
+
+@cache
+def direct(module: str) -> frozenset[str]:
+    own = set(imported(MODULES[module])) - {module, PACKAGE}
+    return frozenset(own)
+
+
+def reachable(module: str) -> set[str]:
+    """Every module that importing `module` may bring with it."""
+    seen: set[str] = set()
+    todo = [module]
+    while todo:
+        for other in direct(todo.pop()):
+            if other not in seen:
+                seen.add(other)
+                todo.append(other)
+    return seen
+
+
+def test_the_package_was_found():
+    assert {"learning", "tasks", "simulation", "motion", "utils"} <= {room_of(m) for m in MODULES}
+    assert f"{PACKAGE}.learning.common_agent" in MODULES
+
+
+def test_the_loops_exist_once():
+    """rl_games calls these three; copies of them hid bugs in the originals."""
+    owners = [
+        (module, cls.name, function.name)
+        for module, path in MODULES.items()
+        for cls in ast.walk(tree(path))
+        if isinstance(cls, ast.ClassDef)
+        for function in cls.body
+        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef)) and function.name in LOOPS
+    ]
+    agent = (f"{PACKAGE}.learning.common_agent", "CommonAgent")
+    assert sorted(owners) == sorted((*agent, loop) for loop in LOOPS)
+
+
+def test_nobody_rewrites_rl_games_train_loop():
+    """Best-checkpoint saving, score_to_win and max_frames live in it."""
+    for module, path in MODULES.items():
+        for cls in ast.walk(tree(path)):
+            if isinstance(cls, ast.ClassDef) and cls.name.endswith("Agent"):
+                assert "train" not in {getattr(node, "name", None) for node in cls.body}, module
+
+
+@pytest.mark.parametrize("room", sorted(FORBIDDEN))
+def test_imports_run_one_way(room):
+    members = [module for module in MODULES if room_of(module) == room]
+    assert members
+    for module in members:
+        wrong = {other for other in reachable(module) if room_of(other) in FORBIDDEN[room]}
+        assert not wrong, f"{module} imports {sorted(wrong)}"
+
+
+def test_utils_stand_below_everything():
+    for module in MODULES:
+        if room_of(module) == "utils":
+            assert {room_of(other) for other in direct(module)} <= {"utils", "errors"}, module
+
+
+@pytest.mark.parametrize("position", range(len(ABOVE)))
+def test_nobody_imports_what_stands_above(position):
+    above, allowed = ABOVE[position], {*ABOVE[: position + 1], "__main__"}
+    for module in MODULES:
+        if room_of(module) not in allowed:
+            assert above not in {room_of(other) for other in direct(module)}, module
+
+
+def test_one_package_steps_the_simulator():
+    """Others may read a compiled model; nobody else imports the batch API."""
+    for module, path in MODULES.items():
+        if room_of(module) == "simulation":
+            continue
+        for node in ast.walk(tree(path)):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [f"{node.module}.{alias.name}" for alias in node.names] + [str(node.module)]
+            assert not [n for n in names if n.startswith("mujoco.batch")], module
+            if isinstance(node, ast.Attribute):
+                assert node.attr not in ("mj_step", "mj_step1", "mj_step2"), module
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_library_code_does_not_print(path):
+    if module_of(path) == f"{PACKAGE}.train":
+        return
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id != "print", f"{path.name}:{node.lineno}"
+
+
+def test_registration_is_the_only_place_that_registers():
+    """Names of algorithms, players, models and networks are given to rl_games in one file."""
+    verbs = {"register_builder", "register_model", "register_network"}
+    for module, path in MODULES.items():
+        if room_of(module) == "registration":
+            continue
+        used = {node.attr for node in ast.walk(tree(path)) if isinstance(node, ast.Attribute)}
+        assert not used & verbs, module
+
+
+def test_quaternions_change_their_order_in_one_place():
+    """No list of indices that turns wxyz into xyzw or back outside utils/rotations.py."""
+    orders = {(1, 2, 3, 0), (3, 0, 1, 2)}
+    for module, path in MODULES.items():
+        if module == f"{PACKAGE}.utils.rotations":
+            continue
+        for node in ast.walk(tree(path)):
+            if isinstance(node, (ast.List, ast.Tuple)):
+                values = tuple(e.value for e in node.elts if isinstance(e, ast.Constant))
+                assert values not in orders, f"{module}:{getattr(node, 'lineno', 0)}"

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import pytest
+from rl_games.algos_torch import a2c_continuous, torch_ext
+from rl_games.algos_torch.model_builder import ModelBuilder
+from rl_games.common import env_configurations, vecenv
+from rl_games.common.algo_observer import AlgoObserver, DefaultAlgoObserver
+from rl_games.torch_runner import Runner
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
+from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
+from isaacgymenvs_lite.registration import (
+    AMP_FAMILY,
+    build_runner,
+    known_names,
+    register,
+    register_env,
+)
+
+# architecture.md, as far as these agents exist
+ALGORITHMS = ("amp_agent", "amp_continuous", "amp")
+MODELS = ("continuous_amp", "amp")
+NETWORKS = ("amp",)
+
+
+@pytest.fixture
+def runner() -> Runner:
+    return build_runner()
+
+
+def class_of(factory, name: str) -> type:
+    """The class that a registered builder calls."""
+    builder = factory._builders[name]
+    return builder.__closure__[0].cell_contents
+
+
+def test_names_of_train_files(runner):
+    names = known_names(runner)
+    assert set(ALGORITHMS) <= set(names["algo"])
+    assert set(MODELS) <= set(names["model"])
+    assert set(NETWORKS) <= set(names["network"])
+    assert all(values == sorted(values) for values in names.values())
+    assert frozenset(ALGORITHMS) == AMP_FAMILY
+
+
+def test_rl_games_own_names_stay(runner):
+    names = known_names(runner)
+    assert {"a2c_continuous", "a2c_discrete", "sac"} <= set(names["algo"])
+    assert {"continuous_a2c_logstd", "discrete_a2c", "soft_actor_critic"} <= set(names["model"])
+    assert {"actor_critic", "resnet_actor_critic", "soft_actor_critic"} <= set(names["network"])
+    plain = Runner()
+    for factory in ("algo_factory", "player_factory"):
+        for name, builder in getattr(plain, factory)._builders.items():
+            own = getattr(runner, factory)._builders[name]
+            assert own.__code__ is builder.__code__, name
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_has_a_player(name, runner):
+    assert issubclass(class_of(runner.algo_factory, name), AMPAgent)
+    agent = class_of(runner.algo_factory, name)
+    player = class_of(runner.player_factory, name)
+    assert player.default_disc_reward == agent.default_disc_reward
+    expected = "least_squares" if name == "amp_agent" else "logistic"
+    assert agent.default_disc_reward == expected
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_models_and_networks_of_train_files(name, runner):
+    params = {
+        "model": {"name": name},
+        "network": {
+            "name": "amp",
+            "separate": True,
+            "space": {
+                "continuous": {
+                    "mu_activation": "None",
+                    "sigma_activation": "None",
+                    "mu_init": {"name": "default"},
+                    "sigma_init": {"name": "const_initializer", "val": -2.9},
+                    "fixed_sigma": True,
+                }
+            },
+            "mlp": {"units": [4], "activation": "relu", "initializer": {"name": "default"}},
+            "disc": {"units": [4], "activation": "relu"},
+        },
+    }
+    model = ModelBuilder().load(params)
+    assert isinstance(model, ModelAMPContinuous)
+    assert isinstance(model.network_builder, AMPBuilder)
+
+
+def test_a_runner_that_the_caller_made():
+    class MyObserver(AlgoObserver):
+        pass
+
+    observer = MyObserver()
+    runner = Runner(observer)
+    before = set(runner.algo_factory._builders)
+    register(runner)
+    assert set(runner.algo_factory._builders) == before | set(ALGORITHMS)
+    assert set(runner.player_factory._builders) >= set(ALGORITHMS)
+    assert runner.algo_observer is observer
+    register(runner)  # twice is as good as once
+    assert set(runner.algo_factory._builders) == before | set(ALGORITHMS)
+
+
+def test_checkpoints_are_ours_after_registering(runner):
+    assert torch_ext.save_checkpoint is checkpoints.save_checkpoint
+    # rl_games' agents look the function up when they save
+    assert a2c_continuous.torch_ext is torch_ext
+
+
+def test_the_observer_of_a_new_runner():
+    observer = AlgoObserver()
+    assert build_runner(observer).algo_observer is observer
+    assert isinstance(build_runner().algo_observer, DefaultAlgoObserver)
+
+
+def test_the_environment_of_train_files(monkeypatch):
+    monkeypatch.setitem(env_configurations.configurations, "rlgpu", {})  # put back afterwards
+
+    class Task:
+        def __init__(self, **kwargs: object) -> None:
+            self.kwargs = kwargs
+
+    register_env(lambda **kwargs: Task(**kwargs))  # type: ignore[arg-type]
+    env = vecenv.create_vec_env("rlgpu", 4, seed=7)
+    assert isinstance(env.env, Task)
+    assert env.env.kwargs == {"seed": 7}
+    # the newest registration counts: a second run in the same process has its own task
+    second = Task()
+    register_env(lambda **kwargs: second)  # type: ignore[arg-type]
+    assert vecenv.create_vec_env("rlgpu", 4).env is second

@@ -1,0 +1,463 @@
+"""Whole runs through the composed configuration: files, resume, play, mistakes, stops."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import DictConfig, OmegaConf
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+
+CONFIG = "train.params.config"
+TINY = (
+    "task=HumanoidAMP",
+    "num_envs=4",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=2",
+    "task.env.episodeLength=4",
+    "+train.params.torch_threads=1",
+    "train.params.network.mlp.units=[16,8]",
+    "train.params.network.disc.units=[16,8]",
+    f"{CONFIG}.mixed_precision=False",
+    f"{CONFIG}.horizon_length=4",
+    f"{CONFIG}.mini_epochs=1",
+    f"{CONFIG}.amp_batch_size=16",
+    f"{CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{CONFIG}.amp_replay_buffer_size=64",
+    f"{CONFIG}.imitation_frequency=0",
+)
+SCALARS = {
+    # CommonAgent, learning.md section 2
+    "performance/total_fps",
+    "performance/step_fps",
+    "performance/update_time",
+    "performance/play_time",
+    "info/epochs",
+    "losses/a_loss",
+    "losses/c_loss",
+    "losses/bounds_loss",
+    "losses/entropy",
+    "info/last_lr",
+    "info/lr_mul",
+    "info/e_clip",
+    "info/clip_frac",
+    "info/kl",
+    "rewards/frame",
+    "rewards/iter",
+    "rewards/time",
+    "episode_lengths/frame",
+    "episode_lengths/iter",
+    # rl_games' own
+    "rewards/step",
+    "shaped_rewards/step",
+    "episode_lengths/step",
+    "episode_lengths/time",
+    "performance/step_inference_rl_update_fps",
+    # AMPAgent, section 3.3
+    "losses/disc_loss",
+    "info/disc_agent_acc",
+    "info/disc_demo_acc",
+    "info/disc_agent_logit",
+    "info/disc_demo_logit",
+    "info/disc_grad_penalty",
+    "info/disc_logit_loss",
+    "info/disc_reward_mean",
+    "info/disc_reward_std",
+    # the imitation metric
+    "imitation/pose_error_m",
+    "imitation/no_fall_share",
+}
+
+
+def tiny(clip: Path, *overrides: str) -> DictConfig:
+    return compose([*TINY, f"task.env.motion_file={clip}", *overrides])
+
+
+@pytest.fixture(scope="module")
+def trained_run(walk_clip, tmp_path_factory) -> Path:
+    """The run folder of a training of two epochs with an imitation measurement in each."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(tiny(walk_clip, f"{CONFIG}.imitation_frequency=1"))
+    (run_folder,) = (folder / "runs").iterdir()
+    return run_folder
+
+
+@pytest.fixture
+def in_tmp(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def checkpoint(trained_run) -> str:
+    return str(trained_run / "nn" / "HumanoidAMP.pth")
+
+
+def read_scalars(run_folder: Path) -> dict[str, list[Any]]:
+    accumulator = EventAccumulator(str(run_folder / "summaries"), {"scalars": 0})
+    accumulator.Reload()
+    return {tag: accumulator.Scalars(tag) for tag in accumulator.Tags()["scalars"]}
+
+
+# --- what a training leaves behind ------------------------------------------------------------
+
+
+def test_the_run_folder(trained_run):
+    # runs/<name>_<dd-HH-MM-SS>
+    assert re.fullmatch(r"HumanoidAMP_\d\d-\d\d-\d\d-\d\d", trained_run.name)
+    assert {path.name for path in trained_run.iterdir()} == {"config.yaml", "nn", "summaries"}
+    names = {path.name for path in (trained_run / "nn").iterdir()}
+    assert "HumanoidAMP.pth" in names
+    assert any(name.startswith("last_HumanoidAMP_ep_2_rew_") for name in names)
+    for path in (trained_run / "nn").iterdir():
+        assert checkpoints.load_checkpoint(path)["epoch"] == 2
+
+
+def test_tensorboard_reads_all_scalars(trained_run):
+    scalars = read_scalars(trained_run)
+    assert set(scalars) >= SCALARS, SCALARS - set(scalars)
+    for tag, events in scalars.items():
+        assert all(event.value == event.value for event in events), f"{tag} is nan"
+    # over frames: 16 in an epoch, written for the frames before it
+    for tag in ("losses/a_loss", "losses/disc_loss", "info/kl", "performance/total_fps"):
+        assert [event.step for event in scalars[tag]] == [0, 16], tag
+    assert [event.value for event in scalars["info/epochs"]] == [1.0, 2.0]
+    assert [event.step for event in scalars["rewards/iter"]] == [1, 2]
+    # episodes end after 3 control steps of reward 1
+    assert scalars["episode_lengths/frame"][-1].value == 3.0
+    assert scalars["rewards/frame"][-1].value == 3.0
+
+
+def test_the_configuration_of_a_run_can_be_used_again(trained_run, walk_clip, in_tmp):
+    stored = OmegaConf.load(trained_run / "config.yaml")
+    assert isinstance(stored, DictConfig)
+    again = tiny(walk_clip, f"{CONFIG}.imitation_frequency=1")
+    assert OmegaConf.to_container(stored) == OmegaConf.to_container(again)
+    check_config(stored)
+    run(stored)
+    (second,) = (in_tmp / "runs").iterdir()
+    assert (second / "nn" / "HumanoidAMP.pth").is_file()
+
+
+def test_nothing_is_printed_on_standard_output(in_tmp, walk_clip, capsys):
+    run(tiny(walk_clip, "max_iterations=1"))
+    assert capsys.readouterr().out == ""
+
+
+def test_an_exact_name_of_the_run_folder(in_tmp, walk_clip):
+    run(tiny(walk_clip, "max_iterations=1", "+full_experiment_name=mine", "experiment=Walker"))
+    assert [path.name for path in (in_tmp / "runs").iterdir()] == ["mine"]
+    assert (in_tmp / "runs" / "mine" / "nn" / "Walker.pth").is_file()
+
+
+def test_another_folder_of_runs(in_tmp, walk_clip):
+    run(tiny(walk_clip, "max_iterations=1", f"+{CONFIG}.train_dir=results"))
+    assert not (in_tmp / "runs").exists()
+    (folder,) = (in_tmp / "results").iterdir()
+    assert (folder / "config.yaml").is_file()
+    assert (folder / "nn" / "HumanoidAMP.pth").is_file()
+
+
+# --- reproducibility --------------------------------------------------------------------------
+
+
+def final_model(cfg: DictConfig, folder: Path, name: str) -> dict[str, torch.Tensor]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        OmegaConf.set_struct(cfg, False)
+        cfg.full_experiment_name = name
+        run(cfg)
+    return checkpoints.load_checkpoint(folder / "runs" / name / "nn" / "HumanoidAMP.pth")["model"]
+
+
+def equal(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
+    return all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_the_same_seed_gives_the_same_model(tmp_path, walk_clip):
+    models = [final_model(tiny(walk_clip, "seed=7"), tmp_path, name) for name in ("a", "b")]
+    assert equal(*models)
+    assert not equal(models[0], final_model(tiny(walk_clip, "seed=8"), tmp_path, "c"))
+
+
+def test_measuring_imitation_does_not_change_the_training(tmp_path, walk_clip):
+    measured = tiny(walk_clip, "max_iterations=3", f"{CONFIG}.imitation_frequency=1")
+    plain = tiny(walk_clip, "max_iterations=3")
+    assert equal(final_model(measured, tmp_path, "a"), final_model(plain, tmp_path, "b"))
+    assert "imitation/pose_error_m" in read_scalars(tmp_path / "runs" / "a")
+    assert "imitation/pose_error_m" not in read_scalars(tmp_path / "runs" / "b")
+
+
+# --- resume and play --------------------------------------------------------------------------
+
+
+def test_training_goes_on_from_a_checkpoint(in_tmp, walk_clip, checkpoint):
+    run(tiny(walk_clip, f"checkpoint={checkpoint}", "max_iterations=3"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    loaded = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP.pth")
+    assert loaded["epoch"] == 3
+    assert loaded["frame"] == 48
+    # one epoch was trained, on the frames after the first two
+    assert [event.step for event in read_scalars(folder)["losses/a_loss"]] == [32]
+
+
+def test_last_finds_the_run_of_before(in_tmp, walk_clip):
+    run(tiny(walk_clip, "+full_experiment_name=first"))
+    run(tiny(walk_clip, "+full_experiment_name=second", "checkpoint=last", "max_iterations=3"))
+    loaded = checkpoints.load_checkpoint(in_tmp / "runs" / "second" / "nn" / "HumanoidAMP.pth")
+    assert loaded["epoch"] == 3
+
+
+def test_a_play_reports_and_writes_nothing(in_tmp, walk_clip, checkpoint, caplog):
+    with caplog.at_level(logging.INFO):
+        run(
+            tiny(
+                walk_clip, "test=True", f"checkpoint={checkpoint}", f"+{CONFIG}.player.games_num=8"
+            )
+        )
+    (line,) = [message for message in caplog.messages if message.startswith("played ")]
+    for words in ("8 episodes", "reward", "episode length", "style reward", "pose error"):
+        assert words in line
+    assert list(in_tmp.iterdir()) == []
+
+
+def test_a_play_without_checkpoint_says_so(in_tmp, walk_clip, caplog):
+    run(tiny(walk_clip, "test=True", f"+{CONFIG}.player.games_num=4"))
+    assert "untrained" in caplog.text
+
+
+def test_sigma_replaces_the_log_standard_deviation(in_tmp, walk_clip, checkpoint):
+    run(tiny(walk_clip, f"checkpoint={checkpoint}", "max_iterations=3", "sigma=-1.5"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    model = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP.pth")["model"]
+    assert model["a2c_network.sigma"].tolist() == pytest.approx([-1.5] * 28)
+
+
+# --- mistakes of users ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_training(monkeypatch) -> None:
+    """Fails the test if an epoch begins."""
+    monkeypatch.setattr(CommonAgent, "play_steps", lambda self: pytest.fail("an epoch began"))
+
+
+def one_line(error: Exception) -> str:
+    assert "\n" not in str(error)
+    return str(error)
+
+
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize("test", [False, True], ids=["train", "play"])
+def test_a_checkpoint_of_another_network_is_refused(test, in_tmp, walk_clip, checkpoint):
+    cfg = tiny(
+        walk_clip,
+        f"test={test}",
+        f"checkpoint={checkpoint}",
+        "train.params.network.mlp.units=[32,8]",
+    )
+    with pytest.raises(CheckpointError) as caught:
+        run(cfg)
+    message = one_line(caught.value)
+    for words in (checkpoint, "another network", "actor_mlp", "config.yaml"):
+        assert words in message
+
+
+@pytest.mark.usefixtures("no_training")
+def test_a_missing_checkpoint_is_refused(in_tmp, walk_clip):
+    with pytest.raises(CheckpointError, match=r"checkpoint=nn/none\.pth"):
+        run(tiny(walk_clip, "checkpoint=nn/none.pth"))
+    with pytest.raises(CheckpointError, match="checkpoint=last"):
+        run(tiny(walk_clip, "checkpoint=last"))
+    assert list(in_tmp.iterdir()) == []
+
+
+@pytest.mark.usefixtures("no_training")
+def test_a_run_folder_that_cannot_be_written_is_refused(in_tmp, walk_clip):
+    (in_tmp / "taken").write_text("a file")
+    with pytest.raises(ConfigError, match=r"cannot write the run folder .*taken") as caught:
+        run(tiny(walk_clip, f"+{CONFIG}.train_dir=taken/runs"))
+    assert "train_dir" in one_line(caught.value)
+
+
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("train.params.algo.name=amp_agnet", ["amp_agnet", "amp_agent"]),
+        ("train.params.model.name=continuous", ["continuous", "continuous_amp"]),
+        ("train.params.network.name=ampp", ["ampp", "amp"]),
+        (f"{CONFIG}.imitation_frequency=-1", ["imitation_frequency", "-1"]),
+        (f"{CONFIG}.imitation_frequency=often", ["imitation_frequency", "often"]),
+        (f"{CONFIG}.disc_loss=wgan", ["disc_loss", "wgan", "bce"]),
+        (f"{CONFIG}.mixed_precision=bf16", ["mixed_precision", "bf16", "auto"]),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "",
+)
+def test_a_wrong_name_or_value_is_refused(override, words, in_tmp, walk_clip):
+    with pytest.raises(ConfigError) as caught:
+        run(tiny(walk_clip, override))
+    message = one_line(caught.value)
+    assert all(word in message for word in words), message
+
+
+# --- simulations are freed --------------------------------------------------------------------
+
+
+@pytest.fixture
+def tasks(monkeypatch) -> dict[str, list[HumanoidAMP]]:
+    """Which tasks were made and which were closed."""
+    seen: dict[str, list[HumanoidAMP]] = {"made": [], "closed": []}
+    init, close = HumanoidAMP.__init__, HumanoidAMP.close
+
+    def counted_init(self: HumanoidAMP, *args: Any, **kwargs: Any) -> None:
+        init(self, *args, **kwargs)
+        seen["made"].append(self)
+
+    def counted_close(self: HumanoidAMP) -> None:
+        close(self)
+        seen["closed"].append(self)
+
+    monkeypatch.setattr(HumanoidAMP, "__init__", counted_init)
+    monkeypatch.setattr(HumanoidAMP, "close", counted_close)
+    return seen
+
+
+def all_closed(tasks: dict[str, list[HumanoidAMP]]) -> bool:
+    return {id(task) for task in tasks["made"]} == {id(task) for task in tasks["closed"]}
+
+
+def test_a_training_and_its_measurements_free_their_simulations(in_tmp, walk_clip, tasks):
+    run(tiny(walk_clip, f"{CONFIG}.imitation_frequency=1"))
+    assert [task.num_envs for task in tasks["made"]] == [4, 16]
+    assert all_closed(tasks)
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["train.params.algo.name=nobody", f"+{CONFIG}.train_dir=taken/x", f"{CONFIG}.disc_loss=wgan"],
+    ids=["algo", "folder", "agent"],
+)
+def test_a_refused_run_frees_its_simulation(override, in_tmp, walk_clip, tasks):
+    (in_tmp / "taken").write_text("a file")
+    with pytest.raises(ConfigError):
+        run(tiny(walk_clip, override))
+    assert all_closed(tasks)
+
+
+# --- stopping and failing ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_epoch(monkeypatch) -> Callable[[int, Callable[[], None]], None]:
+    """Return in_epoch(n, act), which lets `act` happen in the middle of epoch n."""
+
+    def arrange(number: int, act: Callable[[], None]) -> None:
+        prepare_dataset = CommonAgent.prepare_dataset
+
+        def prepare(self: Any, batch: Any) -> None:
+            if self.epoch_num == number:
+                act()
+            prepare_dataset(self, batch)
+
+        monkeypatch.setattr(CommonAgent, "prepare_dataset", prepare)
+
+    return arrange
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_signal_finishes_the_epoch_and_saves(number, in_tmp, walk_clip, in_epoch):
+    in_epoch(3, lambda: os.kill(os.getpid(), number))
+    run(tiny(walk_clip, "max_iterations=1000"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    (last,) = (folder / "nn").glob("last_HumanoidAMP_ep_3_*.pth")
+    assert checkpoints.load_checkpoint(last)["epoch"] == 3
+    assert len(read_scalars(folder)["losses/a_loss"]) == 3
+
+
+def test_two_signals_end_at_once_with_a_checkpoint(in_tmp, walk_clip, in_epoch, caplog):
+    def twice() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        threading.Event().wait(1.0)  # the handler runs here at the latest
+
+    in_epoch(2, twice)
+    run(tiny(walk_clip, "max_iterations=1000"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    saved = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP_interrupted.pth")
+    assert saved["epoch"] == 2
+    # what was written before the end can be read
+    assert len(read_scalars(folder)["losses/a_loss"]) == 1
+    assert "stopped at once" in caplog.text
+
+
+def test_a_full_disk_does_not_end_the_training(in_tmp, walk_clip, monkeypatch, caplog):
+    rescue = in_tmp / "system_tmp"
+    rescue.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(rescue))
+    real_save = torch.save
+
+    def save(obj: Any, file: Any) -> None:
+        if "system_tmp" not in str(file.name):
+            raise OSError(28, "No space left on device")
+        real_save(obj, file)
+
+    monkeypatch.setattr(torch, "save", save)
+    run(tiny(walk_clip))
+    (folder,) = (in_tmp / "runs").iterdir()
+    assert list((folder / "nn").iterdir()) == []
+    rescued = list(rescue.rglob("*.pth"))
+    assert rescued
+    assert checkpoints.load_checkpoint(rescued[0])["epoch"] == 2
+    assert "No space left on device" in caplog.text
+
+
+def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
+    """A process of its own: SIGINT after the first line of progress, exit code 0."""
+    command = [sys.executable, "-m", "isaacgymenvs_lite.train"]
+    arguments = [*TINY, f"task.env.motion_file={walk_clip}", "max_iterations=100000"]
+    package = str(Path(checkpoints.__file__).parents[1])
+    process = subprocess.Popen(
+        [*command, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": package},
+    )
+    assert process.stderr is not None
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if line.startswith("epoch "):
+            break
+    assert lines, "no output"
+    assert lines[-1].startswith("epoch "), "".join(lines)
+    process.send_signal(signal.SIGINT)
+    rest = process.stderr.read()
+    assert process.wait(timeout=60) == 0, rest
+    assert "Traceback" not in rest
+    (folder,) = (in_tmp / "runs").iterdir()
+    (last,) = (folder / "nn").glob("last_HumanoidAMP_ep_*.pth")
+    epoch = checkpoints.load_checkpoint(last)["epoch"]
+    assert f"_ep_{epoch}_" in last.name
+    assert epoch < 100000
