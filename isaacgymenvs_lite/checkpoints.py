@@ -161,8 +161,8 @@ def _unsafe_message(path: Path, error: Exception) -> str:
     unsupported = re.search(r"GLOBAL ([\w.]+)", str(error))
     if unsupported:
         return (
-            f"checkpoint={path}: refused, nothing was run: the file asks for {unsupported[1]}, but a"
-            " checkpoint needs only tensors and plain containers; do not trust this file"
+            f"checkpoint={path}: refused, nothing was run: the file asks for {unsupported[1]}, but"
+            " a checkpoint needs only tensors and plain containers; do not trust this file"
         )
     return (
         f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth file"

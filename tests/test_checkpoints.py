@@ -212,7 +212,7 @@ def test_numpy_scalars_become_numbers(tmp_path):
     assert loaded["env_state"]["curriculum"] == [0.25, (3,)]
     assert loaded["env_state"]["bins"].tolist() == [0.0, 1.0, 2.0]
     # and what was given is as it was
-    assert isinstance(given["last_mean_rewards"], np.float32)
+    assert type(given["last_mean_rewards"]) is np.float32
 
 
 # --- reading ----------------------------------------------------------------------------------
@@ -303,7 +303,7 @@ def test_a_file_that_would_run_code_is_refused(function, name, zipped, tmp_path)
     torch.save(evil, path, _use_new_zipfile_serialization=zipped)
     message = refusal(path)
     assert name in message
-    assert "run code" in message
+    assert "refused" in message
     assert not marker.exists()
 
 

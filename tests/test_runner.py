@@ -302,6 +302,26 @@ def test_a_run_folder_that_cannot_be_written_is_refused(in_tmp, walk_clip):
 
 
 @pytest.mark.usefixtures("no_training")
+def test_a_mistake_leaves_nothing_of_its_run_behind(in_tmp, walk_clip):
+    with pytest.raises(ConfigError, match="disc_loss"):
+        run(tiny(walk_clip, f"{CONFIG}.disc_loss=wgan"))
+    assert [path for path in in_tmp.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize("name", ["results", "."])
+def test_a_mistake_does_not_touch_what_was_there_before(name, in_tmp, walk_clip):
+    """+full_experiment_name= may name a folder that has files of the user in it."""
+    kept = in_tmp / "runs" / name / "summaries" / "earlier"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("precious")
+    with pytest.raises(ConfigError, match="disc_loss"):
+        run(tiny(walk_clip, f"{CONFIG}.disc_loss=wgan", f"+full_experiment_name={name}"))
+    assert kept.is_file()
+    assert kept.read_text() == "precious"
+
+
+@pytest.mark.usefixtures("no_training")
 @pytest.mark.parametrize(
     ("override", "words"),
     [
@@ -371,7 +391,7 @@ def test_a_refused_run_frees_its_simulation(override, in_tmp, walk_clip, tasks):
 
 @pytest.fixture
 def in_epoch(monkeypatch) -> Callable[[int, Callable[[], None]], None]:
-    """Return in_epoch(n, act), which lets `act` happen in the middle of epoch n."""
+    """Return a function (n, act) that lets `act` happen in the middle of epoch n."""
 
     def arrange(number: int, act: Callable[[], None]) -> None:
         prepare_dataset = CommonAgent.prepare_dataset

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, flag_override
 
@@ -28,6 +29,8 @@ _SIZES = {
     "task.env.numEnvs": "numEnvs",
     "train.params.config.minibatch_size": "minibatch_size",
     "train.params.config.amp_minibatch_size": "amp_minibatch_size",
+    "train.params.network.mlp.units": "mlp.units",
+    "train.params.network.disc.units": "disc.units",
 }
 
 
@@ -74,10 +77,14 @@ def cpu_defaults_note(cfg: DictConfig) -> str | None:
     for path, name in _SIZES.items():
         here, there = OmegaConf.select(cfg, path), OmegaConf.select(on_gpu, path)
         if here != there:
-            sizes.append(f"{name} {here} ({there})")
+            sizes.append(f"{name} {_short(here)} ({_short(there)})")
     if not sizes:
         return None
     return f"defaults for learning on a CPU (on a GPU): {', '.join(sizes)}"
+
+
+def _short(value: Any) -> str:
+    return "-".join(str(entry) for entry in value) if OmegaConf.is_list(value) else str(value)
 
 
 def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:

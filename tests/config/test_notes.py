@@ -49,7 +49,8 @@ def test_sizes_that_the_cpu_made_smaller():
     note = cpu_defaults_note(compose(["rl_device=cpu"]))
     assert note == (
         "defaults for learning on a CPU (on a GPU): "
-        "numEnvs 1024 (4096), minibatch_size 4096 (32768), amp_minibatch_size 512 (4096)"
+        "numEnvs 1024 (4096), minibatch_size 4096 (32768), amp_minibatch_size 512 (4096), "
+        "mlp.units 512-256 (1024-512), disc.units 512-256 (1024-512)"
     )
     assert cpu_defaults_note(compose(["rl_device=cuda:0"])) is None
 

@@ -101,7 +101,7 @@ class Tape:
 
 @pytest.fixture
 def record() -> Callable[..., Tape]:
-    """Return record(agent, falls=()), which taps the agent's vec-env.
+    """Return a function (agent, falls=()) that taps the agent's vec-env.
 
     `falls` are pairs (step, environment) at which an episode is made to end by a failure.
     """
@@ -136,7 +136,7 @@ def record() -> Callable[..., Tape]:
 
 @pytest.fixture
 def roll_out() -> Callable[[Any], dict[str, Any]]:
-    """Return roll_out(agent), which makes one rollout as an epoch does."""
+    """Return a function (agent) that makes one rollout as an epoch does."""
 
     def once(agent: Any) -> dict[str, Any]:
         agent.init_tensors()
@@ -150,7 +150,7 @@ def roll_out() -> Callable[[Any], dict[str, Any]]:
 
 @pytest.fixture
 def scramble() -> Callable[[Any], None]:
-    """Return scramble(agent), which gives the normalisers statistics that are easily noticed."""
+    """Return a function (agent) that gives the normalisers noticeable statistics."""
 
     def scramble_normalisers(agent: Any) -> None:
         generator = torch.Generator().manual_seed(5)

@@ -10,14 +10,14 @@ from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 BATCH, MINIBATCH = 24, 6
 
 
-def make(row_limits: dict[str, int] | None = None, **values: Any) -> AMPDataset:
+def make(row_limits: dict[str, int] | None = None, **values: Any) -> Any:
     dataset = AMPDataset(BATCH, MINIBATCH, False, False, "cpu", 1, row_limits)
     numbers = torch.arange(BATCH)
     dataset.update_values_dict({"a": numbers, "b": numbers.view(-1, 1) * 10.0, **values})
     return dataset
 
 
-def one_pass(dataset: AMPDataset) -> list[int]:
+def one_pass(dataset: Any) -> list[int]:
     return [int(row) for index in range(len(dataset)) for row in dataset[index]["a"]]
 
 

@@ -197,7 +197,7 @@ def test_forward_agrees_with_numpy(name, activation):
     mu, log_sigma, value, _ = network({"obs": torch.from_numpy(obs).float()})
     logit = network.eval_disc(torch.from_numpy(amp_obs).float())
     # float32 against float64, values of the order of ten
-    close = {"rtol": 1e-5, "atol": 1e-5}
+    close: dict[str, Any] = {"rtol": 1e-5, "atol": 1e-5}
     np.testing.assert_allclose(mu.detach().numpy(), expected_mu, **close)
     np.testing.assert_allclose(value.detach().numpy(), expected_value, **close)
     np.testing.assert_allclose(logit.detach().numpy(), expected_logit, **close)

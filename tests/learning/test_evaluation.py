@@ -78,16 +78,19 @@ def test_the_number_of_episodes_is_rounded_up(asked, played):
 
 def test_the_style_reward_is_a_mean_per_counted_step():
     env = ScriptedEnv([[2], [6]])
-    seen = []
+    seen: list[tuple[list[int], dict[str, Any]]] = []
+
+    def on_step(dones: Tensor, infos: dict[str, Any]) -> None:
+        seen.append((dones.tolist(), infos))
 
     def policy(obs: dict[str, Tensor]) -> Tensor:
         # the style of environment 0 is worth 10, of environment 1 it is worth 1
         return torch.tensor([[10.0], [1.0]])
 
-    result = evaluate(env, policy, 2, style_reward=lambda amp_obs: amp_obs, on_step=seen.append)
+    result = evaluate(env, policy, 2, style_reward=lambda amp_obs: amp_obs, on_step=on_step)
     assert result.style_reward == pytest.approx((2 * 10 + 6 * 1) / 8)
-    assert len(seen) == 6
-    assert all("amp_obs" in infos for infos in seen)
+    assert [dones for dones, _ in seen] == [[0, 0], [1, 0], [0, 0], [1, 0], [0, 0], [1, 1]]
+    assert all("amp_obs" in infos for _, infos in seen)
 
 
 def test_the_policy_sees_observations_after_resets():

@@ -57,7 +57,9 @@ def test_advantages_agree_with_a_slow_loop(dtype):
     dones = rng.random(shape[:2]) < 0.3
     advantages = losses.discount_values(
         torch.from_numpy(dones).to(dtype),
-        *(torch.from_numpy(x) for x in (values, rewards, next_values)),
+        torch.from_numpy(values),
+        torch.from_numpy(rewards),
+        torch.from_numpy(next_values),
         GAMMA,
         TAU,
     )
@@ -67,9 +69,11 @@ def test_advantages_agree_with_a_slow_loop(dtype):
 
 
 def test_advantages_leave_their_inputs_alone():
-    inputs = [torch.zeros(2, 1), column(1.0, 2.0), column(3.0, 4.0), column(5.0, 6.0)]
+    dones, values = torch.zeros(2, 1), column(1.0, 2.0)
+    rewards, next_values = column(3.0, 4.0), column(5.0, 6.0)
+    inputs = (dones, values, rewards, next_values)
     copies = [x.clone() for x in inputs]
-    losses.discount_values(*inputs, GAMMA, TAU)
+    losses.discount_values(dones, values, rewards, next_values, GAMMA, TAU)
     for before, after in zip(copies, inputs, strict=True):
         assert torch.equal(before, after)
 

@@ -37,9 +37,7 @@ PUSHED_SLIDER = """
         (1, 1, -1, "num_threads=-1: expected at least 0"),
     ],
 )
-def test_numbers_out_of_range(
-    num_envs: int, substeps: int, num_threads: int, message: str
-) -> None:
+def test_numbers_out_of_range(num_envs: int, substeps: int, num_threads: int, message: str) -> None:
     model = mujoco.MjModel.from_xml_string(FALLING_BALL)
     with pytest.raises(ConfigError, match=message):
         CpuBatchSimulation(model, num_envs, substeps, num_threads)

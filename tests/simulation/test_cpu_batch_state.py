@@ -53,9 +53,8 @@ def _object_velocity(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> n
 
 def _assert_bodies_are_mujoco_s(simulation: CpuBatchSimulation, env: int) -> None:
     data = _oracle(simulation, env)
-    velocities = np.array(
-        [_object_velocity(simulation.model, data, body) for body in range(1, simulation.model.nbody)]
-    )
+    bodies = range(1, simulation.model.nbody)
+    velocities = np.array([_object_velocity(simulation.model, data, body) for body in bodies])
     expected = {
         "body_pos": data.xpos[1:],
         "body_rot": data.xquat[1:][:, [1, 2, 3, 0]],
@@ -78,9 +77,7 @@ def test_tensors_after_steps_are_mujoco_s(make_simulation, humanoid_model, rando
         _assert_bodies_are_mujoco_s(simulation, env)
         pelvis = _object_velocity(simulation.model, data, 1)
         root = np.concatenate((data.xpos[1], data.xquat[1][[1, 2, 3, 0]], pelvis[3:], pelvis[:3]))
-        np.testing.assert_allclose(
-            simulation.root_states[env].numpy(), root, rtol=1e-6, atol=ATOL
-        )
+        np.testing.assert_allclose(simulation.root_states[env].numpy(), root, rtol=1e-6, atol=ATOL)
         np.testing.assert_allclose(simulation.dof_vel[env].numpy(), data.qvel[6:], rtol=1e-6)
         # The length of the actuators is the position of their degree of freedom.
         np.testing.assert_allclose(
@@ -154,8 +151,10 @@ def test_joint_positions_are_rotation_vectors_in_the_child_frame(
     right_upper_arm = (rotations[1].inv() * rotations[3]).as_rotvec()
     np.testing.assert_allclose(right_upper_arm, dof_pos[0, 6:9].numpy(), atol=2e-6)
     # Relative to the parent, in the child's frame.
-    relative = rotations[3].inv().apply(
-        (simulation.body_ang_vel[0, 3] - simulation.body_ang_vel[0, 1]).numpy()
+    relative = (
+        rotations[3]
+        .inv()
+        .apply((simulation.body_ang_vel[0, 3] - simulation.body_ang_vel[0, 1]).numpy())
     )
     np.testing.assert_allclose(relative, dof_vel[0, 6:9].numpy(), atol=ATOL)
 

@@ -26,7 +26,7 @@ def test_makes_cpu_batch_by_default() -> None:
 def test_an_unknown_backend_lists_the_choices() -> None:
     model = mujoco.MjModel.from_xml_string(BALL)
     assert "cpu_batch" in backend_names()
-    with pytest.raises(ConfigError, match="'cpu_bach'.*did you mean 'cpu_batch'.*choices: cpu_b"):
+    with pytest.raises(ConfigError, match=r"'cpu_bach'.*did you mean 'cpu_batch'.*choices: cpu_b"):
         make_simulation(model, 1, 1, backend="cpu_bach")
 
 

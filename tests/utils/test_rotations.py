@@ -15,7 +15,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from isaacgymenvs_lite.utils import rotations as R  # noqa: N812
+from isaacgymenvs_lite.utils import rotations as R
 
 ATOL = 1e-12
 # Some rotation, normalise(0.1, -0.2, 0.3, 0.9), for which the specification gives results to six
@@ -114,7 +114,12 @@ def test_normalize_leaves_zero_alone() -> None:
 
 @pytest.mark.parametrize(
     ("angle", "expected"),
-    [(0.5, 0.5), (-3.5, 2.0 * math.pi - 3.5), (7.0, 7.0 - 2.0 * math.pi), (-13.0, 4 * math.pi - 13)],
+    [
+        (0.5, 0.5),
+        (-3.5, 2.0 * math.pi - 3.5),
+        (7.0, 7.0 - 2.0 * math.pi),
+        (-13.0, 4 * math.pi - 13),
+    ],
 )
 def test_normalize_angle(angle: float, expected: float) -> None:
     _close(R.normalize_angle(_vector(angle)), _vector(expected))
@@ -290,9 +295,7 @@ def test_heading_quaternions() -> None:
     matrix = Rotation.from_quat(q.numpy()).as_matrix()
     heading = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
     _close(R.calc_heading(q), heading)
-    _same_rotation(
-        R.calc_heading_quat(q), Rotation.from_euler("z", heading[:, None]).as_quat()
-    )
+    _same_rotation(R.calc_heading_quat(q), Rotation.from_euler("z", heading[:, None]).as_quat())
     _same_rotation(
         R.calc_heading_quat_inv(q), Rotation.from_euler("z", -heading[:, None]).as_quat()
     )

@@ -22,8 +22,12 @@ DT = 0.0332
 CLIP_S = 1.5
 FRAME_S = 1.0 / 30.0
 DEFAULT_HEIGHT_M = 0.89
-# float32 of numbers up to 10; the simulation keeps the joints as quaternions.
-ATOL = 5e-6
+# The library's interpolated rotations are of unit length to 2e-5 only (acos of a number near 1 in
+# float32), which MuJoCo mends; velocities are up to 1 m/s and rad/s.
+ATOL = 4e-5
+# Between frames it interpolates the positions of the key bodies along chords, where the limbs of
+# the simulation go along arcs: 1/8 of some 7 m/s^2 times the square of 1/30 s.
+CHORD_M = 1e-3
 
 
 def _time_of(height_m: Tensor) -> Tensor:
@@ -124,7 +128,8 @@ def test_random_start(make_humanoid, walk_clip: Path) -> None:
     clear = _away_from_frames(times, 1)
     assert clear.sum() > 350
     expected = _features(_library(walk_clip), times)
-    torch.testing.assert_close(observed[clear], expected[clear], rtol=0.0, atol=2e-5)
+    torch.testing.assert_close(observed[clear, :93], expected[clear, :93], rtol=0.0, atol=ATOL)
+    torch.testing.assert_close(observed[clear, 93:], expected[clear, 93:], rtol=0.0, atol=CHORD_M)
 
 
 def _starts_in_clip(task: HumanoidAMP) -> Tensor:
@@ -194,15 +199,11 @@ def test_history_of_a_start_in_the_clip_is_the_clip_s(
     library = _library(walk_clip)
     for k in range(1, steps - 1):
         expected = _features(library, times - k * DT, local_root_obs)
-        torch.testing.assert_close(
-            history[clear, k + 1], expected[clear], rtol=0.0, atol=2e-5
-        )
+        torch.testing.assert_close(history[clear, k + 1], expected[clear], rtol=0.0, atol=ATOL)
     assert times.min() < DT
 
 
-def test_history_at_the_beginning_of_the_clip_extrapolates(
-    make_humanoid, walk_clip: Path
-) -> None:
+def test_history_at_the_beginning_of_the_clip_extrapolates(make_humanoid, walk_clip: Path) -> None:
     task = make_humanoid(1, stateInit="Start", numAMPObsSteps=4)
     task.reset_done()
     history = _zero_step(task)[-1]["amp_obs"].view(4, 105)
@@ -281,7 +282,7 @@ def test_demonstrations_lie_inside_the_clip(
     library = _library(walk_clip)
     for k in range(steps):
         expected = _features(library, newest - k * DT, local_root_obs)
-        torch.testing.assert_close(demos[clear, k], expected[clear], rtol=0.0, atol=2e-5)
+        torch.testing.assert_close(demos[clear, k], expected[clear], rtol=0.0, atol=ATOL)
 
 
 def test_any_number_of_demonstrations(make_humanoid) -> None:

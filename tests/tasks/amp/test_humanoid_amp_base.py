@@ -84,7 +84,7 @@ def test_a_model_of_another_kind_is_refused(make, tmp_path) -> None:
     (tmp_path / "ball.xml").write_text(
         '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
     )
-    with pytest.raises(ConfigError, match="0 degrees of freedom and 0 actuators.*expects 28"):
+    with pytest.raises(ConfigError, match=r"0 degrees of freedom and 0 actuators.*expects 28"):
         make(1, asset={"assetFileName": str(tmp_path / "ball.xml")})
 
 

@@ -35,7 +35,8 @@ def test_published_numbers_are_the_defaults_and_those_of_the_task_file() -> None
 
 
 def test_keys_of_isaac_gym_s_viewer_are_accepted(caplog: pytest.LogCaptureFixture) -> None:
-    read_env_config({"envSpacing": 5, "cameraFollow": True, "enableDebugVis": False, "isFlagrun": 1})
+    keys = ("envSpacing", "cameraFollow", "enableDebugVis", "isFlagrun", "enableCameraSensors")
+    read_env_config(dict.fromkeys(keys, 1))
     assert caplog.messages == []
 
 

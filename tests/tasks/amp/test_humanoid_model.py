@@ -312,10 +312,9 @@ def test_the_force_of_a_drive_does_not_turn_round_at_half_a_turn() -> None:
     # MuJoCo 4 wraps the error of a position servo on a ball joint (kp == -biasprm[1]) into
     # [-pi, pi]. A target of the action 1 is pi in float32, 9e-8 more than pi: there the torque
     # would turn round, where the drive of the originals is kp (target - q).
-    almost = float(np.nextafter(np.float32(math.pi), np.float32(0.0)))
-    np.testing.assert_allclose(_force(_build(), almost), math.pi * KP, rtol=1e-6)
-    np.testing.assert_allclose(_force(_build(), float(np.float32(math.pi))), math.pi * KP, rtol=1e-6)
-    np.testing.assert_allclose(_force(_build(), 4.0), 4.0 * KP, rtol=1e-6)
+    model, pi32 = _build(), float(np.float32(math.pi))
+    for target in (pi32 - 1e-6, pi32, 4.0):
+        np.testing.assert_allclose(_force(model, target), target * KP, rtol=1e-6)
 
 
 def test_drives_end_at_their_efforts_if_asked_to() -> None:

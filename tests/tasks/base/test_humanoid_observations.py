@@ -176,9 +176,7 @@ def test_where_the_root_faces_does_not_matter_but_for_its_own_rotation(
 
 @pytest.mark.parametrize("local_root_obs", [False, True])
 @pytest.mark.parametrize("lying", [[0.5, 0.5, -0.5, 0.5], [0.5, -0.5, 0.5, 0.5]])
-def test_without_a_heading_the_world_s_axes_count(
-    lying: list[float], local_root_obs: bool
-) -> None:
+def test_without_a_heading_the_world_s_axes_count(lying: list[float], local_root_obs: bool) -> None:
     # The root's x axis points straight down or up: these four numbers give exactly (0, 0, +-1).
     observed = _observe(
         rotation=torch.tensor(lying),

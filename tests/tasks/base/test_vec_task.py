@@ -232,9 +232,7 @@ def test_what_a_step_returns_lies_on_the_rl_device(make_cart: MakeCart) -> None:
 @pytest.mark.parametrize(
     ("headless", "sensors", "expected"), [(True, False, -1), (True, True, 2), (False, False, 2)]
 )
-def test_graphics_device(
-    make_cart: MakeCart, headless: bool, sensors: bool, expected: int
-) -> None:
+def test_graphics_device(make_cart: MakeCart, headless: bool, sensors: bool, expected: int) -> None:
     cart = make_cart({"headless": headless, "graphics_device_id": 2}, enableCameraSensors=sensors)
     assert cart.graphics_device_id == expected
 
@@ -373,7 +371,7 @@ def test_reset_done_resets_what_is_done(make_cart: MakeCart) -> None:
     _push(cart)
     observations, done_ids = cart.reset_done()
     assert done_ids.tolist() == [1]
-    assert cart.progress_buf.tolist() == [1, 0, 1]
+    assert torch.equal(cart.progress_buf, torch.tensor([1, 0, 1]))
     _close(observations["obs"][:, 1], [FIRST_SPEED, 0.0, FIRST_SPEED])
     assert cart.events[-1] == "reset [1]"
     # Nobody is done now.

@@ -1,0 +1,183 @@
+"""`make`, with a clip of the test in the place of the shipped one."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import DictConfig
+
+import isaacgymenvs_lite
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import ConfigError, DeviceError, MotionFileError
+from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+
+@pytest.fixture(autouse=True)
+def _in_the_folder_of_the_clip(walk_clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The task file asks for walk.npz, which is looked for in the working directory first.
+    monkeypatch.chdir(walk_clip.parent)
+
+
+@pytest.fixture
+def make() -> Iterator:
+    made: list[VecTask] = []
+
+    def _make(*args, **arguments) -> VecTask:
+        made.append(isaacgymenvs_lite.make(*args, **arguments))
+        return made[-1]
+
+    yield _make
+    for task in made:
+        task.close()
+
+
+def test_arguments_are_those_of_isaacgymenvs_all_with_defaults() -> None:
+    parameters = inspect.signature(isaacgymenvs_lite.make).parameters
+    assert list(parameters) == [
+        "seed",
+        "task",
+        "num_envs",
+        "sim_device",
+        "rl_device",
+        "graphics_device_id",
+        "headless",
+        "multi_gpu",
+        "virtual_screen_capture",
+        "force_render",
+        "cfg",
+    ]
+    assert all(p.default is not inspect.Parameter.empty for p in parameters.values())
+    assert parameters["task"].default == "HumanoidAMP"
+    assert parameters["cfg"].default is None
+
+
+def test_the_defaults_make_the_task_file_s_environments(make) -> None:
+    task = make()
+    assert isinstance(task, HumanoidAMP)
+    assert task.num_envs == 1024  # of the task file, on a CPU
+    assert task.max_episode_length == 300
+    assert task.headless
+    assert task.motion_lib.get_motion_length([0]).tolist() == [1.5]  # the clip of the test
+
+
+def test_keywords(make) -> None:
+    task = make(task="HumanoidAMP", num_envs=3)
+    assert task.num_envs == 3
+    observations, done_ids = task.reset_done()
+    assert observations["obs"].shape == (3, 105)
+    assert len(done_ids) == 3
+    _, rewards, _, infos = task.step(torch.zeros(3, 28))
+    assert rewards.tolist() == [1.0] * 3
+    assert infos["amp_obs"].shape == (3, 210)
+
+
+def test_positions(make) -> None:
+    task = make(7, "HumanoidAMP", 2, "cpu", "cpu", 0, False, False, False, False)
+    assert task.num_envs == 2
+    assert not task.headless
+    assert task.graphics_device_id == 0
+
+
+def _course(task: VecTask) -> bytes:
+    first = task.reset_done()[0]["obs"]
+    actions = 0.1 * torch.randn(task.num_envs, 28)
+    second = task.step(actions)[0]["obs"]
+    return first.numpy().tobytes() + second.numpy().tobytes()
+
+
+def test_a_seed_gives_the_same_course_and_another_one_another(make) -> None:
+    courses = [_course(make(seed=seed, num_envs=4)) for seed in (3, 3, 4)]
+    assert courses[0] == courses[1]
+    assert courses[0] != courses[2]
+
+
+def test_seed_minus_one_is_any_seed(make) -> None:
+    # Of 10 000 seeds two are the same once in 10 000 times, three once in 10^8.
+    courses = {_course(make(seed=-1, num_envs=4)) for _ in range(3)}
+    assert len(courses) > 1
+
+
+def test_an_unknown_task_lists_the_choices() -> None:
+    with pytest.raises(ConfigError, match=r"HumanoidAMPP.*HumanoidAMP") as error:
+        isaacgymenvs_lite.make(task="HumanoidAMPP")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("num_envs", [0, -5])
+def test_no_environments(num_envs: int) -> None:
+    with pytest.raises(ConfigError, match="num_envs"):
+        isaacgymenvs_lite.make(num_envs=num_envs)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
+@pytest.mark.parametrize("argument", ["rl_device", "sim_device"])
+def test_a_gpu_that_is_not_there(make, argument: str) -> None:
+    with pytest.raises(DeviceError, match=rf"{argument}.*cuda:0"):
+        make(num_envs=2, **{argument: "cuda:0"})
+
+
+def test_multi_gpu_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"multi_gpu=True.*not implemented"):
+        isaacgymenvs_lite.make(num_envs=2, multi_gpu=True)
+
+
+# --- with a composed tree ---------------------------------------------------------------------
+
+
+def _tree(*overrides: str) -> DictConfig:
+    return compose(["task=HumanoidAMP", "num_envs=2", "num_threads=1", *overrides])
+
+
+def test_a_composed_tree_says_what_to_make(make) -> None:
+    tree = _tree("task.env.episodeLength=50", "task.sim.substeps=3", "task.env.stateInit=Start")
+    task = make(cfg=tree, num_envs=99)
+    assert task.num_envs == 2  # the tree's, as is said in the docstring
+    assert task.max_episode_length == 50
+    assert task.simulation.substeps == 6
+    assert task.simulation.num_threads == 1
+    # The tree is not written to.
+    assert "numObservations" not in tree.task.env
+
+
+def test_a_composed_tree_says_the_seed(make) -> None:
+    courses = [_course(make(cfg=_tree(f"seed={seed}"))) for seed in (3, 3, 4)]
+    assert courses[0] == courses[1]
+    assert courses[0] != courses[2]
+
+
+def test_the_class_is_that_of_the_name_inside_the_tree() -> None:
+    tree = _tree()
+    tree.task.name = "Cartwheel"
+    with pytest.raises(ConfigError, match=r"task\.name 'Cartwheel'; choices: .*HumanoidAMP"):
+        make_from_config(tree, sim_device="cpu", rl_device="cpu")
+
+
+def test_errors_of_the_task_come_through() -> None:
+    for override, error in (
+        ("task.env.motion_file=nowhere.npz", MotionFileError),
+        ("task.env.numAMPObsSteps=1", ConfigError),
+        ("task.env.asset.assetFileName=nothing.xml", ConfigError),
+        ("task.env.contactBodies=[tail]", ConfigError),
+    ):
+        with pytest.raises(error) as found:
+            isaacgymenvs_lite.make(cfg=_tree(override))
+        assert "\n" not in str(found.value)
+
+
+def test_physics_on_another_device_than_learning(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    task = make_from_config(_tree(), sim_device="cpu", rl_device="meta")
+    observations, *_ = task.step(torch.zeros(2, 28))
+    assert observations["obs"].device.type == "meta"
+    task.close()
+
+
+def test_the_version_is_there() -> None:
+    assert isaacgymenvs_lite.__version__.count(".") >= 1
