@@ -7,9 +7,9 @@ their place, for all agents.
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
-import pickle
 import re
 import tempfile
 from collections.abc import Mapping
@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 
 _COMPILED_PREFIX = "_orig_mod."
 # rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
+# rl_games' SAC agent writes its networks apart.
+_SAC_KEYS = {"actor", "critic"}
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
 
 
@@ -135,20 +137,19 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
         # Scalars of numpy are harmless, and rl_games stores its best reward as one.
         with torch.serialization.safe_globals(_numpy_scalar_globals()):
             state = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
-        raise CheckpointError(_unsafe_message(path, error)) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, AttributeError) as error:
-        raise CheckpointError(
-            f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth"
-            " file that train.py wrote"
-        ) from error
-    if not isinstance(state, dict) or not isinstance(state.get("model"), Mapping):
+    except Exception as error:  # what bytes that are no checkpoint make the reader raise is open
+        raise CheckpointError(_refusal(path, error)) from error
+    if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
         raise CheckpointError(
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
             " rl_games writes it"
         )
     log.debug("loaded %s", path)
-    return _modernize(state)
+    return _modernize(state) if _has_model(state) else state
+
+
+def _has_model(state: dict[str, Any]) -> bool:
+    return isinstance(state.get("model"), Mapping)
 
 
 def _numpy_scalar_globals() -> list[Any]:
@@ -157,22 +158,16 @@ def _numpy_scalar_globals() -> list[Any]:
     return [np.dtype, *dtypes, scalar, (scalar, "numpy.core.multiarray.scalar")]
 
 
-def _unsafe_message(path: Path, error: Exception) -> str:
+def _refusal(path: Path, error: Exception) -> str:
     unsupported = re.search(r"GLOBAL ([\w.]+)", str(error))
     if unsupported:
         return (
             f"checkpoint={path}: refused, nothing was run: the file asks for {unsupported[1]}, but"
             " a checkpoint needs only tensors and plain containers; do not trust this file"
         )
-    return (
-        f"checkpoint={path}: damaged or no checkpoint ({_first_line(error)}); expected a .pth file"
-        " that train.py wrote"
-    )
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:160] if lines else type(error).__name__
+    if isinstance(error, OSError) and error.errno is not None and error.errno != errno.EINVAL:
+        return f"checkpoint={path}: cannot be read ({error.strerror})"
+    return f"checkpoint={path}: damaged or no checkpoint; expected a .pth file that train.py wrote"
 
 
 def _modernize(state: dict[str, Any]) -> dict[str, Any]:
@@ -227,8 +222,10 @@ def _newest(train_dir: Path, task_name: str) -> Path:
 
 def _task_of_run(run: Path) -> str | None:
     from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
 
-    config = run / "config.yaml"
-    if not config.is_file():
-        return None
-    return OmegaConf.select(OmegaConf.load(config), "task.name")
+    try:
+        return OmegaConf.select(OmegaConf.load(run / "config.yaml"), "task.name")
+    except (OSError, ValueError, YAMLError, OmegaConfBaseException):
+        return None  # no run folder of ours, or a damaged one: the others count

@@ -46,8 +46,8 @@ def make_task(
                 f"force_render={force_render}",
             ]
         )
-        settings = check_config(cfg)
-        seed_everything(resolve_seed(seed, settings.torch_deterministic))
+    settings = check_config(cfg)
+    seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
     return make_from_config(
         cfg,
         sim_device=sim_device,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import shutil
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -30,6 +29,7 @@ from isaacgymenvs_lite.observers import (
     TaskScalarsObserver,
 )
 from isaacgymenvs_lite.registration import build_runner, known_names, register_env
+from isaacgymenvs_lite.run_folder import RunFolder
 from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -63,30 +63,46 @@ class Session:
     def __init__(self, cfg: DictConfig, settings: LaunchSettings, seed: int) -> None:
         self._cfg = cfg
         self._settings = settings
+        self._seed = seed
         self._name = str(cfg.train.params.config.name)
-        self._train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+        train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
         self._run_name = settings.full_experiment_name or (
             self._name + datetime.now().strftime("_%d-%H-%M-%S")
         )
+        self._folder = RunFolder(train_dir, self._run_name)
         self._checkpoint = checkpoints.resolve_checkpoint(
-            settings.checkpoint, self._train_dir, str(cfg.task.name)
+            settings.checkpoint, train_dir, str(cfg.task.name)
         )
         self._stop = StopRequest()
         self._envs: list[VecTask] = []
-        # Made before the agent, so that its mistakes show before a run folder exists.
-        self._task = self._make_env(int(cfg.task.env.numEnvs))
-        register_env(lambda **kwargs: self._task)
         self._agent_holder = _AgentHolder()
-        self._observers: list[AlgoObserver] = []
-        self._params = self._prepare(seed)
 
-    def _prepare(self, seed: int) -> dict[str, Any]:
+    def run(self) -> None:
+        """Train or play; the simulations are freed in any case.
+
+        Raises:
+            UserError: anything that the user can mend; nothing was trained then.
+        """
+        try:
+            # Made before the agent, so that its mistakes show before a run folder exists.
+            self._task = self._make_env(int(self._cfg.task.env.numEnvs))
+            register_env(lambda **kwargs: self._task)
+            self._params = self._prepare()
+            if self._settings.test:
+                self._play()
+            else:
+                self._train()
+        finally:
+            for env in self._envs:
+                env.close()
+
+    def _prepare(self) -> dict[str, Any]:
         runner = build_runner()
         names = known_names(runner)
         return prepare_train_params(
             self._cfg,
             num_envs=self._task.num_envs,
-            seed=seed,
+            seed=self._seed,
             run_name=self._run_name,
             rl_device=self._settings.rl_device,
             num_agents=self._task.num_agents,
@@ -100,7 +116,7 @@ class Session:
 
     def _make_env(self, num_envs: int) -> VecTask:
         cfg = self._cfg.copy()
-        cfg.num_envs = num_envs
+        OmegaConf.update(cfg, "task.env.numEnvs", num_envs)
         env = make_from_config(
             cfg,
             sim_device=self._settings.sim_device,
@@ -113,24 +129,13 @@ class Session:
         self._envs.append(env)
         return env
 
-    def run(self) -> None:
-        """Train or play; the simulations are freed in any case."""
-        try:
-            if self._settings.test:
-                self._play()
-            else:
-                self._train()
-        finally:
-            for env in self._envs:
-                env.close()
-
     def _play(self) -> None:
         if not self._checkpoint:
             log.warning("test=True without checkpoint=: playing an untrained policy")
         self._launch({"train": False, "play": True}, AlgoObserver())
 
     def _train(self) -> None:
-        self._make_run_folder()
+        self._folder.create(self._cfg)
         imitation = self._imitation_observer()
         progress = ProgressObserver(self._stop, imitation)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
@@ -146,42 +151,16 @@ class Session:
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
         except UserError:
-            self._remove_unused_run_folder()
+            self._folder.remove_if_unused()
             raise
         except KeyboardInterrupt:
             self._save("interrupted")
             log.warning("stopped at once; the last full update is in the checkpoint")
         finally:
             progress.close()
+            self._agent_holder.flush()
         self._save_under_plain_name()
         self._report_end()
-
-    @property
-    def _run_folder(self) -> Path:
-        return self._train_dir / self._run_name
-
-    def _make_run_folder(self) -> None:
-        """Create the run folder with config.yaml, before anything long starts.
-
-        Raises:
-            ConfigError: the folder cannot be written.
-        """
-        try:
-            (self._run_folder / "nn").mkdir(parents=True, exist_ok=True)
-            (self._run_folder / "summaries").mkdir(exist_ok=True)
-            config = self._run_folder / "config.yaml"
-            config.write_text(OmegaConf.to_yaml(self._cfg), encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(
-                f"cannot write the run folder {self._run_folder.absolute()}"
-                f" ({error.strerror or error}); choose another with"
-                " +train.params.config.train_dir=FOLDER"
-            ) from error
-
-    def _remove_unused_run_folder(self) -> None:
-        """Leave nothing behind of a run that a mistake ended before its first checkpoint."""
-        if not any((self._run_folder / "nn").iterdir()):
-            shutil.rmtree(self._run_folder, ignore_errors=True)
 
     def _imitation_observer(self) -> ImitationObserver | None:
         frequency = self._params["config"].get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
@@ -208,15 +187,13 @@ class Session:
     def _save(self, suffix: str) -> None:
         agent = self._agent_holder.agent
         if agent is not None:
-            agent.save(str(self._run_folder / "nn" / f"{self._name}_{suffix}"))
+            agent.save(str(self._folder.checkpoints / f"{self._name}_{suffix}"))
 
     def _report_end(self) -> None:
         """Say where the newest checkpoint is and how to see what it can do."""
-        saved = sorted(
-            (self._run_folder / "nn").glob("*.pth"), key=lambda file: file.stat().st_mtime
-        )
-        if saved:
-            log.info("saved %s; play it: test=True checkpoint=last num_envs=16", saved[-1])
+        newest = self._folder.newest_checkpoint()
+        if newest is not None:
+            log.info("saved %s; play it: test=True checkpoint=last num_envs=16", newest)
 
     def _save_under_plain_name(self) -> None:
         """Make sure that nn/<name>.pth exists.
@@ -225,7 +202,7 @@ class Session:
         reach.
         """
         agent = self._agent_holder.agent
-        plain = self._run_folder / "nn" / f"{self._name}.pth"
+        plain = self._folder.checkpoints / f"{self._name}.pth"
         if agent is not None and not plain.exists():
             agent.save(str(plain.with_suffix("")))
 
@@ -238,6 +215,11 @@ class _AgentHolder(AlgoObserver):
     def after_init(self, algo: Any) -> None:
         self.agent = algo
         protect(algo.writer)
+
+    def flush(self) -> None:
+        """Write the scalars that wait."""
+        if self.agent is not None:
+            self.agent.writer.flush()
 
 
 def _explain_misfit(error: RuntimeError, checkpoint: str) -> Exception:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 import pytest
 
@@ -39,3 +40,22 @@ def test_former_handlers_come_back():
         raise ValueError("inside")
     for number, handler in former.items():
         assert signal.getsignal(number) is handler
+
+
+def test_beside_the_main_thread_nothing_is_caught():
+    """Python takes signals in the main thread only; a run in a worker must work without."""
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            with StopRequest() as stop:
+                assert stop.requested is False
+        except BaseException as error:
+            errors.append(error)
+
+    former = signal.getsignal(signal.SIGINT)
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert errors == []
+    assert signal.getsignal(signal.SIGINT) is former

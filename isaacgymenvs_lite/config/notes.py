@@ -84,7 +84,7 @@ def cpu_defaults_note(cfg: DictConfig) -> str | None:
 
 
 def _short(value: Any) -> str:
-    return "-".join(str(entry) for entry in value) if OmegaConf.is_list(value) else str(value)
+    return str(value) if isinstance(value, int) else "-".join(str(entry) for entry in value)
 
 
 def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:

@@ -61,8 +61,8 @@ class AMPAgent(CommonAgent):
         self._amp = read_amp_params(config)
         if "amp_observation_space" not in self.env_info:
             raise ConfigError(
-                f"train.params.algo.name='{type(self).__name__}' needs a task with reference"
-                " motions (amp_observation_space), such as task=HumanoidAMP"
+                "train.params.algo: AMP needs a task with reference motions"
+                " (amp_observation_space), such as task=HumanoidAMP"
             )
         self._amp_observation_space = self.env_info["amp_observation_space"]
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
@@ -188,6 +188,10 @@ class AMPAgent(CommonAgent):
             self.writer.add_scalar(tag, means[name], frame)
 
     # --- checkpoint ------------------------------------------------------------------------
+
+    def _checkpoint_keys(self) -> tuple[str, ...]:
+        own = ("amp_input_mean_std",) if self.discriminator.normalizer is not None else ()
+        return (*super()._checkpoint_keys(), *own)
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
         """Return normaliser statistics; AMP's stand beside the model, as in IsaacGymEnvs."""

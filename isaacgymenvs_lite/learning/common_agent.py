@@ -26,7 +26,7 @@ from rl_games.algos_torch.a2c_continuous import A2CAgent
 from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
@@ -128,9 +128,23 @@ class CommonAgent(A2CAgent):
         return super().env_reset()
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Take over a checkpoint; see `env_reset` for the best reward."""
+        """Take over a checkpoint; see `env_reset` for the best reward.
+
+        Raises:
+            CheckpointError: it holds a model without the state of its training.
+        """
+        missing = [key for key in self._checkpoint_keys() if key not in weights]
+        if missing:
+            raise CheckpointError(
+                f"checkpoint: has no {', '.join(missing)}, so that training cannot go on from it;"
+                " expected a checkpoint that train.py wrote (test=True needs less)"
+            )
         super().set_full_state_weights(weights, set_epoch)
         self._restored_best = self.last_mean_rewards
+
+    def _checkpoint_keys(self) -> tuple[str, ...]:
+        """Return what a checkpoint must hold for training to go on."""
+        return ("model", "optimizer", "epoch", "frame")
 
     # --- rollout ---------------------------------------------------------------------------
 

@@ -54,10 +54,10 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
 
 def measure_bfloat16_speedup() -> float:
     """Return how many times faster a layer's forward and backward pass is in bfloat16."""
-    layer = torch.nn.Linear(_CALIBRATION_UNITS, _CALIBRATION_UNITS)
-    # An own generator: the calibration must not shift the random numbers of the run.
-    generator = torch.Generator().manual_seed(0)
-    rows = torch.rand(_CALIBRATION_ROWS, _CALIBRATION_UNITS, generator=generator)
+    # The calibration must not shift the random numbers of the run.
+    with torch.random.fork_rng(devices=[]):
+        layer = torch.nn.Linear(_CALIBRATION_UNITS, _CALIBRATION_UNITS)
+        rows = torch.rand(_CALIBRATION_ROWS, _CALIBRATION_UNITS)
 
     def run(enabled: bool) -> Callable[[], None]:
         def once() -> None:

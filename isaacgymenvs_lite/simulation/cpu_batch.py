@@ -39,6 +39,17 @@ _DIVERGED = [
 # A joint faster than this (rad/s or m/s) is no motion but a simulation on its way to infinity;
 # PhysX stopped such bodies at 100 rad/s.
 _MAX_SPEED = 1000.0
+# Attributes that look into the batch's own memory.
+_VIEWS = (
+    "_qpos_rows",
+    "_qvel_rows",
+    "_warnings",
+    "_qpos64",
+    "_qvel64",
+    "_ctrl64",
+    "_xpos64",
+    "_contact64",
+)
 
 
 class CpuBatchSimulation:
@@ -114,6 +125,7 @@ class CpuBatchSimulation:
         self._scalar_qpos = torch.from_numpy(layout.scalar_qpos)
         self._scalar_dofs = torch.from_numpy(layout.scalar_dofs)
         self._on_demand: dict[str, Tensor] = {}
+        self._tree_roots = torch.from_numpy(self.model.body_rootid[1:].astype(np.int64)) - 1
 
     @property
     def dt(self) -> float:
@@ -181,6 +193,9 @@ class CpuBatchSimulation:
         batch = self._require_batch()
         if len(env_ids) == 0:
             return
+        # The batch takes ids in ascending order.
+        env_ids, order = env_ids.sort()
+        root_states, dof_pos, dof_vel = root_states[order], dof_pos[order], dof_vel[order]
         rows = env_ids.numpy()
         batch.reset(rows, stage=_STAGE_NONE)
         qpos, qvel = self._rows_from_isaac(root_states, dof_pos, dof_vel)
@@ -274,10 +289,10 @@ class CpuBatchSimulation:
         return xyzw_from_wxyz(self._derived("xquat"))
 
     def _compute_body_lin_vel(self) -> Tensor:
-        # cvel is the velocity of the point of the body that passes through the tree's centre of
-        # mass; shift it to the body's origin.
+        # cvel is the velocity of the point of the body that passes through the centre of mass of
+        # the body's tree; shift it to the body's origin.
         cvel = self._derived("cvel")
-        centre = self._derived("subtree_com")[:, :1]
+        centre = self._derived("subtree_com")[:, self._tree_roots]
         return cvel[..., 3:] + cross(cvel[..., :3], self.body_pos - centre)
 
     def _require_batch(self) -> Batch:
@@ -288,6 +303,10 @@ class CpuBatchSimulation:
     def close(self) -> None:
         """Free the simulations and their threads; a second call does nothing."""
         self._batch = None
+        self._on_demand.clear()
+        # The views keep the batch's memory, and with it its threads, alive.
+        for view in _VIEWS:
+            self.__dict__.pop(view, None)
 
 
 def _read_only_tensor(rows: np.ndarray) -> Tensor:

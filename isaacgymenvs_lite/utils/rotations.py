@@ -221,7 +221,10 @@ def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
     (a + b) / 2 whatever t is, and t outside [0, 1] extrapolates: both are the original's, which
     the motion library's numbers depend on.
     """
-    cos = (a * b).sum(dim=-1, keepdim=True)
+    # Summed with w first, as the original does: nearly equal rotations take one branch or the other
+    # by the last bit.
+    products = a * b
+    cos = products[..., 3:] + products[..., 0:1] + products[..., 1:2] + products[..., 2:3]
     b = torch.where(cos < 0.0, -b, b)
     cos = cos.abs()
     angle = torch.acos(cos.clamp(max=1.0))

@@ -119,6 +119,7 @@ def test_a_written_state_is_read_back(make_simulation, humanoid_model, random_st
     simulation = make_simulation(humanoid_model, num_envs=6, substeps=4)
     simulation.step()
     ids = torch.tensor([0, 3, 4])
+    assert _bytes(simulation)  # tensors that were read before the write must not stay
     root, dof_pos, dof_vel = random_state(3, seed=1)
     dof_pos[0] = 0.0
     dof_pos[1, :3] = 0.0

@@ -70,6 +70,7 @@ class HumanoidAMPBase(VecTask):
         cfg["env"]["numObservations"] = NUM_OBS
         cfg["env"]["numActions"] = NUM_ACTIONS
         cfg["env"].setdefault("clipActions", self.env_cfg.clip_actions)
+        cfg["env"].setdefault("controlFrequencyInv", self.env_cfg.control_freq_inv)
         super().__init__(
             cfg,
             rl_device,

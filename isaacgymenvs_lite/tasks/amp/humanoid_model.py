@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
@@ -48,9 +49,21 @@ def build_model(env: HumanoidAMPConfig, sim: SimConfig) -> mujoco.MjModel:
         model.geom_friction[:, 0] = env.plane.dynamic_friction
     if not env.pd_control:
         _make_torque_actuators(model)
-    elif not env.enforce_effort_limits:
+        return model
+    _keep_servo_errors(model)
+    if not env.enforce_effort_limits:
         model.actuator_forcelimited[:] = 0
     return model
+
+
+def _keep_servo_errors(model: mujoco.MjModel) -> None:
+    """Make the drives' force kp (target - q) for any target.
+
+    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, and knows a
+    servo by gain = -bias exactly. float32's pi is above pi: a full action would turn the joint
+    backwards. One unit in the last place of the bias is enough to be no servo.
+    """
+    model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
 
 
 def _make_torque_actuators(model: mujoco.MjModel) -> None:

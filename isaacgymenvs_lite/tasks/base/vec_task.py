@@ -59,13 +59,13 @@ class Env(ABC):  # noqa: B024  a task is abstract through VecTask
             -1 if headless and not env.get("enableCameraSensors", False) else graphics_device_id
         )
 
-        self.num_environments = self.num_envs = int(env["numEnvs"])
+        self.num_environments = self.num_envs = int(_required(env, "task.env.numEnvs"))
         if self.num_envs < 1:
             raise ConfigError(f"num_envs={self.num_envs}: expected at least one environment")
         self.num_agents = int(env.get("numAgents", 1))
         self.num_observations = self.num_obs = int(env.get("numObservations", 0))
         self.num_states = int(env.get("numStates", 0))
-        self.num_actions = self.num_acts = int(env["numActions"])
+        self.num_actions = self.num_acts = int(_required(env, "task.env.numActions"))
         self.control_freq_inv = int(env.get("controlFrequencyInv", 1))
         self.clip_obs = float(env.get("clipObservations", np.inf))
         self.clip_actions = float(env.get("clipActions", np.inf))
@@ -137,7 +137,7 @@ class VecTask(Env):
         up_axis = self.sim_params.get("up_axis", "z")
         if up_axis not in ("y", "z"):
             raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
-        self.dt = float(self.sim_params["dt"])
+        self.dt = float(_required(self.sim_params, "task.sim.dt"))
         self.create_sim()
         self.allocate_buffers()
 
@@ -253,6 +253,13 @@ class VecTask(Env):
 
     def _for_trainer(self, buffer: Tensor) -> Tensor:
         return buffer.clone().to(self.rl_device, non_blocking=True)
+
+
+def _required(section: dict[str, Any], path: str) -> Any:
+    key = path.rpartition(".")[2]
+    if key not in section:
+        raise ConfigError(f"the key '{path}' is missing; expected a number")
+    return section[key]
 
 
 def _unbounded_box(size: int) -> gymnasium.spaces.Box:

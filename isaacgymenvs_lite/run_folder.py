@@ -1,0 +1,54 @@
+"""The folder of one training run: `<train_dir>/<run name>/` with config.yaml, nn/, summaries/."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.errors import ConfigError
+
+
+class RunFolder:
+    """Created before anything long starts; removed again if a mistake ends the run at once.
+
+    Args:
+        train_dir: folder of all runs.
+        run_name: name of this one; rl_games is given the same, so that all files land in it.
+    """
+
+    def __init__(self, train_dir: Path, run_name: str) -> None:
+        self.path = train_dir / run_name
+        self.checkpoints = self.path / "nn"
+        self._was_there = True
+
+    def create(self, cfg: DictConfig) -> None:
+        """Make the folders and write the composed tree, its interpolations unresolved.
+
+        Raises:
+            ConfigError: the folder cannot be written.
+        """
+        self._was_there = self.path.exists()
+        try:
+            self.checkpoints.mkdir(parents=True, exist_ok=True)
+            (self.path / "summaries").mkdir(exist_ok=True)
+            config = self.path / "config.yaml"
+            config.write_text(OmegaConf.to_yaml(cfg), encoding="utf-8")
+        except OSError as error:
+            self.remove_if_unused()
+            raise ConfigError(
+                f"cannot write the run folder {self.path.absolute()}"
+                f" ({error.strerror or error}); choose another with"
+                " +train.params.config.train_dir=FOLDER"
+            ) from error
+
+    def remove_if_unused(self) -> None:
+        """Remove what `create` made if no checkpoint was written; never a folder of before."""
+        if not self._was_there and self.newest_checkpoint() is None:
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    def newest_checkpoint(self) -> Path | None:
+        """Return the checkpoint that was written last."""
+        files = self.checkpoints.glob("*.pth")
+        return max(files, key=lambda file: file.stat().st_mtime, default=None)
