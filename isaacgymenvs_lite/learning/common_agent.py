@@ -1,18 +1,7 @@
 """CommonAgent: PPO as IsaacGymEnvs' CommonAgent, and the one rollout and update loop here.
 
 rl_games' own `train()` runs it, so that checkpoints, stop rules and diagnostics are rl_games'.
-Agents override the hooks below the loops, never the loops:
-
-| hook | what an agent adds |
-|---|---|
-| `_before_step` | work before each policy step |
-| `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
-| `_needs_next_value` | rows whose next value the following step's policy call will not give |
-| `_record_step` | what to keep of a step |
-| `_total_rewards` | rewards beside the task's |
-| `_before_update`, `_after_update` | work around the gradient steps |
-| `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
-| `_extra_losses` | loss terms beside PPO's |
+Agents override the hooks of `agent_hooks`, never the loops.
 """
 
 from __future__ import annotations
@@ -28,13 +17,14 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning import losses
+from isaacgymenvs_lite.learning.agent_hooks import AgentHooks
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 
 _UNSUPPORTED_KEYS = ("central_value_config", "self_play_config", "use_action_masks")
 
 
-class CommonAgent(A2CAgent):
+class CommonAgent(AgentHooks, A2CAgent):
     """PPO that asks the environment for resets and bootstraps with the value after each step.
 
     Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
@@ -96,9 +86,6 @@ class CommonAgent(A2CAgent):
         self._train_info: dict[str, list[Tensor]] = {}
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
-
-    def _load_config_params(self, config: dict[str, Any]) -> None:
-        """Read an agent's own keys; the networks do not exist yet."""
 
     def _build_net_config(self) -> dict[str, Any]:
         """Return the arguments that the model is built with."""
@@ -422,56 +409,3 @@ class CommonAgent(A2CAgent):
 
     def _write_train_info(self, frame: int) -> None:
         self.writer.add_scalar("info/clip_frac", self.train_info_means()["clip_frac"], frame)
-
-    # --- hooks -----------------------------------------------------------------------------
-
-    def _before_step(self) -> None:
-        """Called before each policy step of a rollout."""
-
-    def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return inputs of actor and critic beside the observation, (N, ...) each."""
-        return {}
-
-    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return inputs of the model beside the observation for a minibatch."""
-        del input_dict
-        return {}
-
-    def _needs_next_value(self) -> Tensor:
-        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
-        return self.dones.bool()
-
-    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
-        """Keep what an agent needs of step n."""
-
-    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
-        """Return the rewards (H, N, values) to learn from, given the shaped task rewards."""
-        return task_rewards
-
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        """Called with the rollout's rows before the training set is made."""
-
-    def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Called with the rollout's rows after the last minibatch."""
-
-    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return rows (B, ...) that join the training set."""
-        del batch_dict
-        return {}
-
-    def _dataset_row_limits(self) -> dict[str, int]:
-        """Return how many rows of a minibatch are read, for names where it is not all."""
-        return {}
-
-    def _extra_losses(
-        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
-    ) -> dict[str, tuple[float, Tensor]]:
-        """Return loss terms {name: (weight, scalar)} beside PPO's.
-
-        Args:
-            result: the model's output.
-            batch: the model's input.
-            input_dict: the minibatch.
-        """
-        del result, batch, input_dict
-        return {}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import torch
@@ -48,25 +46,9 @@ class HumanoidAMP(HumanoidAMPBase):
         MotionFileError: a clip that cannot be used.
     """
 
-    def __init__(
-        self,
-        cfg: dict[str, Any],
-        rl_device: str,
-        sim_device: str,
-        graphics_device_id: int,
-        headless: bool,
-        virtual_screen_capture: bool = False,
-        force_render: bool = False,
-    ) -> None:
-        super().__init__(
-            cfg,
-            rl_device,
-            sim_device,
-            graphics_device_id,
-            headless,
-            virtual_screen_capture,
-            force_render,
-        )
+    def create_sim(self) -> None:
+        """As the base, then load the reference motions."""
+        super().create_sim()
         self._motion_lib = MotionLib(
             self.env_cfg.motion_file,
             NUM_ACTIONS,
@@ -74,8 +56,6 @@ class HumanoidAMP(HumanoidAMPBase):
             self.device,
             repair_repeated_frames=self.env_cfg.repair_repeated_frames,
         )
-        self.num_amp_obs = self.env_cfg.num_amp_obs_steps * NUM_AMP_OBS_PER_STEP
-        self._amp_obs_space = gymnasium.spaces.Box(-np.inf, np.inf, (self.num_amp_obs,), np.float32)
 
     def allocate_buffers(self) -> None:
         """Add the AMP observation history, (N, numAMPObsSteps, 105), newest first."""
@@ -87,7 +67,12 @@ class HumanoidAMP(HumanoidAMPBase):
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
         """Box of one flattened AMP observation."""
-        return self._amp_obs_space
+        return gymnasium.spaces.Box(-np.inf, np.inf, (self.num_amp_obs,), np.float32)
+
+    @property
+    def num_amp_obs(self) -> int:
+        """Numbers in one flattened AMP observation, F."""
+        return self.env_cfg.num_amp_obs_steps * NUM_AMP_OBS_PER_STEP
 
     @property
     def motion_lib(self) -> MotionLib:

@@ -1,0 +1,82 @@
+"""What an agent may override: the hooks that CommonAgent's loops call.
+
+| hook | what an agent adds |
+|---|---|
+| `_load_config_params` | its own keys |
+| `_build_net_config` | its own arguments of the networks |
+| `_before_step` | work before each policy step |
+| `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
+| `_needs_next_value` | rows whose next value the following step's policy call will not give |
+| `_record_step` | what to keep of a step |
+| `_total_rewards` | rewards beside the task's |
+| `_before_update`, `_after_update` | work around the gradient steps |
+| `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
+| `_extra_losses` | loss terms beside PPO's |
+| `_checkpoint_keys` | what a checkpoint must hold |
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+
+class AgentHooks:
+    """Hooks of CommonAgent that do nothing; N environments, horizon H, batch B = N * H."""
+
+    dones: Tensor
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        """Read an agent's own keys of `params.config`; the networks do not exist yet."""
+
+    def _before_step(self) -> None:
+        """Called before each policy step of a rollout."""
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        """Return inputs of actor and critic beside the observation, (N, ...) each."""
+        return {}
+
+    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return inputs of the model beside the observation for a minibatch."""
+        del input_dict
+        return {}
+
+    def _needs_next_value(self) -> Tensor:
+        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
+        return self.dones.bool()
+
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        """Keep what an agent needs of step n."""
+
+    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
+        """Return the rewards (H, N, values) to learn from, given the shaped task rewards."""
+        return task_rewards
+
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows before the training set is made."""
+
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows after the last minibatch."""
+
+    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """Return rows (B, ...) that join the training set."""
+        del batch_dict
+        return {}
+
+    def _dataset_row_limits(self) -> dict[str, int]:
+        """Return how many rows of a minibatch are read, for names where it is not all."""
+        return {}
+
+    def _extra_losses(
+        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
+    ) -> dict[str, tuple[float, Tensor]]:
+        """Return loss terms {name: (weight, scalar)} beside PPO's.
+
+        Args:
+            result: the model's output.
+            batch: the model's input.
+            input_dict: the minibatch.
+        """
+        del result, batch, input_dict
+        return {}
