@@ -25,9 +25,9 @@ log = logging.getLogger(__name__)
 
 _COMPILED_PREFIX = "_orig_mod."
 # rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
+_OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
 # rl_games' SAC agent writes its networks apart.
 _SAC_KEYS = {"actor", "critic"}
-_OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
 
 
 def install() -> None:

@@ -137,8 +137,9 @@ class ImitationObserver(AlgoObserver):
     """Every so many epochs plays the mean policy and writes `imitation/pose_error_m`.
 
     The episodes start from the same states each time (a fixed seed of their own), on simulations
-    of their own, so that training is not disturbed and numbers compare over time. Evaluations are
-    put off while they would take more than 2% of the time trained.
+    of their own, so that training is not disturbed and numbers compare over time. The first one
+    tells what an evaluation costs; later ones are put off while all together would take more than
+    2% of the time trained.
 
     Args:
         make_env: makes the evaluation's task, given its number of environments.
@@ -187,10 +188,10 @@ class ImitationObserver(AlgoObserver):
     _evaluations = 0
 
     def _evaluate(self) -> EvaluationResult:
-        if self._env is None:
-            self._env = self._make_env(self._num_episodes)
         with torch.random.fork_rng(enabled=True):
             torch.manual_seed(self._SEED)
+            if self._env is None:
+                self._env = self._make_env(self._num_episodes)
             return evaluate(self._env, self._act, self._num_episodes)
 
     def _act(self, obs: dict[str, Tensor]) -> Tensor:

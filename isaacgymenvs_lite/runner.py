@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import logging
 from collections.abc import Iterator
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -66,9 +68,7 @@ class Session:
         self._seed = seed
         self._name = str(cfg.train.params.config.name)
         train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
-        self._run_name = settings.full_experiment_name or (
-            self._name + datetime.now().strftime("_%d-%H-%M-%S")
-        )
+        self._run_name = settings.full_experiment_name or _new_run_name(train_dir, self._name)
         self._folder = RunFolder(train_dir, self._run_name)
         self._checkpoint = checkpoints.resolve_checkpoint(
             settings.checkpoint, train_dir, str(cfg.task.name)
@@ -87,7 +87,9 @@ class Session:
             # Made before the agent, so that its mistakes show before a run folder exists.
             self._task = self._make_env(int(self._cfg.task.env.numEnvs))
             register_env(lambda **kwargs: self._task)
-            self._params = self._prepare()
+            # What is fitted to the batch of a training is of no interest to a player.
+            with _quiet("isaacgymenvs_lite.config") if self._settings.test else nullcontext():
+                self._params = self._prepare()
             if self._settings.test:
                 self._play()
             else:
@@ -154,8 +156,8 @@ class Session:
             self._folder.remove_if_unused()
             raise
         except KeyboardInterrupt:
+            log.warning("stopped at once")
             self._save("interrupted")
-            log.warning("stopped at once; the last full update is in the checkpoint")
         finally:
             progress.close()
             self._agent_holder.flush()
@@ -207,6 +209,13 @@ class Session:
             agent.save(str(plain.with_suffix("")))
 
 
+def _new_run_name(train_dir: Path, name: str) -> str:
+    """Return `<name>_<dd-HH-MM-SS>`, with a number behind it if a run of this second exists."""
+    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
+    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
+    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
+
+
 class _AgentHolder(AlgoObserver):
     """Keeps the agent that rl_games' Runner makes and does not hand out, and guards its log."""
 
@@ -233,6 +242,18 @@ def _explain_misfit(error: RuntimeError, checkpoint: str) -> Exception:
         f"checkpoint={checkpoint}: made with another network or task ({first}); use the task= and"
         " train= it was trained with (config.yaml in its run folder)"
     )
+
+
+@contextlib.contextmanager
+def _quiet(logger_name: str) -> Iterator[None]:
+    """Let a logger say warnings only."""
+    logger = logging.getLogger(logger_name)
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 class _LogStream(io.TextIOBase):

@@ -43,7 +43,7 @@ def startup_notes(cfg: DictConfig) -> list[str]:
     if shown:
         given = ", ".join(f"{key}={cfg[key]}" for key in shown)
         notes.append(f"{given}: there is no viewer in this version, running without")
-    if note := cpu_defaults_note(cfg):
+    if not cfg.test and (note := cpu_defaults_note(cfg)):
         notes.append(note)
     return notes
 

@@ -52,6 +52,10 @@ class AMPBuilder(A2CBuilder):
                     " initializer of the discriminator"
                 )
             disc = params["disc"]
+            if len(disc["units"]) == 0:
+                raise ConfigError(
+                    "train.params.network.disc.units=[]: expected at least one hidden layer"
+                )
             self._disc_mlp = self._build_mlp(
                 input_size=input_shape[0],
                 units=disc["units"],

@@ -21,7 +21,12 @@ from isaacgymenvs_lite.learning.agent_hooks import AgentHooks
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 
-_UNSUPPORTED_KEYS = ("central_value_config", "self_play_config", "use_action_masks")
+_UNSUPPORTED_KEYS = (
+    "central_value_config",
+    "normalize_rms_advantage",
+    "self_play_config",
+    "use_action_masks",
+)
 
 
 class CommonAgent(AgentHooks, A2CAgent):
@@ -55,6 +60,11 @@ class CommonAgent(AgentHooks, A2CAgent):
         config["mixed_precision"] = False
         # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
         ContinuousA2CBase.__init__(self, base_name, params)
+        if self.batch_size < 2:
+            raise ConfigError(
+                "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
+                " undefined; expected at least two: raise num_envs or horizon_length"
+            )
         self._bfloat16 = resolve_mixed_precision(wanted_precision, self.ppo_device)
         self._load_config_params(self.config)
 
@@ -85,6 +95,7 @@ class CommonAgent(AgentHooks, A2CAgent):
             self.value_mean_std = self.model.value_mean_std
         self._train_info: dict[str, list[Tensor]] = {}
         self._restored_best: float | None = None
+        self._restored_from = ""
         self.algo_observer.after_init(self)
 
     def _build_net_config(self) -> dict[str, Any]:
@@ -114,6 +125,15 @@ class CommonAgent(AgentHooks, A2CAgent):
             self.last_mean_rewards, self._restored_best = self._restored_best, None
         return super().env_reset()
 
+    def restore(self, fn: str, set_epoch: bool = True) -> None:
+        """Go on from the checkpoint `fn`.
+
+        Raises:
+            CheckpointError: it cannot be used.
+        """
+        self._restored_from = fn
+        super().restore(fn, set_epoch)
+
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
         """Take over a checkpoint; see `env_reset` for the best reward.
 
@@ -123,8 +143,8 @@ class CommonAgent(AgentHooks, A2CAgent):
         missing = [key for key in self._checkpoint_keys() if key not in weights]
         if missing:
             raise CheckpointError(
-                f"checkpoint: has no {', '.join(missing)}, so that training cannot go on from it;"
-                " expected a checkpoint that train.py wrote (test=True needs less)"
+                f"checkpoint={self._restored_from}: has no {', '.join(missing)}, so that training"
+                " cannot go on from it; expected a checkpoint that train.py wrote (test=True needs less)"
             )
         super().set_full_state_weights(weights, set_epoch)
         self._restored_best = self.last_mean_rewards

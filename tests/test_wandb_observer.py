@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import sys
+import types
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.wandb_observer import WandbObserver
+
+
+class FakeWandb(types.ModuleType):
+    """Fails `failures` times, then opens a run."""
+
+    def __init__(self, failures: int) -> None:
+        super().__init__("wandb")
+        self.failures, self.inits, self.logged = failures, [], []
+        self.run = types.SimpleNamespace(log_code=lambda root: self.logged.append(root))
+
+    def init(self, **kwargs: Any) -> None:
+        self.inits.append(kwargs)
+        if len(self.inits) <= self.failures:
+            raise ConnectionError("no network")
+
+
+@pytest.fixture
+def open_wandb(monkeypatch):
+    def run(failures: int, **changes: Any) -> FakeWandb:
+        fake = FakeWandb(failures)
+        monkeypatch.setitem(sys.modules, "wandb", fake)
+        monkeypatch.setattr("isaacgymenvs_lite.wandb_observer.time.sleep", lambda s: None)
+        settings = LaunchSettings(task_name="Ant", wandb_activate=True, **changes)
+        cfg = OmegaConf.create({"num_envs": 4, "twice": "${num_envs}"})
+        WandbObserver(cfg, settings, "Ant_01-02").before_init("run", {}, "Ant_01-02")
+        return fake
+
+    return run
+
+
+def test_a_wandb_run_mirrors_tensorboard(open_wandb):
+    fake = open_wandb(0, wandb_project="p", wandb_group="", wandb_entity="me", wandb_tags=["a"])
+    (given,) = fake.inits
+    assert given["sync_tensorboard"] is True
+    assert given["project"] == "p"
+    assert given["entity"] == "me"
+    assert given["group"] is None
+    assert given["tags"] == ["a"]
+    assert given["name"] == "Ant_01-02"
+    assert given["config"] == {"num_envs": 4, "twice": 4}
+    assert fake.logged == []
+
+
+def test_the_code_is_stored_if_asked_for(open_wandb):
+    assert open_wandb(0, wandb_logcode_dir="src").logged == ["src"]
+
+
+@pytest.mark.parametrize(("failures", "attempts"), [(2, 3), (99, 3)])
+def test_wandb_failing_never_ends_a_training(failures, attempts, open_wandb, caplog):
+    fake = open_wandb(failures)
+    assert len(fake.inits) == attempts
+    assert "no network" in caplog.text
+    assert ("goes on without" in caplog.text) is (failures > attempts)
