@@ -189,9 +189,9 @@ class ImitationObserver(AlgoObserver):
 
     def _evaluate(self) -> EvaluationResult:
         with torch.random.fork_rng(enabled=True):
-            torch.manual_seed(self._SEED)
             if self._env is None:
                 self._env = self._make_env(self._num_episodes)
+            torch.manual_seed(self._SEED)
             return evaluate(self._env, self._act, self._num_episodes)
 
     def _act(self, obs: dict[str, Tensor]) -> Tensor:

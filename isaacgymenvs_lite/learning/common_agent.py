@@ -144,7 +144,8 @@ class CommonAgent(AgentHooks, A2CAgent):
         if missing:
             raise CheckpointError(
                 f"checkpoint={self._restored_from}: has no {', '.join(missing)}, so that training"
-                " cannot go on from it; expected a checkpoint that train.py wrote (test=True needs less)"
+                " cannot go on from it; expected a checkpoint that train.py wrote (test=True needs"
+                " less)"
             )
         super().set_full_state_weights(weights, set_epoch)
         self._restored_best = self.last_mean_rewards
