@@ -5,7 +5,7 @@
 
     runner = Runner()
     register(runner)
-    runner.load(yaml_config)
+    runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
 Checkpoints of a runner that was registered are written atomically and loaded without running code.
 """
@@ -20,6 +20,7 @@ from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
+import isaacgymenvs_lite
 from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
@@ -38,14 +39,17 @@ _MODELS: dict[str, type] = {
     "amp": ModelAMPContinuous,
 }
 _NETWORKS: dict[str, type] = {"amp": AMPBuilder}
+_ENV_NAME = "rlgpu"
 
 AMP_FAMILY = frozenset(_ALGORITHMS)
 """Algorithm names whose agents are ours: they take no torch.compile and no recurrent networks."""
 
 
 def register(runner: Runner) -> None:
-    """Add all our algorithms, players, models and networks to a rl_games Runner."""
+    """Add all our algorithms, players, models, networks and tasks to a rl_games Runner."""
     checkpoints.install()
+    if _ENV_NAME not in env_configurations.configurations:
+        register_env()
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, _builder_of(agent))
         runner.player_factory.register_builder(name, _builder_of(player))
@@ -66,13 +70,19 @@ def build_runner(observer: AlgoObserver | None = None) -> Runner:
     return runner
 
 
-def register_env(creator: Callable[..., VecTask]) -> None:
-    """Make `env_name: rlgpu` of train files mean the task that `creator(**kwargs)` returns."""
+def register_env(creator: Callable[..., VecTask] | None = None) -> None:
+    """Make `env_name: rlgpu` of train files mean the task that `creator(**kwargs)` returns.
+
+    Args:
+        creator: gets `config.env_config` as keyword arguments; None = `isaacgymenvs_lite.make`.
+    """
     vecenv.register(
         "RLGPU",
         lambda config_name, num_actors, **kwargs: RLGPUEnv(config_name, num_actors, **kwargs),
     )
-    env_configurations.register("rlgpu", {"vecenv_type": "RLGPU", "env_creator": creator})
+    env_configurations.register(
+        _ENV_NAME, {"vecenv_type": "RLGPU", "env_creator": creator or isaacgymenvs_lite.make}
+    )
 
 
 def known_names(runner: Runner) -> dict[str, list[str]]:

@@ -95,6 +95,7 @@ class Session:
             else:
                 self._train()
         finally:
+            register_env()  # the task made here is of no use to others
             for env in self._envs:
                 env.close()
 

@@ -134,3 +134,13 @@ def test_the_environment_of_train_files(monkeypatch):
     second = Task()
     register_env(lambda **kwargs: second)  # type: ignore[arg-type]
     assert vecenv.create_vec_env("rlgpu", 4).env is second
+
+
+def test_a_runner_of_the_caller_finds_our_tasks():
+    register(Runner())
+    creator = env_configurations.configurations["rlgpu"]["env_creator"]
+    env = creator(task="HumanoidAMP", num_envs=2)
+    try:
+        assert env.reset()["obs"].shape == (2, 105)
+    finally:
+        env.close()

@@ -267,19 +267,26 @@ class CommonAgent(AgentHooks, A2CAgent):
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         buffer = self.experience_buffer.tensor_dict
         rewards = self._total_rewards(buffer["rewards"])
-        advantages = losses.discount_values(
-            buffer["dones"],
-            buffer["values"],
-            rewards,
-            buffer["next_values"],
-            self.gamma,
-            self.tau,
+        advantages = self.discount_values(
+            buffer["dones"], buffer["values"], rewards, buffer["next_values"]
         )
         batch = self.experience_buffer.get_transformed_list(swap_and_flatten01, self.tensor_list)
         batch["returns"] = swap_and_flatten01(advantages + buffer["values"])
         batch["played_frames"] = self.batch_size
         batch["step_time"] = step_time_s
         return batch
+
+    def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
+        self, mb_fdones: Tensor, mb_values: Tensor, mb_rewards: Tensor, mb_next_values: Tensor
+    ) -> Tensor:
+        """Return advantages (H, N, values); see `losses.discount_values`."""
+        return losses.discount_values(
+            mb_fdones, mb_values, mb_rewards, mb_next_values, self.gamma, self.tau
+        )
+
+    def bound_loss(self, mu: Tensor) -> Tensor:
+        """Return (M,) the squared excess of mean actions (M, A) over +-1."""
+        return losses.bound_loss(mu)
 
     # --- update ----------------------------------------------------------------------------
 
@@ -368,7 +375,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         terms = {
             "actor_loss": (1.0, actor.mean()),
             "critic_loss": (self.critic_coef, critic.mean()),
-            "bounds_loss": (self.bounds_loss_coef or 0.0, losses.bound_loss(mu).mean()),
+            "bounds_loss": (self.bounds_loss_coef or 0.0, self.bound_loss(mu).mean()),
             "entropy": (-self.entropy_coef, result["entropy"].float().mean()),
             **self._extra_losses(result, batch, input_dict),
         }
