@@ -12,8 +12,11 @@ before each round.
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import time
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch is imported
 
 import torch
 from mujoco.batch import Batch

@@ -159,15 +159,15 @@ class HumanoidAMPBase(VecTask):
                 sim.root_states,
                 sim.dof_pos,
                 sim.dof_vel,
-                sim.body_pos[:, self._key_body_ids],
+                sim.body_pos.index_select(1, self._key_body_ids),
                 self.env_cfg.local_root_obs,
             )
         else:
             self.obs_buf[env_ids] = compute_humanoid_observations(
-                sim.root_states[env_ids],
-                sim.dof_pos[env_ids],
-                sim.dof_vel[env_ids],
-                sim.body_pos[env_ids][:, self._key_body_ids],
+                sim.root_states.index_select(0, env_ids),
+                sim.dof_pos.index_select(0, env_ids),
+                sim.dof_vel.index_select(0, env_ids),
+                sim.body_pos.index_select(0, env_ids).index_select(1, self._key_body_ids),
                 self.env_cfg.local_root_obs,
             )
 

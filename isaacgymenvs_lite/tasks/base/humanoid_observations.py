@@ -30,13 +30,13 @@ _HINGE_TARGET_SHARE = 0.7
 
 @lru_cache(maxsize=8)
 def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Index tensors: DOFs of the ball joints (balls, 3), of the hinges, and the output order."""
+    """Index tensors: DOFs of the ball joints (3 * balls,), of the hinges, and the output order."""
     offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
     groups = list(itertools.pairwise(offsets))
-    balls = [list(range(a, b)) for a, b in groups if b - a == 3]
+    balls = [dof for a, b in groups if b - a == 3 for dof in range(a, b)]
     hinges = [a for a, b in groups if b - a == 1]
     order: list[int] = []
-    next_ball, next_hinge = 0, 6 * len(balls)
+    next_ball, next_hinge = 0, 2 * len(balls)
     for a, b in groups:
         if b - a == 3:
             order += range(next_ball, next_ball + 6)
@@ -64,8 +64,11 @@ def dof_to_obs(dof_pos: Tensor) -> Tensor:
         (N, 52).
     """
     balls, hinges, order = _dof_obs_layout(dof_pos.shape[-1], dof_pos.device)
-    rotations = quat_to_tan_norm(exp_map_to_quat(dof_pos[:, balls])).flatten(1)
-    return torch.cat((rotations, dof_pos[:, hinges]), dim=-1)[:, order]
+    # index_select is several times as fast as indexing with a tensor.
+    vectors = dof_pos.index_select(-1, balls).view(len(dof_pos), -1, 3)
+    rotations = quat_to_tan_norm(exp_map_to_quat(vectors)).flatten(1)
+    features = torch.cat((rotations, dof_pos.index_select(-1, hinges)), dim=-1)
+    return features.index_select(-1, order)
 
 
 def compute_humanoid_observations(

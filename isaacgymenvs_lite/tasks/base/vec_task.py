@@ -22,6 +22,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 log = logging.getLogger(__name__)
 
@@ -184,19 +185,20 @@ class VecTask(Env):
             observations {"obs": (N, numObs)[, "states": (N, numStates)]}, rewards (N,), dones
             (N,) int64 and infos, on rl_device. `infos["time_outs"]` is (N,) bool.
         """
-        actions = actions.to(self.device).clamp(-self.clip_actions, self.clip_actions)
-        self.pre_physics_step(actions)
-        self.simulation.step()
-        self.post_physics_step()
-        self.control_steps += 1
-        self.timeout_buf = self.compute_time_outs()
-        self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
-        return (
-            self._observations(),
-            self._for_trainer(self.rew_buf),
-            self._for_trainer(self.reset_buf),
-            self.extras,
-        )
+        with one_torch_thread():
+            actions = actions.to(self.device).clamp(-self.clip_actions, self.clip_actions)
+            self.pre_physics_step(actions)
+            self.simulation.step()
+            self.post_physics_step()
+            self.control_steps += 1
+            self.timeout_buf = self.compute_time_outs()
+            self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
+            return (
+                self._observations(),
+                self._for_trainer(self.rew_buf),
+                self._for_trainer(self.reset_buf),
+                self.extras,
+            )
 
     def compute_time_outs(self) -> Tensor:
         """Return (N,) bool: the episode ended, by its length and not by a failure."""
@@ -221,10 +223,11 @@ class VecTask(Env):
         Returns:
             observations as `step`, and the ids of the environments that were reset (n,).
         """
-        done_ids = self.reset_buf.nonzero().flatten()
-        if len(done_ids) > 0:
-            self.reset_idx(done_ids)
-        return self._observations(), done_ids.to(self.rl_device)
+        with one_torch_thread():
+            done_ids = self.reset_buf.nonzero().flatten()
+            if len(done_ids) > 0:
+                self.reset_idx(done_ids)
+            return self._observations(), done_ids.to(self.rl_device)
 
     def zero_actions(self) -> Tensor:
         """Return (N, numActions) zeros on rl_device."""
