@@ -136,7 +136,8 @@ def test_the_environment_of_train_files(monkeypatch):
     assert vecenv.create_vec_env("rlgpu", 4).env is second
 
 
-def test_a_runner_of_the_caller_finds_our_tasks():
+def test_a_runner_of_the_caller_finds_our_tasks(monkeypatch):
+    monkeypatch.delitem(env_configurations.configurations, "rlgpu", raising=False)
     register(Runner())
     creator = env_configurations.configurations["rlgpu"]["env_creator"]
     env = creator(task="HumanoidAMP", num_envs=2)
