@@ -71,7 +71,7 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
                 torch.save(state, file)
             except RuntimeError as error:
                 # torch's zip writer turns a failed write into a RuntimeError
-                raise OSError(f"writing failed ({str(error).splitlines()[0]})") from error
+                raise OSError("the disk is full or broken") from error
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)

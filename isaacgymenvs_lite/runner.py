@@ -66,7 +66,7 @@ class Session:
         self._cfg = cfg
         self._settings = settings
         self._seed = seed
-        self._name = str(cfg.train.params.config.name)
+        self._name = settings.experiment or str(cfg.train.params.config.name)
         train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
         self._run_name = settings.full_experiment_name or _new_run_name(train_dir, self._name)
         self._folder = RunFolder(train_dir, self._run_name)

@@ -82,6 +82,7 @@ def prepare_train_params(
     device = str(rl_device or cfg.rl_device)
     config["device"] = config["device_name"] = device
     config["num_actors"] = num_envs
+    _apply_launch_keys(config, cfg)
     config["population_based_training"] = bool(plain(cfg.pbt).get("enabled", False))
     config["pbt_idx"] = None
     config["full_experiment_name"] = run_name
@@ -97,6 +98,17 @@ def prepare_train_params(
     config["torch_compile"] = _torch_compile(config.get("torch_compile"), algo, device)
     _fit_minibatches(config, num_envs, num_agents, recurrent)
     return params
+
+
+def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
+    """Let max_iterations and experiment of the command line count in any train file, in place.
+
+    IsaacGymEnvs' files interpolate them; ASE's have plain values.
+    """
+    for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
+        given = cfg.get(launch_key, "")
+        if given not in ("", None):
+            config[key] = given
 
 
 def _check_params(params: dict[str, Any], names: KnownNames) -> None:

@@ -257,3 +257,11 @@ def test_tree_is_left_as_it_was(config_dir):
     cfg = compose(["train=Published", "rl_device=cpu"], config_dir)
     prepare_train_params(cfg, num_envs=64, seed=1)
     assert cfg == compose(["train=Published", "rl_device=cpu"], config_dir)
+
+
+def test_max_iterations_and_experiment_count_in_files_without_interpolations():
+    cfg = compose(["max_iterations=7", "experiment=mine"])
+    cfg.train.params.config.max_epochs = 100000
+    cfg.train.params.config.name = "Humanoid"
+    config = prepare_train_params(cfg, num_envs=4, seed=1)["config"]
+    assert (config["max_epochs"], config["name"]) == (7, "mine")
