@@ -69,7 +69,8 @@ def measure_bfloat16_speedup() -> float:
         return once
 
     full, half = run(False), run(True)
-    full(), half()
+    full()
+    half()
     # In turns, and the best of each: other work on the machine must not decide.
     times = [(_time_s(full), _time_s(half)) for _ in range(_CALIBRATION_ROUNDS)]
     return min(full_s for full_s, _ in times) / min(half_s for _, half_s in times)
