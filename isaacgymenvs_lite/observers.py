@@ -157,6 +157,7 @@ class ImitationObserver(AlgoObserver):
         self._num_episodes = num_episodes
         self._env: Any = None
         self._spent_s = 0.0
+        self._evaluations = 0
         self._epochs = 0
         self._due = False
         self.last: EvaluationResult | None = None
@@ -184,8 +185,6 @@ class ImitationObserver(AlgoObserver):
         self._spent_s += time.monotonic() - start
         self._evaluations += 1
         self._write(self.last, frame)
-
-    _evaluations = 0
 
     def _evaluate(self) -> EvaluationResult:
         with torch.random.fork_rng(enabled=True):
@@ -229,7 +228,6 @@ class ProgressObserver(AlgoObserver):
         self._imitation = imitation
         self._line_interval_s = line_interval_s
         self._bar: tqdm | None = None
-        self._frame_of_last_update = 0
 
     def after_init(self, algo: Any) -> None:
         """Take the agent."""

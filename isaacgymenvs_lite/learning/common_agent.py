@@ -207,7 +207,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         Where the episode goes on, the policy call of step n + 1 evaluates the same observation,
         and `_fill_next_values` takes its value over.
         """
-        self._terminate = self._terminated(infos)
+        terminate = self._terminated(infos)
         next_values = self.experience_buffer.tensor_dict["next_values"][n]
         if n == self.horizon_length - 1:
             next_values.copy_(self._eval_critic(self.obs))
@@ -218,7 +218,7 @@ class CommonAgent(AgentHooks, A2CAgent):
             if len(rows) == 0:
                 return
             next_values[rows] = self._eval_critic(self.obs, rows)
-        next_values[rows] = losses.mask_terminal_values(next_values[rows], self._terminate[rows])
+        next_values[rows] = losses.mask_terminal_values(next_values[rows], terminate[rows])
 
     def _fill_next_values(self, n: int, values: Tensor) -> None:
         next_values = self.experience_buffer.tensor_dict["next_values"][n]

@@ -71,4 +71,10 @@ class MotionRecorder:
             torch.stack(self._positions).double().numpy(),
         )
         save_npz(self._path, clip)
-        log.info("recorded %d steps into %s", clip.num_frames, self._path)
+        way_m = torch.linalg.vector_norm((self._positions[-1] - self._positions[0])[:2]).item()
+        log.info(
+            "recorded %d steps into %s: %.2f m/s along the ground",
+            clip.num_frames,
+            self._path,
+            way_m / clip.length_s,
+        )

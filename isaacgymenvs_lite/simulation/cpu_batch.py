@@ -128,6 +128,7 @@ class CpuBatchSimulation:
         self._on_demand: dict[str, Tensor] = {}
         # Body velocities need one stage more; it is computed from the first time they are read.
         self._stage = _STAGE_POS
+        self._derived_in_use: set[str] = set()
         self._tree_roots = torch.from_numpy(self.model.body_rootid[1:].astype(np.int64)) - 1
 
     @property
@@ -284,9 +285,9 @@ class CpuBatchSimulation:
     def _derived(self, field: str) -> Tensor:
         """A body field of MuJoCo, (N, B, ...) float32, without the world."""
         batch = self._require_batch()
-        first_use = field not in batch._bound
         rows = batch.bind(field)
-        if first_use:
+        if field not in self._derived_in_use:
+            self._derived_in_use.add(field)
             self._stage = _STAGE_VEL
             # A field bound between calls is zero until the next call.
             batch.forward(stage=self._stage)

@@ -86,7 +86,7 @@ class HumanoidAMPConfig:
     velocities would alternate between zero and twice the truth."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
     """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
-    The originals do not limit them, and a walk needs more than the ankles' 50 Nm."""
+    The originals do not limit them; docs/results.md says what the limits cost."""
     asset: AssetConfig = field(default_factory=AssetConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
 
