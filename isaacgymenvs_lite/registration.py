@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rl_games.algos_torch import model_builder
+from rl_games.algos_torch.players import PpoPlayerContinuous
 from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
@@ -26,10 +27,12 @@ from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPA
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous, LeastSquaresAMPPlayer
+from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 _ALGORITHMS: dict[str, tuple[type, type]] = {
+    "a2c_continuous": (PPOAgent, PpoPlayerContinuous),
     "amp_agent": (LeastSquaresAMPAgent, LeastSquaresAMPPlayer),
     "amp_continuous": (AMPAgent, AMPPlayerContinuous),
     "amp": (AMPAgent, AMPPlayerContinuous),
@@ -40,9 +43,6 @@ _MODELS: dict[str, type] = {
 }
 _NETWORKS: dict[str, type] = {"amp": AMPBuilder}
 _ENV_NAME = "rlgpu"
-
-AMP_FAMILY = frozenset(_ALGORITHMS)
-"""Algorithm names whose agents are ours: they take no torch.compile and no recurrent networks."""
 
 
 def register(runner: Runner) -> None:

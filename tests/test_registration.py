@@ -12,7 +12,6 @@ from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.registration import (
-    AMP_FAMILY,
     build_runner,
     known_names,
     register,
@@ -42,7 +41,6 @@ def test_names_of_train_files(runner):
     assert set(MODELS) <= set(names["model"])
     assert set(NETWORKS) <= set(names["network"])
     assert all(values == sorted(values) for values in names.values())
-    assert frozenset(ALGORITHMS) == AMP_FAMILY
 
 
 def test_rl_games_own_names_stay(runner):
@@ -53,6 +51,8 @@ def test_rl_games_own_names_stay(runner):
     plain = Runner()
     for factory in ("algo_factory", "player_factory"):
         for name, builder in getattr(plain, factory)._builders.items():
+            if name == "a2c_continuous":  # ours, on top of rl_games'
+                continue
             own = getattr(runner, factory)._builders[name]
             assert own.__code__ is builder.__code__, name
 

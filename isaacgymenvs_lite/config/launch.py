@@ -45,7 +45,7 @@ class LaunchSettings:
     pipeline: str = setting("cpu", choices=("cpu", "gpu"))
     """Where the task's tensors live."""
     num_threads: int = setting(0, minimum=0)
-    """Physics worker threads on a CPU; 0 means one for each CPU."""
+    """CPU threads of the physics and of the networks, in turns; 0 means one for each CPU."""
     multi_gpu: bool = setting(False)
 
     headless: bool = setting(True)

@@ -24,11 +24,13 @@ _TASK_KEYS = (
 _TASK_SECTIONS = ("sim.physx", "sim.flex")
 _ABSENT = object()
 
-# Keys whose shipped defaults are smaller on a CPU, with the name under which users know them.
-_SIZES = {
+# Keys whose shipped defaults differ on a CPU, with the name under which users know them.
+_CPU_SETTINGS = {
     "task.env.numEnvs": "numEnvs",
     "train.params.config.minibatch_size": "minibatch_size",
     "train.params.config.amp_minibatch_size": "amp_minibatch_size",
+    "train.params.config.mini_epochs": "mini_epochs",
+    "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",
     "train.params.network.disc.units": "disc.units",
 }
@@ -67,24 +69,24 @@ def physx_only_keys(cfg: DictConfig) -> list[str]:
 
 
 def cpu_defaults_note(cfg: DictConfig) -> str | None:
-    """Return one line that names the sizes that depend on learning on a CPU, or None."""
+    """Return one line that names the settings that depend on learning on a CPU, or None."""
     if "cuda" in str(cfg.rl_device):
         return None
     on_gpu = copy.deepcopy(cfg)
     with flag_override(on_gpu, "readonly", False):
         on_gpu.rl_device = "cuda:0"
-    sizes = []
-    for path, name in _SIZES.items():
+    settings = []
+    for path, name in _CPU_SETTINGS.items():
         here, there = OmegaConf.select(cfg, path), OmegaConf.select(on_gpu, path)
         if here != there:
-            sizes.append(f"{name} {_short(here)} ({_short(there)})")
-    if not sizes:
+            settings.append(f"{name} {_short(here)} ({_short(there)})")
+    if not settings:
         return None
-    return f"defaults for learning on a CPU (on a GPU): {', '.join(sizes)}"
+    return f"defaults for learning on a CPU (on a GPU): {', '.join(settings)}"
 
 
 def _short(value: Any) -> str:
-    return str(value) if isinstance(value, int) else "-".join(str(entry) for entry in value)
+    return str(value) if isinstance(value, int | float) else "-".join(str(entry) for entry in value)
 
 
 def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:

@@ -4,6 +4,7 @@
 |---|---|
 | `_load_config_params` | its own keys |
 | `_build_net_config` | its own arguments of the networks |
+| `_parameter_groups` | parameters with a learning rate of their own |
 | `_before_step` | work before each policy step |
 | `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
 | `_needs_next_value` | rows whose next value the following step's policy call will not give |
@@ -26,9 +27,17 @@ class AgentHooks:
     """Hooks of CommonAgent that do nothing; N environments, horizon H, batch B = N * H."""
 
     dones: Tensor
+    model: Any
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         """Read an agent's own keys of `params.config`; the networks do not exist yet."""
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """Return Adam's parameter groups; the first follows the learning rate's schedule.
+
+        Groups keep the order of `model.parameters()` within them.
+        """
+        return [{"params": list(self.model.parameters())}]
 
     def _before_step(self) -> None:
         """Called before each policy step of a rollout."""

@@ -44,6 +44,9 @@ class AMPParams:
     """Normalise AMP observations by running statistics."""
     disc_reward: str | None = setting(None, choices=DISC_REWARDS)
     """This project's: the style reward's formula; None = the agent's own."""
+    disc_learning_rate: float | None = setting(None, above=0)
+    """This project's: Adam's step size for the discriminator, which no schedule changes; None =
+    learning_rate, with its schedule."""
     disc_loss: str = setting("bce", choices=DISC_LOSSES)
     """This project's: the prediction loss; least_squares is the AMP paper's."""
 

@@ -73,6 +73,13 @@ class AMPAgent(CommonAgent):
             "amp_input_shape": self._amp_observation_space.shape,
         }
 
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        if self._amp.disc_learning_rate is None:
+            return super()._parameter_groups()
+        disc = self.model.a2c_network.disc_parameters()
+        others = [p for p in self.model.parameters() if all(p is not d for d in disc)]
+        return [{"params": others}, {"params": disc, "lr": self._amp.disc_learning_rate}]
+
     def init_tensors(self) -> None:
         """Allocate the rollout of AMP observations and fill the demonstration buffer."""
         super().init_tensors()
@@ -102,8 +109,7 @@ class AMPAgent(CommonAgent):
 
     def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
         """Return {"disc_rewards": (..., 1)}, the style rewards of raw AMP observations (..., F)."""
-        with self._autocast():
-            return {"disc_rewards": self.discriminator.reward(amp_obs)}
+        return {"disc_rewards": self.discriminator.reward(amp_obs)}
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
@@ -151,7 +157,6 @@ class AMPAgent(CommonAgent):
         inputs = super()._training_inputs(input_dict)
         for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo"):
             inputs[name] = self.discriminator.normalize(input_dict[name], update=True)
-        inputs["amp_obs_demo"] = inputs["amp_obs_demo"].detach().requires_grad_(True)
         return inputs
 
     def _extra_losses(
@@ -159,16 +164,27 @@ class AMPAgent(CommonAgent):
     ) -> dict[str, tuple[float, Tensor]]:
         terms = super()._extra_losses(result, batch, input_dict)
         agent_logit = torch.cat((result["disc_agent_logit"], result["disc_agent_replay_logit"]))
-        info = self._disc_loss(agent_logit, result["disc_demo_logit"], batch["amp_obs_demo"])
+        info = self._disc_loss(
+            agent_logit,
+            result["disc_demo_logit"],
+            batch["amp_obs_demo"],
+            result["disc_demo_gradient"],
+        )
         loss = info.pop("disc_loss")
         self._log_train_info({name: value.mean() for name, value in info.items()})
         return {**terms, "disc_loss": (self._amp.disc_coef, loss)}
 
     def _disc_loss(
-        self, disc_agent_logit: Tensor, disc_demo_logit: Tensor, obs_demo: Tensor
+        self,
+        disc_agent_logit: Tensor,
+        disc_demo_logit: Tensor,
+        obs_demo: Tensor,
+        disc_demo_gradient: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Return the discriminator's loss and its parts; see `StyleDiscriminator.loss`."""
-        return self.discriminator.loss(disc_agent_logit, disc_demo_logit, obs_demo)
+        return self.discriminator.loss(
+            disc_agent_logit, disc_demo_logit, obs_demo, disc_demo_gradient
+        )
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Keep the policy's AMP observations: all until the buffer is full, then a few."""

@@ -53,7 +53,7 @@ class AMPDataset(PPODataset):
     def _get_item(self, idx: int) -> dict[str, Any]:
         rows = self._order[idx * self.minibatch_size : (idx + 1) * self.minibatch_size]
         minibatch = {
-            name: values[rows[: self._row_limits.get(name, self.minibatch_size)]]
+            name: values.index_select(0, rows[: self._row_limits.get(name, self.minibatch_size)])
             for name, values in self.values_dict.items()
             if name not in self.special_names and values is not None
         }

@@ -13,7 +13,7 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
 
     With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
     input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
-    (K, 1) beside what `ModelA2CContinuousLogStd` gives.
+    (K, 1), and `disc_demo_gradient` (K, F), beside what `ModelA2CContinuousLogStd` gives.
     """
 
     def __init__(self, network: Any) -> None:
@@ -32,6 +32,8 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
                 agent_logit, replay_logit = self.a2c_network.eval_disc(fakes).split(len(agent))
                 result["disc_agent_logit"] = agent_logit
                 result["disc_agent_replay_logit"] = replay_logit
-                # Apart from the others: its gradient with respect to the input is wanted.
-                result["disc_demo_logit"] = self.a2c_network.eval_disc(input_dict["amp_obs_demo"])
+                logit, gradient = self.a2c_network.eval_disc_with_gradient(
+                    input_dict["amp_obs_demo"]
+                )
+                result["disc_demo_logit"], result["disc_demo_gradient"] = logit, gradient
             return result

@@ -9,6 +9,7 @@ from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.losses import input_gradient
 
 # The last layer of the discriminator starts in U(-1, 1), as IsaacGymEnvs and ASE.
 _DISC_LOGIT_INIT_SCALE = 1.0
@@ -31,6 +32,9 @@ class AMPBuilder(A2CBuilder):
         Raises:
             ConfigError: recurrent or convolutional networks, or no section `disc:`.
         """
+
+        row_functions = ("eval_actor", "eval_critic", "eval_disc", "eval_disc_with_gradient")
+        """Methods whose rows are independent; see `NetworkExecutor.attach`."""
 
         def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
             amp_input_shape = kwargs.pop("amp_input_shape")
@@ -90,6 +94,22 @@ class AMPBuilder(A2CBuilder):
         def eval_disc(self, amp_obs: Tensor) -> Tensor:
             """Return discriminator logits (n, 1) for normalised AMP observations (n, F)."""
             return self._disc_logits(self._disc_mlp(amp_obs))
+
+        def eval_disc_with_gradient(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
+            """Return logits (n, 1) and their gradients by the normalised AMP observations (n, F).
+
+            The gradients can be differentiated by the parameters.
+            """
+            with torch.enable_grad():
+                amp_obs = amp_obs.detach().requires_grad_()
+                logits = self.eval_disc(amp_obs)
+            # The backward pass computes as the forward pass did; autocast has no say in it.
+            with torch.autocast(amp_obs.device.type, enabled=False):
+                return logits, input_gradient(logits, amp_obs)
+
+        def disc_parameters(self) -> list[nn.Parameter]:
+            """Return the parameters of the discriminator."""
+            return [*self._disc_mlp.parameters(), *self._disc_logits.parameters()]
 
         def get_disc_logit_weights(self) -> Tensor:
             """Return the last layer's weights, flat."""

@@ -19,7 +19,10 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.agent_hooks import AgentHooks
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
+from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 _UNSUPPORTED_KEYS = (
     "central_value_config",
@@ -65,18 +68,19 @@ class CommonAgent(AgentHooks, A2CAgent):
                 "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
                 " undefined; expected at least two: raise num_envs or horizon_length"
             )
-        self._bfloat16 = resolve_mixed_precision(wanted_precision, self.ppo_device)
         self._load_config_params(self.config)
 
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
+        use_quick_moments(self.model)
+        attach_executor(self.model.a2c_network, self.ppo_device, wanted_precision)
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
         self.last_lr = float(self.last_lr)
         self.optimizer = torch.optim.Adam(
-            self.model.parameters(),
+            self._parameter_groups(),
             self.last_lr,
             eps=1e-8,
             weight_decay=self.weight_decay,
@@ -147,7 +151,12 @@ class CommonAgent(AgentHooks, A2CAgent):
                 " cannot go on from it; expected a checkpoint that train.py wrote (test=True needs"
                 " less)"
             )
-        super().set_full_state_weights(weights, set_epoch)
+        optimizer_state = fit_optimizer_state(weights["optimizer"], self.optimizer, self.model)
+        own_rates = [group["lr"] for group in self.optimizer.param_groups]
+        super().set_full_state_weights({**weights, "optimizer": optimizer_state}, set_epoch)
+        # The settings of this run count, as they do for the learning rate.
+        for group, rate in zip(self.optimizer.param_groups, own_rates, strict=True):
+            group["lr"] = rate
         self._restored_best = self.last_mean_rewards
 
     def _checkpoint_keys(self) -> tuple[str, ...]:
@@ -189,7 +198,7 @@ class CommonAgent(AgentHooks, A2CAgent):
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
         self.model.eval()
-        with torch.no_grad(), self._autocast():
+        with torch.no_grad():
             result = self.model(
                 {
                     "is_train": False,
@@ -243,9 +252,9 @@ class CommonAgent(AgentHooks, A2CAgent):
         if rows is not None:
             raw = raw[rows]
             inputs = {name: value[rows] for name, value in inputs.items()}
-        with torch.no_grad(), self._autocast():
+        with torch.no_grad():
             value = self.model.a2c_network.eval_critic(self.model.norm_obs(raw), **inputs)
-            return self.model.denorm_value(value.float())
+            return self.model.denorm_value(value)
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
@@ -292,6 +301,11 @@ class CommonAgent(AgentHooks, A2CAgent):
 
     def train_epoch(self) -> tuple[Any, ...]:
         """Roll out, update, and return the statistics that rl_games' `train()` expects."""
+        # The networks have threads of their own; what is left is too small to be shared.
+        with one_torch_thread():
+            return self._train_epoch()
+
+    def _train_epoch(self) -> tuple[Any, ...]:
         self.vec_env.set_train_info(self.frame, self)
         self.set_eval()
         start = time.perf_counter()
@@ -340,6 +354,19 @@ class CommonAgent(AgentHooks, A2CAgent):
             self._schedule_learning_rate(torch_ext.mean_list(kls))
         return lr_mul, kls
 
+    def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
+        """Take a gradient step; unlike rl_games' it leaves the optimiser's step sizes alone."""
+        self.set_train()
+        self.calc_gradients(input_dict)
+        return self.train_result
+
+    def update_lr(self, lr: float) -> None:
+        """Set the step size of all parameters but those that have one of their own."""
+        fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
+        super().update_lr(lr)
+        for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
+            group["lr"] = own_lr
+
     def _schedule_learning_rate(self, kl: Tensor) -> None:
         # Only the adaptive schedule looks at the KL, and reading it waits for the device.
         kl_value = kl.item() if self.is_adaptive_lr else 0.0
@@ -361,10 +388,9 @@ class CommonAgent(AgentHooks, A2CAgent):
             "obs": self._preproc_obs(input_dict["obs"]),
             **self._training_inputs(input_dict),
         }
-        with self._autocast():
-            result = self.model(batch)
-        neglogp, values = result["prev_neglogp"].float(), result["values"].float()
-        mu, sigma = result["mus"].float(), result["sigmas"].float()
+        result = self.model(batch)
+        neglogp, values = result["prev_neglogp"], result["values"]
+        mu, sigma = result["mus"], result["sigmas"]
 
         actor, clipped = losses.actor_loss(
             input_dict["old_logp_actions"], neglogp, input_dict["advantages"], self.ppo, self.e_clip
@@ -376,7 +402,7 @@ class CommonAgent(AgentHooks, A2CAgent):
             "actor_loss": (1.0, actor.mean()),
             "critic_loss": (self.critic_coef, critic.mean()),
             "bounds_loss": (self.bounds_loss_coef or 0.0, self.bound_loss(mu).mean()),
-            "entropy": (-self.entropy_coef, result["entropy"].float().mean()),
+            "entropy": (-self.entropy_coef, result["entropy"].mean()),
             **self._extra_losses(result, batch, input_dict),
         }
         loss = torch.stack([weight * term for weight, term in terms.values()]).sum()
@@ -401,10 +427,6 @@ class CommonAgent(AgentHooks, A2CAgent):
         self._log_train_info({name: term.detach() for name, (_, term) in terms.items()})
         self._log_train_info({"clip_frac": clipped.float().mean()})
         self.train_result = {"kl": kl, "lr_mul": 1.0, "last_lr": self.last_lr}
-
-    def _autocast(self) -> torch.autocast:
-        device_type = torch.device(self.ppo_device).type
-        return torch.autocast(device_type, torch.bfloat16, enabled=self._bfloat16)
 
     # --- statistics ------------------------------------------------------------------------
 

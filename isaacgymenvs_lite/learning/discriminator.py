@@ -10,10 +10,11 @@ from typing import Protocol
 
 import torch
 import torch.nn.functional as F
-from rl_games.algos_torch.running_mean_std import RunningMeanStd
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.learning.amp_config import AMPParams
+from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
 # The logistic reward of a sample that certainly is the policy's would be ln(1/0).
 _MIN_FAKE_PROBABILITY = 1e-4
@@ -104,7 +105,13 @@ class StyleDiscriminator:
             reward = (1.0 - 0.25 * (logits - 1.0) ** 2).clamp(min=0.0)
         return reward * self._params.disc_reward_scale
 
-    def loss(self, agent_logit: Tensor, demo_logit: Tensor, demo_obs: Tensor) -> dict[str, Tensor]:
+    def loss(
+        self,
+        agent_logit: Tensor,
+        demo_logit: Tensor,
+        demo_obs: Tensor,
+        demo_gradient: Tensor | None = None,
+    ) -> dict[str, Tensor]:
         """Return the discriminator's loss and what is worth logging.
 
         prediction + logit regularisation + gradient penalty + weight decay, as IsaacGymEnvs;
@@ -113,7 +120,9 @@ class StyleDiscriminator:
         Args:
             agent_logit: (2K, 1) of the policy's and of replayed observations.
             demo_logit: (K, 1) of reference observations.
-            demo_obs: (K, F) normalised, requiring gradients, that `demo_logit` came from.
+            demo_obs: (K, F) normalised, that `demo_logit` came from; with gradients required if
+                `demo_gradient` is None.
+            demo_gradient: (K, F) gradients of the logits by `demo_obs`, differentiable.
 
         Returns:
             `disc_loss` (the weighted sum), `disc_grad_penalty` and `disc_logit_loss` (unweighted),
@@ -122,15 +131,17 @@ class StyleDiscriminator:
         agent_logit, demo_logit = agent_logit.float(), demo_logit.float()
         prediction = self._prediction_loss(agent_logit, demo_logit)
         logit_loss = self._network.get_disc_logit_weights().square().sum()
-        grad_penalty = self._gradient_penalty(demo_logit, demo_obs)
+        if demo_gradient is None:
+            demo_gradient = input_gradient(demo_logit, demo_obs)
+        grad_penalty = demo_gradient.float().square().sum(dim=-1).mean()
         loss = (
             prediction
             + self._params.disc_logit_reg * logit_loss
             + self._params.disc_grad_penalty * grad_penalty
         )
         if self._params.disc_weight_decay != 0.0:
-            weights = torch.cat(self._network.get_disc_weights())
-            loss = loss + self._params.disc_weight_decay * weights.square().sum()
+            squares = [weights.square().sum() for weights in self._network.get_disc_weights()]
+            loss = loss + self._params.disc_weight_decay * torch.stack(squares).sum()
         return {
             "disc_loss": loss,
             "disc_grad_penalty": grad_penalty.detach(),
@@ -148,15 +159,3 @@ class StyleDiscriminator:
         fakes = F.binary_cross_entropy_with_logits(agent_logit, torch.zeros_like(agent_logit))
         demos = F.binary_cross_entropy_with_logits(demo_logit, torch.ones_like(demo_logit))
         return 0.5 * (fakes + demos)
-
-    @staticmethod
-    def _gradient_penalty(demo_logit: Tensor, demo_obs: Tensor) -> Tensor:
-        """Mean squared gradient of the logits with respect to the normalised demonstrations."""
-        (gradient,) = torch.autograd.grad(
-            demo_logit,
-            demo_obs,
-            grad_outputs=torch.ones_like(demo_logit),
-            create_graph=True,
-            retain_graph=True,
-        )
-        return gradient.square().sum(dim=-1).mean()

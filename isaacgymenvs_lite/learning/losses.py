@@ -75,3 +75,12 @@ def discount_values(
         running = deltas[t] + gamma * tau * not_done[t] * running
         advantages[t] = running
     return advantages
+
+
+def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
+    """Return (K, F) the gradients of outputs (K, 1) by inputs (K, F), differentiable themselves.
+
+    For gradient penalties; each output depends on the input of its own row only.
+    """
+    (gradient,) = torch.autograd.grad(outputs, inputs, torch.ones_like(outputs), create_graph=True)
+    return gradient

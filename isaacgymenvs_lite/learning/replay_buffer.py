@@ -56,12 +56,15 @@ class ReplayBuffer:
             return
         self._total_count += n
         kept = min(n, self._size)
-        slots = (self._head + (n - kept) + torch.arange(kept, device=self._device)) % self._size
+        first = (self._head + (n - kept)) % self._size
+        before_end = min(kept, self._size - first)
         for name, rows in data.items():
             if name not in self._rows:
                 shape = (self._size, *rows.shape[1:])
                 self._rows[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
-            self._rows[name][slots] = rows[n - kept :].to(self._device)
+            ring, newest = self._rows[name], rows[n - kept :]
+            ring[first : first + before_end] = newest[:before_end]
+            ring[: kept - before_end] = newest[before_end:]
         self._head = (self._head + n) % self._size
 
     def sample(self, n: int) -> dict[str, Tensor]:
@@ -79,7 +82,7 @@ class ReplayBuffer:
         self._sample_head += n
         if self._sample_head >= self._size:
             self._reset_sample_order()
-        return {name: stored[rows] for name, stored in self._rows.items()}
+        return {name: stored.index_select(0, rows) for name, stored in self._rows.items()}
 
     def _reset_sample_order(self) -> None:
         self._sample_order = torch.randperm(self._size, device=self._device)

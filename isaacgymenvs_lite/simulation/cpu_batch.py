@@ -25,6 +25,7 @@ from isaacgymenvs_lite.utils.rotations import (
     quat_rotate_inverse,
     xyzw_from_wxyz,
 )
+from isaacgymenvs_lite.utils.threads import thread_count
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +61,8 @@ class CpuBatchSimulation:
         model: the compiled model; its timestep is that of one physics step.
         num_envs: N, at least 1.
         substeps: physics steps of one `step()`.
-        num_threads: worker threads, 0 for all CPUs. Results do not depend on it.
+        num_threads: worker threads, 0 for all CPUs that this process may use. Results do not
+            depend on it.
 
     Raises:
         ConfigError: a number out of range.
@@ -86,7 +88,7 @@ class CpuBatchSimulation:
         self.body_names = self.layout.body_names
         self.dof_names = self.layout.dof_names
         self.num_failures = 0
-        batch = Batch(model, num_envs, num_threads)
+        batch = Batch(model, num_envs, thread_count(num_threads))
         self._batch: Batch | None = batch
         self._bind_views(batch)
         self._allocate()

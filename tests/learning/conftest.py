@@ -29,6 +29,7 @@ _TINY = (
     "train.params.config.horizon_length=4",
     "train.params.config.minibatch_size=16",
     "train.params.config.mini_epochs=2",
+    "train.params.config.learning_rate=5e-5",
     "train.params.config.amp_minibatch_size=8",
     "train.params.config.amp_batch_size=16",
     "train.params.config.amp_obs_demo_buffer_size=40",

@@ -270,9 +270,6 @@ def test_the_normaliser_hears_agent_replay_and_demonstration_in_this_order(make_
         expected = ((rows - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)
         np.testing.assert_allclose(inputs[name].detach().numpy(), expected, atol=1e-4)
     assert agent.discriminator.normalizer.count.item() == 25.0
-    assert inputs["amp_obs_demo"].requires_grad
-    assert not inputs["amp_obs"].requires_grad
-    assert not inputs["amp_obs_replay"].requires_grad
 
 
 def test_the_losses_of_a_minibatch_are_those_of_the_discriminator(make_agent):
@@ -332,3 +329,35 @@ class _Space:
         self.shape = (size,)
         self.low, self.high = -np.ones(size, np.float32), np.ones(size, np.float32)
         self.dtype = np.dtype(np.float32)
+
+
+def test_the_discriminator_has_a_learning_rate_that_no_schedule_changes(make_agent, tmp_path):
+    agent = start(make_agent(f"{CONFIG}.disc_learning_rate=1e-4"))
+    disc = {id(p) for p in agent.model.a2c_network.disc_parameters()}
+    first, second = agent.optimizer.param_groups
+    assert {id(p) for p in second["params"]} == disc
+    assert {id(p) for p in first["params"]} == {id(p) for p in agent.model.parameters()} - disc
+    agent.update_lr(1e-3)
+    assert (first["lr"], second["lr"]) == (1e-3, 1e-4)
+    agent.train_epoch()
+    assert (first["lr"], second["lr"]) == (5e-5, 1e-4)  # the constant schedule's, and its own
+    agent.save(str(tmp_path / "model"))
+    # a resumed training has the rate of its own settings
+    resumed = make_agent(f"{CONFIG}.disc_learning_rate=3e-4")
+    resumed.restore(str(tmp_path / "model.pth"))
+    assert resumed.optimizer.param_groups[1]["lr"] == 3e-4
+
+
+def test_checkpoints_of_one_group_resume_with_a_learning_rate_for_the_discriminator(
+    make_agent, tmp_path
+):
+    former = start(make_agent(f"{CONFIG}.disc_learning_rate=null"))
+    assert len(former.optimizer.param_groups) == 1
+    former.train_epoch()
+    former.save(str(tmp_path / "model"))
+    agent = make_agent(f"{CONFIG}.disc_learning_rate=1e-4")
+    agent.restore(str(tmp_path / "model.pth"))
+    for own, other in zip(agent.model.parameters(), former.model.parameters(), strict=True):
+        if own.requires_grad:
+            moments = (a.optimizer.state[p] for a, p in ((agent, own), (former, other)))
+            assert same(*moments)

@@ -13,7 +13,7 @@ from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 OBS, ACTIONS, AMP_OBS = 5, 3, 7
 ACTING = {"neglogpacs", "values", "actions", "rnn_states", "mus", "sigmas"}
 TRAINING = {"prev_neglogp", "values", "entropy", "rnn_states", "mus", "sigmas"}
-LOGITS = {"disc_agent_logit", "disc_agent_replay_logit", "disc_demo_logit"}
+LOGITS = {"disc_agent_logit", "disc_agent_replay_logit", "disc_demo_logit", "disc_demo_gradient"}
 
 
 @pytest.fixture
@@ -114,12 +114,14 @@ def test_each_kind_of_amp_observation_gets_its_own_logits(make_model):
 
 
 def test_the_logits_of_demonstrations_can_be_differentiated_twice(make_model):
-    inputs = training_input()
-    logit = make_model()(inputs)["disc_demo_logit"]
-    demo = inputs["amp_obs_demo"]
-    (gradient,) = torch.autograd.grad(logit.sum(), demo, create_graph=True)
-    assert gradient.shape == demo.shape
-    assert gradient.requires_grad
+    inputs, model = training_input(), make_model()
+    gradient = model(inputs)["disc_demo_gradient"]
+    demo = inputs["amp_obs_demo"].detach().requires_grad_()
+    (expected,) = torch.autograd.grad(model.a2c_network.eval_disc(demo).sum(), demo)
+    torch.testing.assert_close(gradient, expected)
+    gradient.square().sum().backward()
+    first_layer = model.a2c_network._disc_mlp[0].weight
+    assert first_layer.grad.abs().sum() > 0
 
 
 def test_training_statistics_against_formulas(make_model):

@@ -296,7 +296,8 @@ def test_bfloat16_changes_the_losses_only_slightly(make_agent):
     rough = make_agent(*WIDER, "train.params.config.mixed_precision=True")
     rough.set_full_state_weights(exact.get_full_state_weights())
     dtypes = []
-    rough.model.register_forward_hook(lambda module, args, out: dtypes.append(out["mus"].dtype))
+    layer = rough.model.a2c_network.mu
+    layer.register_forward_hook(lambda module, args, out: dtypes.append(out.dtype))
     infos = []
     for agent in (exact, rough):
         agent._train_info = {}
@@ -326,5 +327,9 @@ def test_auto_follows_the_measurement(speedup, chosen, make_agent, monkeypatch):
     module = "isaacgymenvs_lite.learning.precision.measure_bfloat16_speedup"
     monkeypatch.setattr(module, lambda: speedup)
     agent = make_agent("train.params.config.mixed_precision=auto")
+    dtypes = []
+    layer = agent.model.a2c_network.mu
+    layer.register_forward_hook(lambda module, args, out: dtypes.append(out.dtype))
     result = agent.get_action_values({"obs": torch.zeros(2, 105)})
-    assert result["mus"].dtype == chosen
+    assert dtypes == [chosen]
+    assert result["mus"].dtype == torch.float32

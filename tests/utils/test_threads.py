@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import os
+
 import pytest
 import torch
 
-from isaacgymenvs_lite.utils.threads import one_torch_thread
+from isaacgymenvs_lite.utils.threads import one_torch_thread, thread_count
 
 
 @pytest.fixture
@@ -24,3 +26,14 @@ def test_the_number_comes_back_after_an_error_and_inside_itself(two_threads):
     with pytest.raises(ValueError), one_torch_thread(), one_torch_thread():
         raise ValueError
     assert torch.get_num_threads() == 2
+
+
+def test_all_allowed_cpus_unless_told_otherwise():
+    assert thread_count(3) == 3
+    allowed = os.sched_getaffinity(0)
+    assert thread_count(0) == len(allowed)
+    os.sched_setaffinity(0, {min(allowed)})
+    try:
+        assert thread_count() == 1
+    finally:
+        os.sched_setaffinity(0, allowed)

@@ -1,0 +1,250 @@
+"""How networks are evaluated: their precision and, on CPUs, one slice of rows per thread.
+
+torch's own threads split every operation of a network and meet after each, some hundred times in
+a gradient step. Here each thread takes a slice of the rows through the whole network, forwards
+and backwards, and they meet once. On two cores a gradient step of AMP takes half as long
+(docs/speed.md), and no idle OpenMP threads spin on the CPUs that the physics needs.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+from isaacgymenvs_lite.utils.threads import one_torch_thread
+
+# Fewer rows than this are not worth another thread.
+_MIN_ROWS = 128
+# Layers whose rows depend on each other, or that draw random numbers.
+_UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
+
+RowFunction = Callable[..., tuple[Tensor, ...]]
+"""Tensors of n rows -> tensors of n rows, each row for itself."""
+
+
+class NetworkExecutor:
+    """Evaluates networks in a chosen precision and, on a CPU, slice by slice on several threads.
+
+    Results do not depend on which thread is the faster one; a different number of threads changes
+    the sums of gradients in the last bits.
+
+    Args:
+        device: where the networks are. Off the CPU nothing is sliced.
+        bfloat16: compute under autocast to bfloat16; results are float32 in any case.
+        num_threads: on a CPU; at least 1.
+    """
+
+    def __init__(
+        self, device: str | torch.device, bfloat16: bool = False, num_threads: int = 1
+    ) -> None:
+        self._device_type = torch.device(device).type
+        self.bfloat16 = bfloat16
+        self.num_threads = num_threads if self._device_type == "cpu" else 1
+        self._others: ThreadPoolExecutor | None = None
+        self._within = threading.local()
+
+    def attach(self, network: nn.Module) -> None:
+        """Let `network` be evaluated by this executor whoever calls it.
+
+        Covers `forward` of rl_games' networks (a dictionary of rows in, a tuple of rows and the
+        recurrent state out) and the methods that the network names in `row_functions`. A network
+        with layers that mix rows only gets the precision.
+        """
+        mixes_rows = any(isinstance(layer, _UNSLICED_LAYERS) for layer in network.modules())
+        whole = network.forward
+
+        @functools.wraps(whole)
+        def forward(inputs: dict[str, Any]) -> tuple[Any, ...]:
+            if mixes_rows or not isinstance(inputs["obs"], Tensor):
+                return self._whole(whole, inputs)
+            return self._forward_rows(network, whole, inputs)
+
+        network.forward = forward  # type: ignore[method-assign]
+        for name in () if mixes_rows else getattr(network, "row_functions", ()):
+            setattr(network, name, self._row_method(network, getattr(network, name)))
+
+    def _forward_rows(
+        self, network: nn.Module, forward: Callable[..., Any], inputs: dict[str, Any]
+    ) -> tuple[Any, ...]:
+        num_rows = len(inputs["obs"])
+        names = [
+            name
+            for name, value in inputs.items()
+            if isinstance(value, Tensor) and value.ndim > 0 and len(value) == num_rows
+        ]
+        others = {name: value for name, value in inputs.items() if name not in names}
+
+        def function(*rows: Tensor) -> tuple[Tensor, ...]:
+            *outputs, _no_state = forward({**others, **dict(zip(names, rows, strict=True))})
+            return tuple(outputs)
+
+        return (*self.run(network, function, *(inputs[name] for name in names)), None)
+
+    def _row_method(self, network: nn.Module, method: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(method)
+        def sliced(*rows: Tensor) -> Any:
+            several = True
+
+            def function(*part: Tensor) -> tuple[Tensor, ...]:
+                nonlocal several
+                result = method(*part)
+                several = not isinstance(result, Tensor)
+                return tuple(result) if several else (result,)
+
+            outputs = self.run(network, function, *rows)
+            return outputs if several else outputs[0]
+
+        return sliced
+
+    def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> tuple[Tensor, ...]:
+        """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
+
+        Args:
+            module: whose parameters `function` uses.
+            function: see `RowFunction`; several threads call it at the same time.
+            rows: (n, ...) each.
+        """
+        evaluate = functools.partial(self._whole, function)
+        slices = self._num_slices(len(rows[0]))
+        if slices == 1 or getattr(self._within, "slice", False):
+            return evaluate(*rows)
+        if not torch.is_grad_enabled():
+            parts = self.map(evaluate, cut_rows(rows, slices))
+            return tuple(torch.cat(column) for column in zip(*parts, strict=True))
+        parameters = [p for p in module.parameters() if p.requires_grad]
+        outputs = _Sliced.apply(self, evaluate, slices, len(rows), *rows, *parameters)
+        return tuple(outputs)  # type: ignore[arg-type]
+
+    def _whole(self, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
+        with self.autocast():
+            outputs = function(*arguments)
+        return tuple(x.float() if isinstance(x, Tensor) else x for x in outputs)
+
+    def autocast(self) -> torch.autocast:
+        """Return the context in which networks compute."""
+        return torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16)
+
+    def _num_slices(self, num_rows: int) -> int:
+        return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
+
+    def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
+        """Return [function(*a) for a in arguments], the calls spread over the threads."""
+        grad_enabled = torch.is_grad_enabled()
+        busy = min(self.num_threads, len(arguments))
+
+        def work(first: int) -> list[Any]:
+            self._within.slice = True
+            try:
+                with torch.set_grad_enabled(grad_enabled):  # each thread has a switch of its own
+                    return [function(*a) for a in arguments[first::busy]]
+            finally:
+                self._within.slice = False
+
+        futures = [self._pool().submit(work, first) for first in range(1, busy)]
+        with one_torch_thread():
+            columns = [work(0)]
+        columns += [future.result() for future in futures]
+        return [columns[i % busy][i // busy] for i in range(len(arguments))]
+
+    def _pool(self) -> ThreadPoolExecutor:
+        """The threads beside the caller's own, made when first needed."""
+        if self._others is None:
+            self._others = ThreadPoolExecutor(
+                self.num_threads - 1,
+                thread_name_prefix="network",
+                initializer=lambda: torch.set_num_threads(1),
+            )
+        return self._others
+
+
+def attach_executor(
+    network: nn.Module, device: str | torch.device, mixed_precision: Any
+) -> NetworkExecutor:
+    """Let a network be evaluated in the precision asked for, by as many threads as torch has.
+
+    Args:
+        network: an rl_games network (`model.a2c_network`).
+        device: where it is.
+        mixed_precision: the key `train.params.config.mixed_precision`.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
+    """
+    bfloat16 = resolve_mixed_precision(mixed_precision, device)
+    executor = NetworkExecutor(device, bfloat16, torch.get_num_threads())
+    executor.attach(network)
+    return executor
+
+
+class _Sliced(torch.autograd.Function):
+    """A function of rows and parameters whose slices are differentiated on several threads."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        executor: NetworkExecutor,
+        function: RowFunction,
+        slices: int,
+        num_inputs: int,
+        *tensors: Tensor,
+    ) -> tuple[Tensor, ...]:
+        rows = tensors[:num_inputs]
+        wanted = ctx.needs_input_grad[4 : 4 + num_inputs]
+        inputs = [
+            tuple(part.detach().requires_grad_(w) for part, w in zip(parts, wanted, strict=True))
+            for parts in cut_rows(rows, slices)
+        ]
+        with torch.enable_grad():
+            outputs = executor.map(function, inputs)
+        columns = list(zip(*outputs, strict=True))
+        results = tuple(torch.cat([part.detach() for part in column]) for column in columns)
+        # What depends on no parameter (the spread of a fixed sigma) must not seem to.
+        constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
+        ctx.mark_non_differentiable(*constant)
+        ctx.executor, ctx.wanted, ctx.parameters = executor, wanted, tensors[num_inputs:]
+        ctx.slices = list(zip(inputs, outputs, strict=True))
+        return results
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        def differentiate(
+            inputs: tuple[Tensor, ...], outputs: tuple[Tensor, ...], grads: tuple[Tensor, ...]
+        ) -> list[Tensor | None]:
+            sources = [x for x in inputs if x.requires_grad] + list(ctx.parameters)
+            pairs = [(x, g) for x, g in zip(outputs, grads, strict=True) if x.requires_grad]
+            targets, target_grads = zip(*pairs, strict=True)
+            found = torch.autograd.grad(targets, sources, target_grads, allow_unused=True)
+            return list(found)
+
+        arguments = [
+            (*graph, part)
+            for graph, part in zip(ctx.slices, cut_rows(grads, len(ctx.slices)), strict=True)
+        ]
+        found = ctx.executor.map(differentiate, arguments)
+        ctx.slices = None  # frees the graphs
+        columns = list(zip(*found, strict=True))
+        num_row_grads = sum(ctx.wanted)
+        row_grads = iter(columns[:num_row_grads])
+        of_rows = [torch.cat(next(row_grads)) if wanted else None for wanted in ctx.wanted]
+        return (None, None, None, None, *of_rows, *map(_sum, columns[num_row_grads:]))
+
+
+def cut_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:
+    """Return `slices` tuples of consecutive parts of all tensors."""
+    return list(zip(*(torch.tensor_split(tensor, slices) for tensor in rows), strict=True))
+
+
+def _sum(grads: tuple[Tensor | None, ...]) -> Tensor | None:
+    """Add a parameter's gradients in the order of the slices."""
+    total = grads[0]
+    for grad in grads[1:]:
+        total = grad if total is None else total if grad is None else total + grad
+    return total

@@ -1,0 +1,55 @@
+"""rl_games' own PPO with what makes learning on a CPU fast here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+
+from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.utils.threads import one_torch_thread
+
+
+class PPOAgent(A2CAgent):
+    """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
+
+    On a CPU its networks are evaluated as those of our own agents (`NetworkExecutor`), the
+    asymmetric critic's too; on a GPU it is rl_games' agent as it is.
+
+    Args:
+        base_name: name for rl_games' bookkeeping.
+        params: the section `params` of a train file, prepared by the Runner.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
+    """
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        config = params["config"]
+        device = torch.device(config.get("device", "cuda:0"))
+        precision = config.get("mixed_precision", False)
+        on_cpu = device.type == "cpu"
+        # rl_games' switch means CUDA autocast with a gradient scaler.
+        config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
+        super().__init__(base_name, params)
+        self._one_thread = on_cpu and not self.is_rnn
+        if not on_cpu:
+            return
+        models = [self.model]
+        if self.has_central_value:
+            models.append(self.central_value_net.model)
+        for model in models:
+            use_quick_moments(model)
+            attach_executor(model.a2c_network, device, precision)
+        if self.normalize_value:
+            self.value_mean_std = models[-1].value_mean_std
+
+    def train_epoch(self) -> Any:
+        """As rl_games; what is left beside the networks is too small to be shared by threads."""
+        if not self._one_thread:
+            return super().train_epoch()
+        with one_torch_thread():
+            return super().train_epoch()
