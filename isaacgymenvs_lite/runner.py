@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
 
@@ -25,6 +26,8 @@ from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.observers import (
+    AdviceObserver,
+    FiguresObserver,
     ImitationObserver,
     MultiObserver,
     ProgressObserver,
@@ -35,6 +38,7 @@ from isaacgymenvs_lite.run_folder import RunFolder
 from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.utils.threads import thread_count
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
@@ -83,6 +87,7 @@ class Session:
         Raises:
             UserError: anything that the user can mend; nothing was trained then.
         """
+        threads = torch.get_num_threads()
         try:
             # Made before the agent, so that its mistakes show before a run folder exists.
             self._task = self._make_env(int(self._cfg.task.env.numEnvs))
@@ -95,6 +100,7 @@ class Session:
             else:
                 self._train()
         finally:
+            torch.set_num_threads(threads)
             register_env()  # the task made here is of no use to others
             for env in self._envs:
                 env.close()
@@ -102,7 +108,7 @@ class Session:
     def _prepare(self) -> dict[str, Any]:
         runner = build_runner()
         names = known_names(runner)
-        return prepare_train_params(
+        params = prepare_train_params(
             self._cfg,
             num_envs=self._task.num_envs,
             seed=self._seed,
@@ -116,6 +122,9 @@ class Session:
                 config_keys=[*keys_of(AMPParams), *_RUNNER_KEYS],
             ),
         )
+        # rl_games sets torch's threads by this key, to at most four by default.
+        params.setdefault("torch_threads", thread_count(self._settings.num_threads))
+        return params
 
     def _make_env(self, num_envs: int) -> VecTask:
         cfg = self._cfg.copy()
@@ -140,7 +149,8 @@ class Session:
     def _train(self) -> None:
         self._folder.create(self._cfg)
         imitation = self._imitation_observer()
-        progress = ProgressObserver(self._stop, imitation)
+        figures = FiguresObserver()
+        progress = ProgressObserver(self._stop, figures, imitation)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
         if self._settings.wandb_activate:
             from isaacgymenvs_lite.wandb_observer import WandbObserver
@@ -148,7 +158,8 @@ class Session:
             observers.append(WandbObserver(self._cfg, self._settings, self._run_name))
         if imitation is not None:
             observers.append(imitation)
-        observers.append(progress)
+        advice = AdviceObserver(figures, imitation, self._task.max_episode_length)
+        observers += [figures, progress, advice]
         self._params["config"]["print_stats"] = False
         try:
             with self._stop:

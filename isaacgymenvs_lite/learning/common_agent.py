@@ -22,7 +22,6 @@ from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
-from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 _UNSUPPORTED_KEYS = (
     "central_value_config",
@@ -122,11 +121,13 @@ class CommonAgent(AgentHooks, A2CAgent):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training, and keep the restored best reward.
 
+        The networks have threads of their own; what is left is too small to be shared by torch's.
         rl_games forgets the best reward of a checkpoint between restoring and training, and
         would overwrite the best checkpoint by a worse one.
         """
         if self._restored_best is not None:
             self.last_mean_rewards, self._restored_best = self._restored_best, None
+        torch.set_num_threads(1)
         return super().env_reset()
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
@@ -301,11 +302,6 @@ class CommonAgent(AgentHooks, A2CAgent):
 
     def train_epoch(self) -> tuple[Any, ...]:
         """Roll out, update, and return the statistics that rl_games' `train()` expects."""
-        # The networks have threads of their own; what is left is too small to be shared.
-        with one_torch_thread():
-            return self._train_epoch()
-
-    def _train_epoch(self) -> tuple[Any, ...]:
         self.vec_env.set_train_info(self.frame, self)
         self.set_eval()
         start = time.perf_counter()

@@ -10,7 +10,6 @@ from rl_games.algos_torch.a2c_continuous import A2CAgent
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
-from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 
 class PPOAgent(A2CAgent):
@@ -35,7 +34,7 @@ class PPOAgent(A2CAgent):
         # rl_games' switch means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
         super().__init__(base_name, params)
-        self._one_thread = on_cpu and not self.is_rnn
+        self._sliced = on_cpu and not self.is_rnn
         if not on_cpu:
             return
         models = [self.model]
@@ -47,9 +46,11 @@ class PPOAgent(A2CAgent):
         if self.normalize_value:
             self.value_mean_std = models[-1].value_mean_std
 
-    def train_epoch(self) -> Any:
-        """As rl_games; what is left beside the networks is too small to be shared by threads."""
-        if not self._one_thread:
-            return super().train_epoch()
-        with one_torch_thread():
-            return super().train_epoch()
+    def env_reset(self) -> Any:
+        """Reset the environment at the start of training.
+
+        What is left beside the sliced networks is too small to be shared by torch's own threads.
+        """
+        if self._sliced:
+            torch.set_num_threads(1)
+        return super().env_reset()

@@ -44,5 +44,5 @@ def test_equal_groups_stay_as_they_are():
 def test_a_state_of_several_groups_does_not_fit_into_one():
     net = model()
     state = stepped(net, [{"params": layer.parameters()} for layer in net.values()]).state_dict()
-    with pytest.raises(CheckpointError, match="3 groups of parameters, expected 1.*disc_learning"):
+    with pytest.raises(CheckpointError, match=r"3 groups of parameters, expected 1.*disc_learning"):
         fit_optimizer_state(state, torch.optim.Adam(net.parameters()), net)

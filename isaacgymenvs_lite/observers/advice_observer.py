@@ -1,0 +1,88 @@
+"""Says in the log and in TensorBoard when a training goes wrong in a known way."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from rl_games.common.algo_observer import AlgoObserver
+
+from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.observers.advice import Advisor
+from isaacgymenvs_lite.observers.figures import FiguresObserver
+from isaacgymenvs_lite.observers.history import Measurement
+from isaacgymenvs_lite.observers.imitation import ImitationObserver
+
+log = logging.getLogger(__name__)
+
+
+class NotFiniteError(UserError, ArithmeticError):
+    """Losses or rewards of a training are nan or infinite."""
+
+
+class AdviceObserver(AlgoObserver):
+    """Feeds an `Advisor` and logs what it has to say, as a warning and as the text `advice`.
+
+    Stands behind the observers that it reads. Networks that broke end the run, before rl_games
+    writes them into a checkpoint.
+
+    Args:
+        figures: the epochs' figures.
+        imitation: the measured pose error, if any.
+        max_episode_steps: the task's time limit in control steps.
+    """
+
+    def __init__(
+        self,
+        figures: FiguresObserver,
+        imitation: ImitationObserver | None,
+        max_episode_steps: int,
+    ) -> None:
+        super().__init__()
+        self._figures = figures
+        self._imitation = imitation
+        self._max_episode_steps = max_episode_steps
+
+    def after_init(self, algo: Any) -> None:
+        """Take the agent."""
+        self._algo = algo
+        self._advisor = Advisor(algo.config, self._max_episode_steps)
+        self._measured_at: int | None = None
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """Pass on what is new, and say what has to be said.
+
+        Raises:
+            NotFiniteError: a loss or a reward is not finite.
+        """
+        del epoch_num, total_time
+        if self._figures.latest is None:
+            return
+        self._advisor.add_epoch(self._figures.latest)
+        broken = self._advisor.not_finite()
+        if broken is not None:
+            self._algo.writer.add_text("advice", broken, frame)
+            raise NotFiniteError(broken)
+        self._add_measurement()
+        sentence = self._advisor.sentence(time.monotonic())
+        if sentence is not None:
+            log.warning("%s", sentence)
+            self._algo.writer.add_text("advice", sentence, frame)
+
+    def _add_measurement(self) -> None:
+        observer = self._imitation
+        if observer is None or observer.last_frame == self._measured_at:
+            return
+        self._measured_at = observer.last_frame
+        result = observer.last.imitation if observer.last is not None else None
+        if result is not None and observer.last_frame is not None:
+            self._advisor.add_measurement(
+                Measurement(
+                    frame=observer.last_frame,
+                    pose_error_m=result.pose_error_m,
+                    tempo=result.tempo,
+                    no_fall_share=result.no_fall_share,
+                    clip_spread_m=observer.clip_spread_m,
+                )
+            )

@@ -1,0 +1,80 @@
+"""Scalars that tasks put into infos."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+
+class TaskScalarsObserver(AlgoObserver):
+    """Writes what tasks put into infos, as IsaacGymEnvs' RLGPUAlgoObserver.
+
+    `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
+    of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
+    "/", as `<key>/frame`, `/iter`, `/time`.
+    """
+
+    def after_init(self, algo: Any) -> None:
+        """Take the agent's writer and device."""
+        self._algo = algo
+        self._episode_infos: list[dict[str, Any]] = []
+        self._scalars: dict[str, float] = {}
+        self._running: dict[str, Tensor] = {}
+        self._finished: dict[str, list[float]] = {}
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        """Collect; infos must be a dictionary.
+
+        Raises:
+            TypeError: it is not.
+        """
+        if not isinstance(infos, dict):
+            raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")
+        if "episode" in infos:
+            self._episode_infos.append(infos["episode"])
+        if "episode_cumulative" in infos:
+            self._accumulate(infos["episode_cumulative"], done_indices.flatten())
+        self._scalars = dict(_flat_scalars(infos))
+
+    def _accumulate(self, values: dict[str, Tensor], done_ids: Tensor) -> None:
+        for key, value in values.items():
+            total = self._running.setdefault(key, torch.zeros_like(value))
+            total += value
+            finished = self._finished.setdefault(key, [])
+            finished += total[done_ids].tolist()
+            del finished[: -self._algo.games_to_track]
+            total[done_ids] = 0
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """Write what was collected."""
+        writer = self._algo.writer
+        if self._episode_infos:
+            for key in self._episode_infos[0]:
+                values = [torch.as_tensor(i[key]).float().flatten() for i in self._episode_infos]
+                writer.add_scalar(f"Episode/{key}", torch.cat(values).mean().item(), epoch_num)
+            self._episode_infos.clear()
+        for key, finished in self._finished.items():
+            if finished:
+                mean = sum(finished) / len(finished)
+                writer.add_scalar(f"episode_cumulative/{key}", mean, frame)
+                writer.add_scalar(f"episode_cumulative_min/{key}_min", min(finished), frame)
+                writer.add_scalar(f"episode_cumulative_max/{key}_max", max(finished), frame)
+        for key, value in self._scalars.items():
+            writer.add_scalar(f"{key}/frame", value, frame)
+            writer.add_scalar(f"{key}/iter", value, epoch_num)
+            writer.add_scalar(f"{key}/time", value, total_time)
+
+
+def _flat_scalars(infos: dict[str, Any], prefix: str = "") -> list[tuple[str, float]]:
+    found: list[tuple[str, float]] = []
+    for key, value in infos.items():
+        if key in ("episode", "episode_cumulative"):
+            continue
+        if isinstance(value, dict):
+            found += _flat_scalars(value, f"{prefix}{key}/")
+        elif isinstance(value, (int, float)) or (isinstance(value, Tensor) and value.ndim == 0):
+            found.append((f"{prefix}{key}", float(value)))
+    return found
