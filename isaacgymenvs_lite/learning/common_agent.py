@@ -72,7 +72,9 @@ class CommonAgent(AgentHooks, A2CAgent):
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
         use_quick_moments(self.model)
-        attach_executor(self.model.a2c_network, self.ppo_device, wanted_precision)
+        self.executor = attach_executor(
+            self.model.a2c_network, self.ppo_device, wanted_precision
+        )
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:

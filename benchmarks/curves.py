@@ -1,0 +1,155 @@
+"""Draws learning curves of runs and prints their table for docs/.
+
+    python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
+        [--runs-dir runs/benchmarks] [--against minutes|frames]
+
+A target is a run folder or the name of an experiment: one thin line for each seed, the median
+thick. Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is
+printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.learning_curve import FloatArray, LearningCurve, Series, read_learning_curve
+from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
+from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
+from isaacgymenvs_lite.errors import ConfigError, UserError
+
+_PANELS = {
+    "episode_length": "episode length in training (steps)",
+    "pose_error_m": "pose error (m)",
+    "style_reward": "style reward per step",
+}
+_AXES = {"minutes": ("minutes", 1.0), "frames": ("million frames", 1e-6)}
+_MEDIAN_POINTS = 400
+
+Curves = Mapping[str, Sequence[LearningCurve]]
+"""Name of an experiment -> curves of its seeds."""
+
+
+def median_line(lines: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Return the median of lines (x, y), interpolated where all of them have values.
+
+    Empty if there is no such place.
+    """
+    empty = np.zeros(0)
+    if not lines or any(len(x) == 0 for x, _ in lines):
+        return empty, empty
+    first, last = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    if last < first:
+        return empty, empty
+    at = np.linspace(first, last, _MEDIAN_POINTS)
+    return at, np.median([np.interp(at, x, y) for x, y in lines], axis=0)
+
+
+def line_of(series: Series, against: str) -> tuple[FloatArray, FloatArray]:
+    """Return (x, y) of a series, x in minutes or in millions of frames."""
+    return getattr(series, against) * _AXES[against][1], series.values
+
+
+def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
+    """Write the picture.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or the folder of `path` does not exist.
+    """
+    figure: Any = _figure(path)
+    panels = figure.subplots(1, len(_PANELS))
+    for panel, (name, title) in zip(panels, _PANELS.items(), strict=True):
+        for i, (experiment, seeds) in enumerate(curves.items()):
+            lines = [line_of(curve[name], against) for curve in seeds]
+            for x, y in lines:
+                panel.plot(x, y, color=f"C{i}", linewidth=0.6, alpha=0.6)
+            panel.plot(*median_line(lines), color=f"C{i}", linewidth=2.0, label=experiment)
+        panel.set_title(title, fontsize=10)
+        panel.set_xlabel(_AXES[against][0])
+        panel.set_ylim(0.0, _top([curve[name] for seeds in curves.values() for curve in seeds]))
+        panel.grid(alpha=0.3)
+    panels[0].axhline(GOOD_EPISODE_STEPS, color="0.4", linestyle=":", linewidth=1.0)
+    panels[0].legend(fontsize=8, loc="lower right")
+    figure.savefig(path)
+
+
+def _top(series: Sequence[Series]) -> float | None:
+    """Return the upper end of an axis: the first epochs' style rewards would flatten the rest."""
+    values = np.concatenate([s.values for s in series])
+    return 1.1 * float(np.percentile(values, 99)) if len(values) else None
+
+
+def _figure(path: Path) -> Any:
+    try:
+        from matplotlib.figure import Figure  # type: ignore[import-not-found]
+    except ImportError as error:
+        raise ConfigError(
+            '--out needs matplotlib: pip install "isaacgymenvs-lite[docs]"'
+        ) from error
+    if not path.absolute().parent.is_dir():
+        raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
+    return Figure(figsize=(12.0, 3.6), dpi=110, layout="constrained")
+
+
+def markdown_table(curves: Curves) -> str:
+    """Return a table of what training itself showed: medians with the extremes behind them."""
+    lines = [
+        f"| experiment | seeds | minutes to {GOOD_EPISODE_STEPS} steps"
+        f" | frames to {GOOD_EPISODE_STEPS} steps (M) | frames at the end (M)"
+        " | minutes at the end | frames/s | last episode length | last pose error (m) |",
+        "|---" * 9 + "|",
+    ]
+    for experiment, seeds in curves.items():
+        reached = [c["episode_length"].first_reach(GOOD_EPISODE_STEPS) for c in seeds]
+        cells = [
+            spread_cell([None if r is None else r[1] for r in reached], ".1f"),
+            spread_cell([None if r is None else r[0] / 1e6 for r in reached], ".2f"),
+            spread_cell(
+                [c["fps"].frames[-1] / 1e6 if len(c["fps"]) else None for c in seeds], ".2f"
+            ),
+            spread_cell([c.minutes for c in seeds], ".1f"),
+            spread_cell([_frames_per_s(c) for c in seeds], ",.0f"),
+            spread_cell([c["episode_length"].last for c in seeds], ".0f"),
+            spread_cell([c["pose_error_m"].last for c in seeds], ".3f"),
+        ]
+        lines.append(f"| {experiment} | {len(seeds)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _frames_per_s(curve: LearningCurve) -> float | None:
+    """Return the frames per second of the whole training, measurements and all."""
+    clock = curve["fps"]
+    if len(clock) < 2:
+        return None
+    return float(np.ptp(clock.frames) / (60.0 * np.ptp(clock.minutes)))
+
+
+def main() -> None:
+    """Draw and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("targets", nargs="+", help="run folders or experiments")
+    parser.add_argument("--out", type=Path, help="the picture, .png or .svg")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
+    args = parser.parse_intermixed_args()
+    try:
+        curves: dict[str, list[LearningCurve]] = {}
+        for target in args.targets:
+            for run in find_runs(target, args.runs_dir):
+                curve = read_learning_curve(run.folder / "summaries")
+                curves.setdefault(run.experiment, []).append(curve)
+        print(markdown_table(curves))
+        if args.out:
+            draw(curves, args.out, args.against)
+            print(f"wrote {args.out}")
+    except UserError as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""The trainings of the fixed protocol: experiments.yaml, from names to settings of train.py."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import ConfigError, unknown
+
+TABLE = Path(__file__).with_name("experiments.yaml")
+_MOTION_KEY = "task.env.motion_file"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One training to compare with others.
+
+    Attributes:
+        name: `<clip>[+<variant> ...]`.
+        settings: overrides for train.py, all but seed, threads and files of the run.
+    """
+
+    name: str
+    settings: tuple[str, ...]
+
+
+def find_experiment(
+    name: str, motion_file: str | None = None, extra: Sequence[str] = (), table: Path = TABLE
+) -> Experiment:
+    """Look an experiment up.
+
+    Args:
+        name: `<clip>[+<variant> ...]`.
+        motion_file: the clip of an experiment whose entry leaves it open.
+        extra: further overrides; they win.
+        table: the YAML file.
+
+    Raises:
+        ConfigError: an unknown name, or the clip is missing or does not exist.
+    """
+    entries: Any = OmegaConf.to_container(read_yaml(table))
+    clip_name, *variants = name.split("+")
+    if clip_name not in entries["experiments"]:
+        raise ConfigError(unknown("experiment", clip_name, entries["experiments"]))
+    for variant in variants:
+        if variant not in entries["variants"]:
+            raise ConfigError(unknown("variant", variant, entries["variants"]))
+    entry = entries["experiments"][clip_name]
+    clip = entry["motion_file"] or _given_clip(clip_name, motion_file)
+    settings = [
+        *entries["common"],
+        override(_MOTION_KEY, clip),
+        *entry.get("settings", []),
+        *(setting for variant in variants for setting in entries["variants"][variant]),
+        *extra,
+    ]
+    return Experiment(name, tuple(settings))
+
+
+def needs_motion_file(name: str, table: Path = TABLE) -> bool:
+    """Return whether the experiment's clip is given on the command line."""
+    entry = read_yaml(table).experiments.get(name.split("+")[0])
+    return entry is not None and entry.motion_file is None
+
+
+def _given_clip(name: str, motion_file: str | None) -> str:
+    if motion_file is None:
+        raise ConfigError(f"the experiment '{name}' needs its clip: --motion-file PATH")
+    path = Path(motion_file).expanduser()
+    if not path.is_file():
+        raise ConfigError(f"--motion-file {motion_file}: no such file; give a .npz or .npy clip")
+    return str(path.absolute())
+
+
+def override(key: str, value: str) -> str:
+    """Return `key=value`, the value quoted as Hydra wants it if it holds unusual characters."""
+    if re.fullmatch(r"[\w./:+-]+", value):
+        return f"{key}={value}"
+    return "{}='{}'".format(key, value.replace("'", "\\'"))

@@ -1,0 +1,107 @@
+"""Trains experiments of the fixed protocol by the clock and records what they reached.
+
+    python -m benchmarks.learning EXPERIMENT [EXPERIMENT ...] [key=value ...]
+        [--seeds 1 2 3] [--minutes 150] [--motion-file PATH] [--parallel 1] [--resume]
+
+Each seed is one `train.py` process with a run folder of its own, `<experiment>_seed<n>`. With
+`--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
+not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
+with it, and minutes count together. Then `benchmarks.evaluate` plays the policies and writes
+benchmarks/results/<experiment>.jsonl. docs/protocol.md has the rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.evaluate import RESULTS_DIR, evaluate_and_report
+from benchmarks.experiments import find_experiment, needs_motion_file
+from benchmarks.runs import DEFAULT_RUNS_DIR, Run
+from benchmarks.training import Plan, log_file, plan, train_all
+from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.stopping import StopRequest
+
+
+def main() -> None:
+    """Train, then evaluate."""
+    args = _parser().parse_intermixed_args()
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    try:
+        plans = _plans(args)
+        slots = cpu_slots(args.parallel, args.cores_per_run)
+        with StopRequest() as stop:
+            todo = [job for job in plans if job.minutes > 0]
+            failed = train_all(todo, slots, lambda: stop.requested)
+        for run in failed:
+            print(f"{run.label} failed, the end of {log_file(run)}:")
+            print("\n".join(log_file(run).read_text(encoding="utf-8").splitlines()[-5:]))
+        if stop.requested:
+            sys.exit("stopped; --resume goes on")
+        if not args.no_evaluation:
+            trained = [job.run for job in plans if job.run not in failed]
+            evaluate_and_report(trained, results_dir=args.results_dir)
+    except UserError as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:  # the second Ctrl-C
+        sys.exit("stopped at once; --resume goes on")
+    if failed:
+        sys.exit(1)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("what", nargs="+", help="experiments, and overrides for train.py")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--minutes", type=float, default=150.0, help="of each run, at most")
+    parser.add_argument("--motion-file", help="the clip of experiments that leave it open")
+    parser.add_argument("--parallel", type=int, default=1, help="runs at a time")
+    parser.add_argument("--cores-per-run", type=int, help="default: all, shared by --parallel")
+    parser.add_argument("--resume", action="store_true", help="go on with runs that exist")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
+    parser.add_argument("--no-evaluation", action="store_true", help="train only")
+    return parser
+
+
+def _plans(args: argparse.Namespace) -> list[Plan]:
+    """Return all runs, one seed of every experiment after the other.
+
+    Raises:
+        ConfigError: an experiment or a run cannot be used.
+    """
+    names = [word for word in args.what if "=" not in word]
+    extra = [word for word in args.what if "=" in word]
+    if not names:
+        raise ConfigError("give an experiment; benchmarks/experiments.yaml lists them")
+    if args.motion_file and not any(needs_motion_file(name) for name in names):
+        raise ConfigError(f"--motion-file has no effect: {', '.join(names)} have their own clips")
+    experiments = [find_experiment(name, args.motion_file, extra) for name in names]
+    return [
+        plan(experiment, Run.of(args.runs_dir, experiment.name, seed), args.minutes, args.resume)
+        for seed in args.seeds
+        for experiment in experiments
+    ]
+
+
+def cpu_slots(parallel: int, cores_per_run: int | None = None) -> list[Sequence[int]]:
+    """Return the CPUs of each of `parallel` places, none of them twice.
+
+    Raises:
+        ConfigError: there are not so many.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    size = cores_per_run or len(cores) // max(1, parallel)
+    if parallel < 1 or size < 1 or parallel * size > len(cores):
+        raise ConfigError(
+            f"--parallel {parallel} --cores-per-run {size}: this process may use {len(cores)} CPUs"
+        )
+    return [cores[i * size : (i + 1) * size] for i in range(parallel)]
+
+
+if __name__ == "__main__":
+    main()

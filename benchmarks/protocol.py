@@ -1,0 +1,185 @@
+"""The fixed evaluation protocol: how a checkpoint is played and what is measured."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
+
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.resolvers import register_resolvers
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.imitation import ImitationResult
+from isaacgymenvs_lite.learning.evaluation import evaluate
+from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.registration import build_runner
+from isaacgymenvs_lite.runner import Session
+
+EPISODES = 32
+EPISODE_STEPS = 300
+SEED = 1234
+"""Of the starts of the episodes; every policy gets the same ones."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one policy reached.
+
+    Attributes:
+        imitation: pose error, falls, tempo, episode length.
+        speed_m_s: mean length of the root's way along the ground per second.
+        clip_speed_m_s: the same of the reference clips.
+    """
+
+    imitation: ImitationResult
+    speed_m_s: float
+    clip_speed_m_s: float
+
+
+class SpeedProbe:
+    """Measures how fast the roots of N environments move along the ground in their first episode.
+
+    Args:
+        num_envs: N.
+        dt_s: control step.
+    """
+
+    def __init__(self, num_envs: int, dt_s: float) -> None:
+        self._dt_s = dt_s
+        self._way_m = torch.zeros(num_envs)
+        self._steps = torch.zeros(num_envs)
+        self._playing = torch.ones(num_envs, dtype=torch.bool)
+        self._before: Tensor | None = None
+
+    def step(self, root_pos_w: Tensor, dones: Tensor) -> None:
+        """Take the positions (N, 3) m after a control step, before resets, and the dones (N,)."""
+        if self._before is not None:
+            moved_m = torch.linalg.vector_norm((root_pos_w - self._before)[:, :2], dim=-1)
+            self._way_m += moved_m * self._playing
+            self._steps += self._playing
+        self._before = root_pos_w.clone()
+        self._playing &= dones == 0
+
+    def mean_m_s(self) -> float:
+        """Return the mean over the environments that have moved; nan if none has."""
+        speeds = self._way_m / (self._steps * self._dt_s)
+        speeds = speeds[speeds.isfinite()]
+        return speeds.mean().item() if len(speeds) else math.nan
+
+
+def clip_speed_m_s(motion_lib: MotionLib, dt_s: float) -> float:
+    """Return the mean speed of the clips' roots along the ground, sampled every `dt_s`."""
+    speeds = []
+    for motion_id in range(motion_lib.num_motions()):
+        steps = max(1, int(float(motion_lib.get_motion_length([motion_id])) / dt_s))
+        ids = torch.full((steps + 1,), motion_id)
+        times_s = dt_s * torch.arange(steps + 1, dtype=torch.float64)
+        probe = SpeedProbe(1, dt_s)
+        for position in motion_lib.get_motion_state(ids, times_s).root_pos.cpu():
+            probe.step(position.unsqueeze(0), torch.zeros(1))
+        speeds.append(probe.mean_m_s())
+    return sum(speeds) / len(speeds)
+
+
+def evaluate_checkpoint(
+    checkpoint: Path, seed: int = SEED, num_threads: int = 1, overrides: tuple[str, ...] = ()
+) -> Outcome:
+    """Play a checkpoint by the protocol, with the settings of the run that it lies in.
+
+    Args:
+        checkpoint: a file in the folder nn/ of a run folder.
+        seed: of the starts.
+        num_threads: for physics and networks.
+        overrides: settings that replace the run's, such as `task.env.motion_file=...`.
+
+    Raises:
+        UserError: the checkpoint or the run's settings cannot be used.
+    """
+    cfg = _protocol_config(checkpoint, num_threads, overrides)
+    session = _Evaluation(cfg, seed)
+    session.run()
+    return session.outcome
+
+
+def _protocol_config(checkpoint: Path, num_threads: int, overrides: tuple[str, ...]) -> DictConfig:
+    register_resolvers()
+    file = checkpoint.absolute().parent.parent / "config.yaml"
+    if not file.is_file():
+        raise CheckpointError(
+            f"{checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in the folder nn"
+            " of the run folder that train.py made"
+        )
+    cfg = _with_launch_keys(read_yaml(file))
+    fixed = {
+        "test": True,
+        "checkpoint": str(checkpoint),
+        "num_envs": EPISODES,
+        "num_threads": num_threads,
+        "max_iterations": "",
+        "wandb_activate": False,
+        "task.env.numEnvs": EPISODES,
+        "task.env.episodeLength": EPISODE_STEPS,
+        "task.env.stateInit": "Random",
+        "task.env.enableEarlyTermination": True,
+        "train.params.torch_threads": num_threads,
+    }
+    for key, value in fixed.items():
+        OmegaConf.update(cfg, key, value, force_add=True)
+    cfg.merge_with_dotlist(list(overrides))
+    return cfg
+
+
+def _with_launch_keys(cfg: DictConfig) -> DictConfig:
+    """Add the keys of cfg/config.yaml that the run's version did not have."""
+    root = read_yaml(cfg_dir() / "config.yaml")
+    for key in ("defaults", "hydra"):
+        root.pop(key, None)
+    merged = OmegaConf.merge(root, cfg)
+    assert isinstance(merged, DictConfig)
+    return merged
+
+
+class _Evaluation(Session):
+    """A session that plays by the protocol in place of the player's own loop."""
+
+    outcome: Outcome
+
+    def __init__(self, cfg: DictConfig, seed: int) -> None:
+        seed_everything(seed)
+        super().__init__(cfg, check_config(cfg), seed)
+
+    def _play(self) -> None:
+        env: Any = self._task
+        if not hasattr(env, "motion_lib"):
+            raise ConfigError(
+                f"task={env.cfg['name']}: only tasks with reference motions can be measured"
+            )
+        runner = build_runner()
+        with contextlib.redirect_stdout(io.StringIO()):  # rl_games prints what it builds
+            runner.load({"params": self._params})
+            player: Any = runner.create_player()
+        player.restore(self._checkpoint)
+        speed = SpeedProbe(env.num_envs, env.dt)
+        seed_everything(self._seed)  # whatever making the player drew
+        result = evaluate(
+            env,
+            lambda obs: player.get_action(player.obs_to_torch(obs), True),
+            EPISODES,
+            on_step=lambda dones, _: speed.step(
+                env.simulation.root_states[:, :3].cpu(), dones.cpu()
+            ),
+        )
+        assert result.imitation is not None  # the task has reference motions
+        self.outcome = Outcome(
+            result.imitation, speed.mean_m_s(), clip_speed_m_s(env.motion_lib, env.dt)
+        )

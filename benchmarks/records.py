@@ -1,0 +1,186 @@
+"""Results of the fixed protocol: one record per policy, their medians, files and tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.runs import plain
+
+GOOD_EPISODE_STEPS = 280
+"""Mean episode length in training, of 300, at which a policy counts as standing on its feet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """One policy, measured; None where a number is unknown or was not reached.
+
+    Attributes:
+        run: name of the run folder.
+        frames: trained when the checkpoint was written.
+        minutes: trained when the checkpoint was written, see `LearningCurve`.
+        minutes_to_280: until the mean episode length in training first was at least 280.
+        frames_to_280: the same in frames.
+        no_fall_share: 0 to 1.
+        speed_m_s: of the root along the ground.
+        evaluation_seed: of the episodes' starts.
+        machine: that it was trained on.
+        commit: that it was trained with; several if it was resumed with another.
+        cores: number of CPUs that it was trained on.
+        settings: the experiment's overrides, files without their folders.
+    """
+
+    experiment: str
+    seed: int
+    run: str
+    checkpoint: str
+    frames: int
+    epoch: int
+    minutes: float | None
+    minutes_to_280: float | None
+    frames_to_280: float | None
+    pose_error_m: float | None
+    no_fall_share: float
+    tempo: float | None
+    speed_m_s: float | None
+    clip_speed_m_s: float
+    mean_episode_steps: float
+    num_episodes: int
+    evaluation_seed: int
+    machine: str | None
+    commit: str | None
+    cores: int | None
+    settings: list[str] | None
+
+    def __str__(self) -> str:
+        return f"{self.experiment} seed {self.seed}: {numbers_line(asdict(self))}"
+
+
+# What a median is taken of.
+_MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "speed_m_s")
+_MEDIANS += ("clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
+
+
+def medians(records: Sequence[Record]) -> dict[str, float | None]:
+    """Return the medians over the seeds of one experiment.
+
+    A seed without a number (which never reached 280 steps) counts as the largest; None is a median
+    among those.
+    """
+    return {
+        name: plain(float(np.median([_or_infinite(getattr(record, name)) for record in records])))
+        for name in _MEDIANS
+    }
+
+
+def numbers_line(n: dict[str, Any]) -> str:
+    """Return the numbers of a record or of medians on one line."""
+    reached = "never reached"
+    if n["minutes_to_280"] is not None:
+        after = f"{n['minutes_to_280']:.1f} min, {n['frames_to_280'] / 1e6:.2f} M frames"
+        reached = f"after {after}"
+    return (
+        f"{n['frames'] / 1e6:.2f} M frames, {_number(n['minutes'], '.1f')} min;"
+        f" pose error {_number(n['pose_error_m'], '.4f')} m,"
+        f" without a fall {_number(n['no_fall_share'], '.2f')},"
+        f" tempo {_number(n['tempo'], '.2f')},"
+        f" speed {_number(n['speed_m_s'], '.2f')} m/s (clip {n['clip_speed_m_s']:.2f}),"
+        f" episode {n['mean_episode_steps']:.0f} steps;"
+        f" {GOOD_EPISODE_STEPS} steps in training {reached}"
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "?" if value is None else format(value, form)
+
+
+def by_experiment(records: Iterable[Record]) -> dict[str, list[Record]]:
+    """Group records, in the order of their first appearance."""
+    groups: dict[str, list[Record]] = {}
+    for record in records:
+        groups.setdefault(record.experiment, []).append(record)
+    return groups
+
+
+def markdown_table(records: Sequence[Record]) -> str:
+    """Return a table for docs/: one row per experiment, medians with the extremes behind them."""
+    columns = (
+        ("frames (M)", "frames", 1e-6, ".1f"),
+        ("minutes", "minutes", 1, ".0f"),
+        ("pose error (m)", "pose_error_m", 1, ".3f"),
+        ("episodes without a fall", "no_fall_share", 1, ".2f"),
+        ("tempo", "tempo", 1, ".2f"),
+        ("speed (m/s)", "speed_m_s", 1, ".2f"),
+        ("the clip's", "clip_speed_m_s", 1, ".2f"),
+        (f"minutes to {GOOD_EPISODE_STEPS} steps", "minutes_to_280", 1, ".1f"),
+        (f"frames to {GOOD_EPISODE_STEPS} steps (M)", "frames_to_280", 1e-6, ".2f"),
+    )
+    lines = [
+        "| experiment | seeds | " + " | ".join(title for title, *_ in columns) + " |",
+        "|---" * (2 + len(columns)) + "|",
+    ]
+    for experiment, group in by_experiment(records).items():
+        cells = [
+            spread_cell([_times(getattr(r, name), factor) for r in group], form)
+            for _, name, factor, form in columns
+        ]
+        lines.append(f"| {experiment} | {len(group)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def spread_cell(values: Sequence[float | None], form: str) -> str:
+    """Return "median (least to largest)" for a table; None and nan are the largest, as `medians`.
+
+    >>> spread_cell([11.0, None, 12.5], ".1f")
+    '12.5 (11.0 to none)'
+    """
+    ordered = sorted(_or_infinite(value) for value in values)
+    texts = [
+        "none" if plain(value) is None else format(value, form)
+        for value in (float(np.median(ordered)), ordered[0], ordered[-1])
+    ]
+    return texts[0] if len(set(texts)) == 1 else f"{texts[0]} ({texts[1]} to {texts[2]})"
+
+
+def _or_infinite(value: float | None) -> float:
+    return float("inf") if value is None or value != value else float(value)
+
+
+def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
+    """Write records to `<folder>/<experiment>.jsonl`, by seed and frames; return the files.
+
+    A record replaces the one of the same run, frames and evaluation seed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for experiment, group in by_experiment(records).items():
+        file = folder / f"{experiment}.jsonl"
+        known = {_key(record): record for record in read_records(file)}
+        known |= {_key(record): record for record in group}
+        rows = sorted(known.values(), key=lambda r: (r.seed, r.frames, r.evaluation_seed))
+        text = "".join(json.dumps(asdict(row), allow_nan=False) + "\n" for row in rows)
+        file.write_text(text, encoding="utf-8")
+        files.append(file)
+    return files
+
+
+def read_records(file: Path) -> list[Record]:
+    """Read a file of `write_records`; none if it does not exist. Unknown keys are ignored."""
+    if not file.is_file():
+        return []
+    names = {field.name for field in fields(Record)}
+    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    return [Record(**{key: row[key] for key in names}) for row in rows]
+
+
+def _key(record: Record) -> tuple[str, int, int]:
+    return record.run, record.frames, record.evaluation_seed

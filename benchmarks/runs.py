@@ -1,0 +1,154 @@
+"""Run folders of benchmarks: `<runs_dir>/<experiment>_seed<n>`, and what is noted in them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from benchmarks.machine import describe_machine
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.run_folder import RunFolder
+
+ROOT = Path(__file__).resolve().parents[1]
+DEFAULT_RUNS_DIR = Path("runs/benchmarks")
+_STARTS_FILE = "benchmark.jsonl"
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of train.py in a run folder.
+
+    Attributes:
+        settings: the experiment's overrides.
+        command: what was run, as one would type it.
+        cores: CPUs it was pinned to.
+        machine: see `describe_machine`.
+        commit: of the source tree, "-dirty" behind it if files were changed.
+        started_at: local time, ISO 8601.
+    """
+
+    settings: list[str]
+    command: str
+    cores: list[int]
+    machine: str
+    commit: str
+    started_at: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training of one seed."""
+
+    experiment: str
+    seed: int
+    folder: Path
+
+    @classmethod
+    def of(cls, runs_dir: Path, experiment: str, seed: int) -> Run:
+        """Return the run of an experiment's seed, which need not exist yet."""
+        return cls(experiment, seed, runs_dir / f"{experiment}_seed{seed}")
+
+    @classmethod
+    def at(cls, folder: Path) -> Run:
+        """Return the run in a folder that train.py made, whatever its name.
+
+        Raises:
+            CheckpointError: there is no config.yaml.
+        """
+        name = folder.resolve().name
+        if (folder / "config.yaml").is_file():
+            cfg = OmegaConf.load(folder / "config.yaml")
+            return cls(re.sub(r"_seed\d+$", "", name), int(OmegaConf.select(cfg, "seed")), folder)
+        raise CheckpointError(f"{folder}: no run folder; expected one with config.yaml and nn/")
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return f"{self.experiment} seed {self.seed}"
+
+    def newest_checkpoint(self) -> Path | None:
+        """Return the checkpoint that was written last."""
+        return RunFolder(self.folder.parent, self.folder.name).newest_checkpoint()
+
+    def checkpoint_of_epoch(self, epoch: int) -> Path:
+        """Return the checkpoint that was saved after an epoch.
+
+        Raises:
+            CheckpointError: there is none.
+        """
+        found = sorted(self.folder.glob(f"nn/last_*_ep_{epoch}_rew_*.pth"))
+        if not found:
+            raise CheckpointError(f"{self.folder}: no checkpoint of epoch {epoch} in nn/")
+        return found[-1]
+
+    def starts(self) -> list[Start]:
+        """Return the starts that were noted, the first one first."""
+        file = self.folder / _STARTS_FILE
+        lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+        return [Start(**json.loads(line)) for line in lines]
+
+    def note_start(self, start: Start) -> None:
+        """Add a start; makes the folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / _STARTS_FILE).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(asdict(start)) + "\n")
+
+
+def start_now(settings: Sequence[str], command: str, cores: Sequence[int]) -> Start:
+    """Return the note of a start on this machine, now, with this source tree."""
+    now = datetime.now().isoformat(timespec="seconds")
+    return Start(list(settings), command, list(cores), describe_machine(), commit(), now)
+
+
+def commit() -> str:
+    """Return the commit of this source tree, "unknown" outside of a checkout."""
+    result = subprocess.run(
+        ["git", "describe", "--always", "--dirty", "--abbrev=10", "--exclude=*"],
+        cwd=ROOT,
+        env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return result.stdout.strip() or "unknown"
+
+
+def find_runs(target: str, runs_dir: Path) -> list[Run]:
+    """Return the runs that a word of the command line means, by seed.
+
+    Args:
+        target: a run folder, or the name of an experiment: all its seeds in `runs_dir`.
+        runs_dir: folder of the run folders.
+
+    Raises:
+        CheckpointError: there is none.
+    """
+    if Path(target).is_dir():
+        return [Run.at(Path(target))]
+    runs = [
+        Run(target, int(seed[1]), folder)
+        for folder in runs_dir.glob(f"{target}_seed*")
+        if (seed := re.fullmatch(re.escape(target) + r"_seed(\d+)", folder.name))
+    ]
+    if not runs:
+        present = ", ".join(sorted(folder.name for folder in runs_dir.glob("*"))) or "nothing"
+        raise CheckpointError(
+            f"'{target}': neither a run folder nor an experiment with runs in {runs_dir}"
+            f" (there: {present}); train it with python -m benchmarks.learning, or give --runs-dir"
+        )
+    return sorted(runs, key=lambda run: run.seed)
+
+
+def plain(value: Any) -> Any:
+    """Return a number for JSON, None where it is not finite, which JSON cannot say."""
+    is_odd = isinstance(value, float) and value - value != 0.0
+    return None if is_odd else value

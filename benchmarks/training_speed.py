@@ -1,0 +1,311 @@
+"""How fast AMP trains: frames per second, where the time goes, and what the limit is.
+
+    python -m benchmarks.training_speed [--units 512 256] [--num-envs 1024] [--epochs 8] [key=value]
+    python -m benchmarks.training_speed --compare --units 1024 512
+
+The first trains HumanoidAMP with its default settings for some epochs and prints
+
+- the frames per second of whole epochs,
+- a table of where the time of an epoch went, measured around the agent's own calls,
+- the sum of the parts that cannot be avoided, timed separately on the same shapes (raw
+  `Batch.step`, network outputs for acting, discriminator outputs for the reward, gradient steps on
+  fixed tensors), and what share of the speed of that sum the training reaches.
+
+`--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and as
+the published loop does (B): float32, torch's own threads, the critic evaluated for all rows after
+every step. Prints the ratio.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+if "--published" not in sys.argv:
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch is imported
+
+import torch
+from mujoco.batch import Batch
+
+from benchmarks.machine import describe_machine
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.learning import common_agent
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+_WARM_UP_EPOCHS = 3
+_REPEATS = 5
+
+# Calls that are timed, from the outside in: the time of an inner one does not count for its outer.
+_TIMED: tuple[tuple[type, str, str], ...] = (
+    (AMPAgent, "train_epoch", "rest of the epoch"),
+    (AMPAgent, "play_steps", "rollout: rest"),
+    (VecTask, "step", "environment: observations, rewards, ends"),
+    (VecTask, "reset_done", "environment: resets"),
+    (CpuBatchSimulation, "step", "environment: physics and its state tensors"),
+    (AMPAgent, "get_action_values", "policy: actions and values"),
+    (AMPAgent, "_evaluate_next_values", "policy: values after the step"),
+    (AMPAgent, "_calc_amp_rewards", "discriminator reward"),
+    (AMPAgent, "discount_values", "advantages"),
+    (AMPAgent, "_before_update", "demonstrations and replay: sampling"),
+    (AMPAgent, "_after_update", "demonstrations and replay: storing"),
+    (AMPAgent, "prepare_dataset", "normalised values and advantages"),
+    (AMPAgent, "_run_mini_epochs", "update: gathering minibatches"),
+    (AMPAgent, "calc_gradients", "update: losses, backward pass of all networks"),
+    (AMPAgent, "_training_inputs", "update: normalised AMP observations"),
+    (AMPAgent, "_extra_losses", "update: discriminator loss"),
+    (AMPAgent, "trancate_gradients_and_step", "update: optimiser"),
+    (AMPAgent, "_track_episodes", "episode statistics"),
+    (AMPAgent, "write_stats", "logging"),
+)
+
+
+class Stopwatch:
+    """Times nested calls; what an inner call takes does not count for the outer one."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._inner: list[float] = []
+
+    def time(self, label: str, call: Callable[[], Any]) -> Any:
+        self._inner.append(0.0)
+        start = time.perf_counter()
+        try:
+            return call()
+        finally:
+            taken = time.perf_counter() - start
+            own = taken - self._inner.pop()
+            self.seconds[label] = self.seconds.get(label, 0.0) + own
+            if self._inner:
+                self._inner[-1] += taken
+
+    def wrap(self, owner: Any, name: str, label: str) -> None:
+        method = getattr(owner, name)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            return self.time(label, lambda: method(*args, **kwargs))
+
+        setattr(owner, name, timed)
+
+
+class Done(Exception):
+    """Ends a training from inside."""
+
+
+def train(args: argparse.Namespace, at_end: Callable[[Any, list[float]], str]) -> str:
+    """Train for the epochs asked for; return at_end(agent, seconds of each epoch)."""
+    units = f"[{','.join(map(str, args.units))}]"
+    cfg = compose(
+        [
+            f"num_envs={args.num_envs}",
+            f"num_threads={args.threads}",
+            f"train.params.network.mlp.units={units}",
+            f"train.params.network.disc.units={units}",
+            "train.params.config.imitation_frequency=0",
+            f"+train.params.config.train_dir={args.folder}",
+            *args.overrides,
+        ]
+    )
+    seed_everything(0)
+    marks: list[float] = []
+    text = ""
+    epoch = AMPAgent.train_epoch
+
+    def counted(agent: Any) -> Any:
+        nonlocal text
+        marks.append(time.perf_counter())
+        if len(marks) == _WARM_UP_EPOCHS + args.epochs + 1:
+            pairs = zip(marks[_WARM_UP_EPOCHS:], marks[_WARM_UP_EPOCHS + 1 :], strict=False)
+            text = at_end(agent, [after - before for before, after in pairs])
+            raise Done
+        return epoch(agent)
+
+    AMPAgent.train_epoch = counted  # type: ignore[method-assign]
+    try:
+        Session(cfg, check_config(cfg), seed=0).run()
+    except Done:
+        pass
+    finally:
+        AMPAgent.train_epoch = epoch  # type: ignore[method-assign]
+    return text
+
+
+def profile(args: argparse.Namespace) -> None:
+    watch = Stopwatch()
+    for owner, name, label in _TIMED[1:]:
+        watch.wrap(owner, name, label)
+    started = _WARM_UP_EPOCHS
+
+    def clear_after_warm_up(agent: Any) -> None:
+        nonlocal started
+        if started == 0:
+            watch.seconds.clear()
+        started -= 1
+
+    before = AMPAgent.set_eval
+
+    def set_eval(agent: Any) -> None:
+        clear_after_warm_up(agent)
+        before(agent)
+
+    AMPAgent.set_eval = set_eval  # type: ignore[method-assign]
+
+    def report(agent: Any, seconds: list[float]) -> str:
+        spent = dict(watch.seconds)
+        total, count = sum(seconds), len(seconds)
+        fps = agent.batch_size / statistics.median(seconds)
+        bits = "bfloat16" if agent.executor.bfloat16 else "float32"
+        lines = [
+            describe_machine(),
+            f"networks {args.units}, {bits}, {args.num_envs} environments, {args.threads} threads",
+            f"training: {fps:,.0f} frames/s (median of {count} epochs)",
+            "\n| part | ms per epoch | share |\n|---|---|---|",
+        ]
+        rows = sorted(spent.items(), key=lambda row: -row[1])
+        rows.append(("not in any of these", total - sum(spent.values())))
+        for label, value in rows:
+            lines.append(f"| {label} | {1e3 * value / count:.1f} | {100 * value / total:.1f}% |")
+        parts = time_parts(agent)
+        lines.append("\n| part, timed separately | ms per epoch |\n|---|---|")
+        lines += [f"| {label} | {1e3 * value:.1f} |" for label, value in parts.items()]
+        limit = agent.batch_size / sum(parts.values())
+        lines.append(f"\nlimit {limit:,.0f} frames/s; training / limit = {fps / limit:.3f}")
+        return "\n".join(lines)
+
+    print(train(args, report))
+
+
+def time_parts(agent: Any) -> dict[str, float]:
+    """Return the seconds that an epoch's unavoidable parts take, each timed alone."""
+    env, network = agent.vec_env.env, agent.model.a2c_network
+    simulation = env.simulation
+    raw = Batch(simulation.model, env.num_envs, simulation.num_threads)
+    raw.state[:] = simulation._batch.state
+    obs = agent.obs["obs"]
+    rollout = agent.experience_buffer.tensor_dict
+    amp_obs = rollout["amp_obs"].flatten(0, 1)
+    minibatch = rollout["obses"].flatten(0, 1)[: agent.minibatch_size]
+    size = agent.dataset._row_limits["amp_obs"]
+    steps = agent.mini_epochs_num * len(agent.dataset)
+
+    def physics() -> None:
+        raw.state[:] = simulation._batch.state
+        for _ in range(agent.horizon_length):
+            raw.step(nstep=simulation.substeps)
+
+    def acting() -> None:
+        with torch.no_grad():
+            for _ in range(agent.horizon_length):
+                network({"obs": obs})
+
+    def reward() -> None:
+        with torch.no_grad():
+            for rows in amp_obs.split(8192):
+                network.eval_disc(rows)
+
+    def gradient_step() -> None:
+        mu, _, value, _ = network({"obs": minibatch})
+        fakes = network.eval_disc(amp_obs[: 2 * size])
+        logits, gradient = network.eval_disc_with_gradient(amp_obs[:size])
+        terms = (mu, value, fakes, logits, gradient)
+        agent.optimizer.zero_grad(set_to_none=True)
+        torch.stack([term.square().mean() for term in terms]).sum().backward()
+        agent.optimizer.step()
+
+    def gradients() -> None:
+        for _ in range(steps):
+            gradient_step()
+
+    parts = {
+        f"raw Batch.step, {agent.horizon_length} times": physics,
+        f"actor and critic for acting, {agent.horizon_length} times": acting,
+        "discriminator on the rollout": reward,
+        f"gradient steps on fixed tensors, {steps} times": gradients,
+    }
+    return {label: _median_s(part) for label, part in parts.items()}
+
+
+def _median_s(part: Callable[[], None]) -> float:
+    part()
+    times = []
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        part()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def published_loop(args: argparse.Namespace) -> None:
+    """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
+    common_agent.attach_executor = lambda network, device, precision: None  # type: ignore[assignment]
+    AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
+    reset = AMPAgent.env_reset
+
+    def env_reset(agent: Any) -> Any:
+        obs = reset(agent)
+        torch.set_num_threads(args.threads)
+        return obs
+
+    AMPAgent.env_reset = env_reset  # type: ignore[method-assign]
+    args.overrides.append("train.params.config.mixed_precision=False")
+
+
+def compare(args: argparse.Namespace) -> None:
+    """Train with the defaults and as published, in turns."""
+    command = [sys.executable, "-m", "benchmarks.training_speed", "--fps", "--epochs", "5"]
+    command += ["--num-envs", str(args.num_envs), "--threads", str(args.threads), *args.overrides]
+    command += ["--units", *map(str, args.units)]
+    pairs = []
+    for _ in range(args.rounds):
+        pairs.append([_fps_of(command), _fps_of([*command, "--published"])])
+    ratios = [ours / published for ours, published in pairs]
+    ours, published = (statistics.median(column) for column in zip(*pairs, strict=True))
+    print(describe_machine())
+    print(
+        f"networks {args.units}: defaults {ours:,.0f} frames/s, published loop in float32"
+        f" {published:,.0f} frames/s; ratio median {statistics.median(ratios):.2f}"
+        f" (min {min(ratios):.2f}, max {max(ratios):.2f}, {args.rounds} rounds)"
+    )
+
+
+def _fps_of(command: list[str]) -> float:
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return float(done.stdout.split()[-1])
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("overrides", nargs="*", help="settings, key=value")
+    parser.add_argument("--units", type=int, nargs="+", default=[512, 256])
+    parser.add_argument("--num-envs", type=int, default=1024)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--folder", default="/tmp/isaacgymenvs_lite_benchmark")
+    parser.add_argument("--compare", action="store_true")
+    parser.add_argument("--fps", action="store_true", help="print nothing but frames per second")
+    parser.add_argument("--published", action="store_true", help="as the published loop")
+    args = parser.parse_intermixed_args()
+    if args.published:
+        published_loop(args)
+    if args.compare:
+        compare(args)
+    elif args.fps:
+        print(train(args, lambda agent, s: str(agent.batch_size / statistics.median(s))))
+    else:
+        profile(args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import curves
+from benchmarks.curves import draw, markdown_table, median_line
+from benchmarks.learning_curve import read_learning_curve
+from isaacgymenvs_lite.errors import ConfigError
+
+
+@pytest.fixture
+def two_seeds(write_events, tmp_path):
+    """Seed 1 reaches 280 in its third minute, seed 2 never."""
+    for seed, lengths in ((1, [10.0, 100.0, 280.0, 290.0]), (2, [10.0, 20.0, 30.0])):
+        folder = tmp_path / f"walk_seed{seed}"
+        write_events(folder / "summaries", lengths, poses={1: 0.1 * seed, 2: 0.05 * seed})
+        (folder / "config.yaml").write_text(f"seed: {seed}\n")
+    folders = sorted(tmp_path.iterdir())
+    return {"walk": [read_learning_curve(folder / "summaries") for folder in folders]}
+
+
+def test_median_line_is_where_all_have_values():
+    line = (np.array([0.0, 2.0]), np.array([0.0, 4.0]))
+    other = (np.array([1.0, 4.0]), np.array([0.0, 0.0]))
+    x, y = median_line([line, other])
+    assert (x[0], x[-1]) == (1.0, 2.0)
+    # at 1: median of 2 and 0, at 2: of 4 and 0
+    assert (y[0], y[-1]) == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [],
+        [(np.zeros(0), np.zeros(0)), (np.ones(1), np.ones(1))],
+        [(np.array([0.0, 1.0]), np.zeros(2)), (np.array([2.0, 3.0]), np.zeros(2))],
+    ],
+)
+def test_median_line_of_nothing_common_is_empty(lines):
+    assert [len(part) for part in median_line(lines)] == [0, 0]
+
+
+def test_table(two_seeds):
+    header, rule, row = markdown_table(two_seeds).splitlines()
+    assert header.count("|") == rule.count("|") == row.count("|")
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[:3] == ["walk", "2", "none (3.0 to none)"]
+    assert cells[5] == "3.5 (3.0 to 4.0)"  # minutes at the end
+    assert cells[6] == "2"  # 100 frames a minute
+    assert cells[8] == "0.075 (0.050 to 0.100)"
+
+
+def test_command_prints_the_table_of_all_seeds(two_seeds, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["curves", "walk", "--runs-dir", str(tmp_path)])
+    curves.main()
+    assert capsys.readouterr().out.strip() == markdown_table(two_seeds)
+
+
+@pytest.mark.parametrize("against", ["minutes", "frames"])
+def test_picture(two_seeds, tmp_path, against):
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "curves.png"
+    draw(two_seeds, path, against)
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_picture_without_a_folder(two_seeds, tmp_path):
+    pytest.importorskip("matplotlib")
+    with pytest.raises(ConfigError, match="does not exist"):
+        draw(two_seeds, tmp_path / "absent" / "curves.png")

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from benchmarks import learning
+from benchmarks.learning import cpu_slots
+from benchmarks.runs import Run
+from isaacgymenvs_lite.errors import ConfigError
+
+
+@pytest.fixture
+def cores(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {7, 0, 1, 2, 3})
+
+
+@pytest.mark.parametrize(
+    ("parallel", "per_run", "expected"),
+    [
+        (1, None, [[0, 1, 2, 3, 7]]),
+        (2, None, [[0, 1], [2, 3]]),
+        (5, None, [[0], [1], [2], [3], [7]]),
+        (2, 1, [[0], [1]]),
+    ],
+)
+def test_places_share_no_cpu(cores, parallel, per_run, expected):
+    assert cpu_slots(parallel, per_run) == expected
+
+
+@pytest.mark.parametrize(("parallel", "per_run"), [(6, None), (2, 3), (0, None), (-1, None)])
+def test_more_places_than_cpus(cores, parallel, per_run):
+    with pytest.raises(ConfigError, match="this process may use 5 CPUs"):
+        cpu_slots(parallel, per_run)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["wallk"], "error: unknown experiment 'wallk'"),
+        (["num_envs=3"], "error: give an experiment"),
+        (["walk_mocap"], "error: the experiment 'walk_mocap' needs its clip"),
+        (["walk", "--motion-file", "x.npy"], "error: --motion-file has no effect"),
+        (["walk", "--parallel", "999"], "error: --parallel 999"),
+    ],
+)
+def test_mistakes_show_before_anything_starts(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["learning", *arguments, "--runs-dir", str(tmp_path / "runs")])
+    with pytest.raises(SystemExit) as raised:
+        learning.main()
+    assert str(raised.value).startswith(message)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_train_resume_and_record(tmp_path, monkeypatch):
+    """The real train.py: stopped by the clock, resumed, stopped, played, recorded."""
+    words = ["walk", "num_envs=8", "rl_device=cpu", "--seeds", "4", "--cores-per-run", "1"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    run = Run.of(tmp_path / "runs", "walk", 4)
+
+    monkeypatch.setattr("sys.argv", ["learning", *words, *folders, "--minutes", "0.3"])
+    learning.main()
+    (first,) = map(json.loads, (tmp_path / "results" / "walk.jsonl").read_text().splitlines())
+    assert first["frames"] > 0
+    assert 0.0 < first["minutes"] < 0.4
+
+    with pytest.raises(SystemExit, match="holds a training already"):
+        learning.main()
+
+    longer = ["learning", "--resume", *words, *folders, "--minutes", "0.6"]
+    monkeypatch.setattr("sys.argv", longer)
+    learning.main()
+    rows = [json.loads(x) for x in (tmp_path / "results" / "walk.jsonl").read_text().splitlines()]
+    assert [row["frames"] > first["frames"] for row in rows] == [False, True]
+    assert first["minutes"] < rows[1]["minutes"] < 0.7
+    assert len(run.starts()) == 2
+    assert "checkpoint=" in run.starts()[1].command
+
+    learning.main()  # it had its time: played again, not trained
+    assert len(run.starts()) == 2

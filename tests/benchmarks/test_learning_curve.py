@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from tensorboardX import SummaryWriter
+
+from benchmarks.learning_curve import Series, read_learning_curve
+from isaacgymenvs_lite.event_sink import protect
+
+
+def series(frames, minutes, values) -> Series:
+    return Series(*(np.array(x, dtype=np.float64) for x in (frames, minutes, values)))
+
+
+def test_frames_minutes_and_values(write_events, tmp_path):
+    write_events(tmp_path, [None, 20.0, 30.0], poses={2: 0.0625})
+    curve = read_learning_curve(tmp_path)
+    length = curve["episode_length"]
+    assert length.frames.tolist() == [100, 200]
+    # from the moment that the writer exists: the first epoch's minute counts
+    assert length.minutes.tolist() == [2.0, 3.0]
+    assert length.values.tolist() == [20.0, 30.0]
+    assert curve["pose_error_m"].values.tolist() == [0.0625]
+    assert curve["pose_error_m"].frames.tolist() == [200]
+    assert curve["style_reward"].last == 0.5
+    assert curve.minutes == 3.0
+
+
+def test_every_value_is_kept(write_events, tmp_path):
+    # TensorBoard's own default keeps a random selection of 10,000
+    write_events(tmp_path, [10.0] * 12_000)
+    assert len(read_learning_curve(tmp_path)["episode_length"]) == 12_000
+
+
+def test_parts_of_a_resumed_run_follow_one_another_without_the_pause(write_events, tmp_path):
+    write_events(tmp_path, [10.0, 20.0])
+    write_events(tmp_path, [30.0, 40.0], first_epoch=2, start_s=99_000.0)
+    curve = read_learning_curve(tmp_path)
+    assert curve["episode_length"].frames.tolist() == [0, 100, 200, 300]
+    assert curve["episode_length"].minutes.tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert curve["episode_length"].values.tolist() == [10.0, 20.0, 30.0, 40.0]
+
+
+def test_what_came_after_the_checkpoint_is_lost_with_its_minutes(write_events, tmp_path):
+    # killed after five epochs, went on from the checkpoint of the second one
+    write_events(tmp_path, [1.0, 2.0, 3.0, 4.0, 5.0], poses={1: 0.5, 4: 0.25})
+    write_events(tmp_path, [None, 13.0], first_epoch=2, start_s=99_000.0)
+    curve = read_learning_curve(tmp_path)
+    assert curve["episode_length"].values.tolist() == [1.0, 2.0, 13.0]
+    assert curve["episode_length"].minutes.tolist() == [1.0, 2.0, 4.0]
+    assert curve["pose_error_m"].values.tolist() == [0.5]
+    assert curve.minutes == 4.0
+
+
+def test_a_run_that_began_again_counts_from_zero(write_events, tmp_path):
+    write_events(tmp_path, [1.0, 2.0, 3.0])  # killed before its first checkpoint
+    write_events(tmp_path, [7.0], start_s=99_000.0)
+    curve = read_learning_curve(tmp_path)
+    assert curve["episode_length"].values.tolist() == [7.0]
+    assert curve.minutes == 1.0
+
+
+def test_a_run_without_scalars_has_an_empty_curve(tmp_path):
+    SummaryWriter(str(tmp_path)).close()  # a file with a header
+    for folder in (tmp_path, tmp_path / "absent"):
+        curve = read_learning_curve(folder)
+        assert curve.minutes == 0.0
+        assert len(curve["episode_length"]) == 0
+        assert math.isnan(curve["episode_length"].last)
+        assert curve["episode_length"].first_reach(1.0) is None
+
+
+def test_a_run_that_has_just_started_hides_nothing(write_events, tmp_path):
+    write_events(tmp_path, [1.0, 2.0])
+    writer = SummaryWriter(str(tmp_path))
+    protect(writer)  # nothing written yet
+    assert read_learning_curve(tmp_path)["episode_length"].values.tolist() == [1.0, 2.0]
+    writer.close()
+
+
+@pytest.mark.parametrize(
+    ("at_least", "expected"),
+    [
+        (280.0, (300.0, 2.5)),  # the first one, though it falls below again
+        (279.9, (200.0, 1.5)),
+        (7.0, (100.0, 0.5)),
+        (285.0, (500.0, 4.5)),
+        (285.1, None),
+    ],
+)
+def test_first_reach(at_least, expected):
+    curve = series([100, 200, 300, 400, 500], [0.5, 1.5, 2.5, 3.5, 4.5], [7, 279.9, 280, 275, 285])
+    assert curve.first_reach(at_least) == expected
+
+
+def test_minutes_of_a_checkpoint(write_events, tmp_path):
+    write_events(tmp_path, [1.0, 2.0, 3.0])
+    curve = read_learning_curve(tmp_path)
+    # a checkpoint of 200 frames is written after the epoch whose values stand at 100
+    assert [curve.minutes_at(frames) for frames in (0, 100, 200, 300, 999)] == [0, 1, 2, 3, 3]

@@ -1,0 +1,187 @@
+"""The protocol on a real run of two epochs: its policy falls within a second."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks import evaluate as command
+from benchmarks import protocol
+from benchmarks.protocol import EPISODES, SpeedProbe, clip_speed_m_s, evaluate_checkpoint
+from benchmarks.records import read_records
+from benchmarks.runs import Run, start_now
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.runner import run as train
+
+CONFIG = "train.params.config"
+
+
+def train_run(folder: Path, clip: Path, units: str = "[16,8]") -> Run:
+    """Make a training whose task is unlike the protocol's: short episodes from the default pose."""
+    settings = [
+        "num_envs=4",
+        "num_threads=1",
+        "rl_device=cpu",
+        "max_iterations=2",
+        "seed=5",
+        f"task.env.motion_file={clip}",
+        "task.env.episodeLength=4",
+        "task.env.stateInit=Default",
+        f"train.params.network.mlp.units={units}",
+        "train.params.network.disc.units=[16,8]",
+        f"{CONFIG}.mixed_precision=False",
+        f"{CONFIG}.horizon_length=4",
+        f"{CONFIG}.mini_epochs=1",
+        f"{CONFIG}.amp_batch_size=16",
+        f"{CONFIG}.amp_obs_demo_buffer_size=16",
+        f"{CONFIG}.amp_replay_buffer_size=64",
+        f"{CONFIG}.imitation_frequency=0",
+    ]
+    own = ["+full_experiment_name=walk_seed5", f"+{CONFIG}.train_dir={folder}"]
+    train(compose([*settings, *own]))
+    run = Run.of(folder, "walk", 5)
+    run.note_start(start_now(settings, "train.py", [0]))
+    return run
+
+
+@pytest.fixture(scope="module")
+def trained(walk_clip, tmp_path_factory) -> Run:
+    return train_run(tmp_path_factory.mktemp("runs"), walk_clip)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def torch_threads():
+    """Runs set them for the whole process."""
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def checkpoint_of(run: Run) -> Path:
+    checkpoint = run.newest_checkpoint()
+    assert checkpoint is not None
+    return checkpoint
+
+
+def test_the_protocol_sets_the_episodes_whatever_the_run_had(trained):
+    outcome = evaluate_checkpoint(checkpoint_of(trained))
+    result = outcome.imitation
+    assert result.num_episodes == EPISODES
+    # falls, after more steps than the run's episodes had, from 32 moments of the clip
+    assert result.no_fall_share == 0.0
+    assert 4 < result.mean_episode_steps < 200
+    assert len(set(result.per_episode)) == EPISODES
+    assert 0.0 < result.pose_error_m < 1.0
+    assert outcome.clip_speed_m_s == pytest.approx(1.0, abs=1e-4)
+    # it falls out of a walk of 1 m/s
+    assert 0.1 < outcome.speed_m_s < 3.0
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_does_not(trained):
+    first, again, other = (
+        evaluate_checkpoint(checkpoint_of(trained), seed).imitation for seed in (1, 1, 2)
+    )
+    assert first.per_episode.tolist() == again.per_episode.tolist()
+    assert first.per_episode.tolist() != other.per_episode.tolist()
+
+
+def test_every_policy_starts_from_the_same_states(trained, walk_clip, tmp_path, monkeypatch):
+    starts = []
+    evaluate = protocol.evaluate
+
+    def evaluate_and_note(env, policy, *arguments, **others):
+        def noting_policy(obs):
+            if len(starts) == len(played):
+                starts.append(obs["obs"].clone())
+            return policy(obs)
+
+        return evaluate(env, noting_policy, *arguments, **others)
+
+    monkeypatch.setattr(protocol, "evaluate", evaluate_and_note)
+    played: list[Run] = []
+    # making a network of another size draws other random numbers
+    for run in (trained, train_run(tmp_path, walk_clip, units="[20,4]")):
+        evaluate_checkpoint(checkpoint_of(run))
+        played.append(run)
+    assert starts[0].shape == (EPISODES, 105)
+    assert starts[0].equal(starts[1])
+
+
+def test_record_of_a_run(trained, tmp_path, capsys):
+    (record,) = command.evaluate_and_report([trained], results_dir=tmp_path)
+    assert (record.experiment, record.seed, record.run) == ("walk", 5, "walk_seed5")
+    assert (record.frames, record.epoch) == (32, 2)
+    assert record.minutes is not None and 0.0 < record.minutes < 1.0
+    assert (record.minutes_to_280, record.frames_to_280) == (None, None)
+    assert record.settings is not None
+    assert "task.env.motion_file=walk.npz" in record.settings  # without its folder
+    assert record.cores == 1
+    assert read_records(tmp_path / "walk.jsonl") == [record]
+    assert capsys.readouterr().out.splitlines()[0] == str(record)
+
+
+def test_command_line(trained, tmp_path, capsys, monkeypatch):
+    target = str(checkpoint_of(trained))
+    arguments = ["evaluate", target, "--evaluation-seed", "3", "--markdown"]
+    monkeypatch.setattr("sys.argv", arguments)
+    command.main()
+    line, header, _, row = capsys.readouterr().out.splitlines()
+    assert line.startswith("walk seed 5: 0.00 M frames")
+    assert header.startswith("| experiment | seeds |")
+    assert row.startswith("| walk | 1 |")
+
+    monkeypatch.setattr("sys.argv", ["evaluate", "run", "--runs-dir", str(tmp_path)])
+    with pytest.raises(SystemExit, match="error: 'run': neither a run folder"):
+        command.main()
+
+
+def test_overrides_replace_the_runs_settings(trained):
+    missing = ("task.env.motion_file=absent.npz",)
+    with pytest.raises(ValueError, match=r"absent.npz"):
+        evaluate_checkpoint(checkpoint_of(trained), overrides=missing)
+
+
+def test_a_checkpoint_alone_is_refused(tmp_path):
+    with pytest.raises(CheckpointError, match=r"no config.yaml .* expected a checkpoint in the"):
+        evaluate_checkpoint(tmp_path / "nn" / "policy.pth")
+
+
+# --- speed ------------------------------------------------------------------------------------
+
+
+def test_speed_by_hand():
+    probe = SpeedProbe(2, dt_s=0.5)
+    # environment 0: 3 m, then 1 m in 0.5 s each; environment 1 ends after its first way of 5 m
+    ways = [
+        ([[0, 0, 1], [0, 0, 1]], [0, 0]),
+        ([[3, 0, 9], [3, 4, 1]], [0, 1]),
+        ([[3, 1, 0], [90, 90, 90]], [0, 0]),
+    ]
+    for positions, dones in ways:
+        probe.step(torch.tensor(positions, dtype=torch.float32), torch.tensor(dones))
+    assert probe.mean_m_s() == pytest.approx(((3 + 1) / 1.0 + 5 / 0.5) / 2)
+
+
+def test_speed_of_nothing():
+    probe = SpeedProbe(1, 0.5)
+    probe.step(torch.zeros(1, 3), torch.ones(1))
+    probe.step(torch.ones(1, 3), torch.ones(1))
+    assert math.isnan(probe.mean_m_s())
+
+
+def test_clip_speed_is_along_the_ground(walk_clip):
+    # x = t in m and s; it also rises
+    assert clip_speed_m_s(MotionLib(str(walk_clip), 28, [5], "cpu"), 1 / 30) == pytest.approx(1.0)
+
+
+def test_a_record_is_plain_json(trained):
+    import json
+
+    record = command.measure(trained)
+    assert json.loads(json.dumps(asdict(record), allow_nan=False)) == asdict(record)
