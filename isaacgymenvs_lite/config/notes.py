@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf, flag_override
+from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.paths import cfg_dir
@@ -29,6 +29,9 @@ _CPU_SETTINGS = {
     "task.env.numEnvs": "numEnvs",
     "train.params.config.minibatch_size": "minibatch_size",
     "train.params.config.amp_minibatch_size": "amp_minibatch_size",
+    "train.params.config.amp_replay_buffer_size": "amp_replay_buffer_size",
+    "train.params.config.amp_replay_keep_prob": "amp_replay_keep_prob",
+    "train.params.config.amp_input_memory": "amp_input_memory",
     "train.params.config.mini_epochs": "mini_epochs",
     "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",
@@ -86,7 +89,9 @@ def cpu_defaults_note(cfg: DictConfig) -> str | None:
 
 
 def _short(value: Any) -> str:
-    return str(value) if isinstance(value, int | float) else "-".join(str(entry) for entry in value)
+    if isinstance(value, ListConfig):
+        return "-".join(str(entry) for entry in value)
+    return "all" if value is None else str(value)
 
 
 def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:

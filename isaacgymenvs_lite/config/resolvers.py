@@ -26,7 +26,9 @@ def contains(part: str, whole: str) -> bool:
 
 def choose(predicate: Any, if_true: Any, if_false: Any) -> Any:
     """Return `if_true` for a true `predicate`: '' is false, any other text is true."""
-    return if_true if predicate else if_false
+    chosen = if_true if predicate else if_false
+    # OmegaConf.resolve (`--cfg job --resolve`) takes no plain list back.
+    return OmegaConf.create(chosen) if isinstance(chosen, list | dict) else chosen
 
 
 def resolve_default(default: Any, given: Any) -> Any:

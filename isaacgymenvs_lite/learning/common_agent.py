@@ -72,9 +72,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
         use_quick_moments(self.model)
-        self.executor = attach_executor(
-            self.model.a2c_network, self.ppo_device, wanted_precision
-        )
+        self.executor = attach_executor(self.model.a2c_network, self.ppo_device, wanted_precision)
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:
@@ -99,6 +97,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         if self.normalize_value:
             self.value_mean_std = self.model.value_mean_std
         self._train_info: dict[str, list[Tensor]] = {}
+        self._unvalued: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._restored_best: float | None = None
         self._restored_from = ""
         self.algo_observer.after_init(self)
@@ -189,7 +188,7 @@ class CommonAgent(AgentHooks, A2CAgent):
             shaped_rewards = self.rewards_shaper(rewards)
             buffer.update_data("rewards", n, shaped_rewards)
             buffer.update_data("dones", n, self.dones)
-            self._evaluate_next_values(n, infos)
+            self._note_next_values(n, infos)
             self._record_step(n, infos)
             self._track_episodes(rewards, shaped_rewards, infos)
         return self._rollout_batch(step_time_s)
@@ -213,28 +212,35 @@ class CommonAgent(AgentHooks, A2CAgent):
             )
         return result
 
-    def _evaluate_next_values(self, n: int, infos: dict[str, Any]) -> None:
-        """Bootstrap values after step n, for the rows that no later policy call values.
+    def _note_next_values(self, n: int, infos: dict[str, Any]) -> None:
+        """Keep the rows after step n that no later policy call values.
 
         Where the episode goes on, the policy call of step n + 1 evaluates the same observation,
-        and `_fill_next_values` takes its value over.
+        and `_fill_next_values` takes its value over. After a failure there is nothing to value.
         """
-        terminate = self._terminated(infos)
-        next_values = self.experience_buffer.tensor_dict["next_values"][n]
+        asked = self._needs_next_value()
         if n == self.horizon_length - 1:
-            next_values.copy_(self._eval_critic(self.obs))
-            rows = slice(None)
-        else:
-            self._pending = ~self._needs_next_value()
-            rows = (~self._pending).nonzero().flatten()
-            if len(rows) == 0:
-                return
-            next_values[rows] = self._eval_critic(self.obs, rows)
-        next_values[rows] = losses.mask_terminal_values(next_values[rows], terminate[rows])
+            asked = torch.ones_like(asked)
+        self._pending = ~asked
+        terminate = self._terminated(infos).bool()
+        self.experience_buffer.tensor_dict["next_values"][n].zero_()
+        rows = (asked & ~terminate).nonzero().flatten()
+        inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
+        kept = {name: value.index_select(0, rows) for name, value in inputs.items()}
+        self._unvalued.append((n * len(terminate) + rows, kept))
 
     def _fill_next_values(self, n: int, values: Tensor) -> None:
         next_values = self.experience_buffer.tensor_dict["next_values"][n]
         torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
+
+    def _value_noted_rows(self) -> None:
+        """Evaluate the rows of the whole rollout that `_note_next_values` kept, in one call."""
+        places, kept = zip(*self._unvalued, strict=True)
+        self._unvalued = []
+        inputs = {name: torch.cat([rows[name] for rows in kept]) for name in kept[0]}
+        if len(inputs["obs"]) > 0:
+            next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
+            next_values[torch.cat(places)] = self._eval_critic(inputs)
 
     def _terminated(self, infos: dict[str, Any]) -> Tensor:
         """(N,) 1 where the episode ended by a failure: no future to bootstrap from."""
@@ -244,20 +250,16 @@ class CommonAgent(AgentHooks, A2CAgent):
             return self.dones.bool() & ~infos["time_outs"].to(self.ppo_device).bool()
         return self.dones
 
-    def _eval_critic(self, obs: dict[str, Tensor], rows: Tensor | None = None) -> Tensor:
-        """Values (n, values), denormalised, of all observations or of some rows.
+    def _eval_critic(self, inputs: dict[str, Tensor]) -> Tensor:
+        """Values (n, values), denormalised, of raw observations and the policy's other inputs.
 
         The critic is called directly, so that the observation is normalised here.
         """
         self.model.eval()
-        inputs = self._policy_inputs()
-        raw = self._preproc_obs(obs["obs"])
-        if rows is not None:
-            raw = raw[rows]
-            inputs = {name: value[rows] for name, value in inputs.items()}
+        others = {name: value for name, value in inputs.items() if name != "obs"}
         with torch.no_grad():
-            value = self.model.a2c_network.eval_critic(self.model.norm_obs(raw), **inputs)
-            return self.model.denorm_value(value)
+            obs = self.model.norm_obs(inputs["obs"])
+            return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **others))
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
@@ -277,6 +279,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         self.current_lengths *= going_on.squeeze(1)
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
+        self._value_noted_rows()
         buffer = self.experience_buffer.tensor_dict
         rewards = self._total_rewards(buffer["rewards"])
         advantages = self.discount_values(

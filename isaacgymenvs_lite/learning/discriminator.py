@@ -66,7 +66,8 @@ class StyleDiscriminator:
         self._reward_kind = params.disc_reward or disc_reward
         self.normalizer: nn.Module | None = None
         if params.normalize_amp_input:
-            self.normalizer = RunningMeanStd((amp_obs_size,)).to(device).eval()
+            normalizer = RunningMeanStd((amp_obs_size,), params.amp_input_memory)
+            self.normalizer = normalizer.to(device).eval()
 
     def normalize(self, amp_obs: Tensor, update: bool = False) -> Tensor:
         """Normalise AMP observations (n, F); with `update` they join the statistics first."""

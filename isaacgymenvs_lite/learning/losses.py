@@ -44,14 +44,6 @@ def bound_loss(mu: Tensor, soft_bound: float = 1.0) -> Tensor:
     return (excess * excess).sum(dim=-1)
 
 
-def mask_terminal_values(next_values: Tensor, terminate: Tensor) -> Tensor:
-    """Return next values (..., values) with zeros where the episode failed, terminate (...) = 1.
-
-    A time-out keeps its bootstrap value: the episode would have gone on.
-    """
-    return next_values * (1.0 - terminate.to(next_values.dtype)).unsqueeze(-1)
-
-
 def discount_values(
     dones: Tensor, values: Tensor, rewards: Tensor, next_values: Tensor, gamma: float, tau: float
 ) -> Tensor:

@@ -89,16 +89,17 @@ class NetworkExecutor:
 
     def _row_method(self, network: nn.Module, method: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(method)
-        def sliced(*rows: Tensor) -> Any:
+        def sliced(*rows: Tensor, **named_rows: Tensor) -> Any:
             several = True
 
             def function(*part: Tensor) -> tuple[Tensor, ...]:
                 nonlocal several
-                result = method(*part)
+                named = dict(zip(named_rows, part[len(rows) :], strict=True))
+                result = method(*part[: len(rows)], **named)
                 several = not isinstance(result, Tensor)
                 return tuple(result) if several else (result,)
 
-            outputs = self.run(network, function, *rows)
+            outputs = self.run(network, function, *rows, *named_rows.values())
             return outputs if several else outputs[0]
 
         return sliced

@@ -12,7 +12,15 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
     torch's `var` walks down a column entry by entry and took 7% of AMP's update; the mean of the
     squared deviations is the same number and ten times as fast.
+
+    Args:
+        insize: shape of a row.
+        memory: rows that the statistics remember: older ones fade. None = all, as rl_games.
     """
+
+    def __init__(self, insize: tuple[int, ...], memory: int | None = None) -> None:
+        super().__init__(insize)
+        self.memory = memory
 
     def forward(self, input: Tensor, denorm: bool = False, mask: Tensor | None = None) -> Tensor:
         """Normalise rows (n, ...) to +-5 (or back), in training mode after counting them in."""
@@ -30,6 +38,8 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         self.running_mean, self.running_var, self.count = self._update_mean_var_count_from_moments(
             *statistics, mean, var, len(rows)
         )
+        if self.memory is not None:
+            self.count.clamp_(max=self.memory)
 
 
 def use_quick_moments(model: nn.Module) -> None:

@@ -148,9 +148,3 @@ def test_bound_loss_begins_at_one():
 
 def test_bound_loss_with_another_bound():
     assert losses.bound_loss(torch.tensor([[1.5]]), 1.1).tolist() == pytest.approx([0.16])
-
-
-def test_next_values_are_zero_after_failures_only():
-    next_values = torch.tensor([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0]])
-    masked = losses.mask_terminal_values(next_values, torch.tensor([0, 1, 0]))
-    assert masked.tolist() == [[1.0, 10.0], [0.0, 0.0], [3.0, 30.0]]

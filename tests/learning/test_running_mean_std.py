@@ -55,3 +55,17 @@ def test_a_model_without_normalisers_stays_as_it_is():
     model = torch.nn.Linear(2, 2)
     use_quick_moments(model)
     assert [name for name, _ in model.named_modules()] == [""]
+
+
+def test_a_memory_lets_old_rows_fade():
+    forgetful, faithful = RunningMeanStd((1,), memory=100), RunningMeanStd((1,))
+    for normalizer in (forgetful, faithful):
+        normalizer(torch.full((100, 1), 50.0))
+    mean = faithful.running_mean.item()
+    assert forgetful.running_mean.item() == mean
+    for _ in range(20):
+        forgetful(torch.zeros(50, 1))
+        mean *= 100 / 150  # 100 remembered rows against 50 new ones
+        assert forgetful.count.item() == 100.0
+    assert forgetful.running_mean.item() == pytest.approx(mean, rel=1e-6)
+    assert forgetful.running_var.item() < 1.0 < faithful.running_var.item() * 10
