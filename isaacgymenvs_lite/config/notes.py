@@ -32,6 +32,7 @@ _CPU_SETTINGS = {
     "train.params.config.amp_replay_buffer_size": "amp_replay_buffer_size",
     "train.params.config.amp_replay_keep_prob": "amp_replay_keep_prob",
     "train.params.config.amp_input_memory": "amp_input_memory",
+    "train.params.config.disc_grad_penalty": "disc_grad_penalty",
     "train.params.config.mini_epochs": "mini_epochs",
     "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",

@@ -30,6 +30,7 @@ _TINY = (
     "train.params.config.minibatch_size=16",
     "train.params.config.mini_epochs=2",
     "train.params.config.learning_rate=5e-5",
+    "train.params.config.disc_grad_penalty=5",
     "train.params.config.amp_minibatch_size=8",
     "train.params.config.amp_batch_size=16",
     "train.params.config.amp_obs_demo_buffer_size=40",
