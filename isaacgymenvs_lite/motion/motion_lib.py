@@ -150,7 +150,8 @@ class MotionLib:
         after the end the last pose stays.
         """
         row, next_row, blend = self._rows(motion_ids, motion_times)
-        frame, next_frame = self._frames[row], self._frames[next_row]
+        frame = self._frames.index_select(0, row)
+        next_frame = self._frames.index_select(0, next_row)
         num_rotations = 1 + len(self.skeleton.dof_body_ids)
         sizes = [3 * (1 + self._num_keys), 4 * num_rotations, 3, 3, self.skeleton.num_dofs]
         places, turns, root_vel, root_ang_vel, dof_vel = frame.split(sizes, dim=-1)
@@ -164,7 +165,7 @@ class MotionLib:
         return MotionState(
             root_pos=positions[:, 0],
             root_rot=turns[:, 0],
-            dof_pos=joint_vectors[:, self._dof_columns],
+            dof_pos=joint_vectors.index_select(1, self._dof_columns),
             root_vel=root_vel,
             root_ang_vel=root_ang_vel,
             dof_vel=dof_vel,
@@ -180,7 +181,7 @@ class MotionLib:
         """Return the rows (n,) of the frames around the times and how far between them (n,)."""
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         times = torch.as_tensor(motion_times, dtype=torch.float64, device=self.device)
-        start, last, length, dt = self._motions[ids].unbind(-1)
+        start, last, length, dt = self._motions.index_select(0, ids).unbind(-1)
         first = torch.floor((times / length).clamp(0.0, 1.0) * last * _TIME_ROUNDING)
         blend = (times - first * dt) / dt
         row = start + first

@@ -6,7 +6,8 @@ axes relative to the environment's own origin, and the positions of a 3-DoF ball
 rotation vector (exponential map) in the child frame.
 
 The state tensors are preallocated and updated in place by `step` and `write_state`: keep the
-reference, copy what must outlive the next step.
+reference, copy what must outlive the next step. A backend may keep each component of all
+environments together in memory (`cpu_batch` does): take `reshape` or `flatten`, not `view`.
 """
 
 from __future__ import annotations

@@ -178,7 +178,6 @@ def test_use_after_close(make_simulation) -> None:
         "step": simulation.step,
         "set_controls": lambda: simulation.set_controls(torch.zeros(1, 1)),
         "write_state": lambda: simulation.write_state(torch.tensor([0]), *zeros),
-        "body_rot": lambda: simulation.body_rot,
         "body_lin_vel": lambda: simulation.body_lin_vel,
         "body_ang_vel": lambda: simulation.body_ang_vel,
     }

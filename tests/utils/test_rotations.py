@@ -392,6 +392,24 @@ def test_pitch_of_a_quarter_turn() -> None:
     assert abs(float(pitch) - math.pi / 2.0) < 1e-6
 
 
+# --- one array per component -------------------------------------------------------------------
+
+
+def test_components_as_arrays_give_the_same() -> None:
+    a, b, v = _random_quaternions(20, 0), _random_quaternions(20, 1), _random_vectors(20, 2)
+    results = {
+        "quat_mul": (R.quat_mul_components(a.numpy().T, b.numpy().T), R.quat_mul(a, b)),
+        "quat_apply": (R.rotate_components(a.numpy().T, v.numpy().T), R.quat_apply(a, v)),
+        "quat_to_tan_norm": (R.tan_norm_components(a.numpy().T), R.quat_to_tan_norm(a)),
+    }
+    for name, (components, expected) in results.items():
+        np.testing.assert_allclose(
+            np.stack(components, axis=-1), expected, rtol=0.0, atol=ATOL, err_msg=name
+        )
+    quats = torch.stack(R.exp_map_to_quat_components(v.unbind(-1)), dim=-1)
+    _close(quats, R.exp_map_to_quat(v), ATOL)
+
+
 # --- all --------------------------------------------------------------------------------------
 
 

@@ -82,10 +82,12 @@ class HumanoidAMP(HumanoidAMPBase):
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
         super().post_physics_step()
-        self._amp_obs_buf[:, 1:] = self._amp_obs_buf[:, :-1].clone()
+        history = self._amp_obs_buf
+        for step in range(history.shape[1] - 1, 0, -1):
+            history[:, step] = history[:, step - 1]
         # One step of the AMP observation is the policy observation of the same state.
-        self._amp_obs_buf[:, 0] = self.obs_buf
-        self.extras["amp_obs"] = self._for_trainer(self._amp_obs_buf.flatten(1))
+        history[:, 0] = self.obs_buf
+        self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
 
     # --- demonstrations ----------------------------------------------------------------------
 
@@ -110,59 +112,75 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _reference_features(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> Tensor:
         """AMP features (n, len(steps), 105) of motions (n,) at times (n,) s, `steps` earlier."""
-        ids = motion_ids.unsqueeze(1).expand(-1, len(steps)).reshape(-1)
-        at_s = (times.unsqueeze(1) - self.dt * steps).reshape(-1)
-        root_states, dof_pos, dof_vel, key_pos = self._reference_state(ids, at_s)
         features = build_amp_observations(
-            root_states, dof_pos, dof_vel, key_pos, self.env_cfg.local_root_obs
+            *self._reference_states(motion_ids, times, steps), self.env_cfg.local_root_obs
         )
-        return features.view(len(motion_ids), len(steps), -1)
+        return features.view(len(steps), len(motion_ids), -1).transpose(0, 1)
 
-    def _reference_state(
-        self, motion_ids: Tensor, times: Tensor
+    def _reference_states(
+        self, motion_ids: Tensor, times: Tensor, steps: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Root states (n, 13), DOF positions and velocities (n, D), key bodies (n, K, 3)."""
+        """States of motions (n,) at times (n,) s, `steps` (s,) earlier: s * n, step by step.
+
+        Root states (..., 13), DOF positions and velocities (..., D), key bodies (..., K, 3).
+        """
+        ids = motion_ids.repeat(len(steps))
+        at_s = (times - self.dt * steps.unsqueeze(1)).flatten()
         root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, key_pos = (
-            self._motion_lib.get_motion_state(motion_ids, times)
+            self._motion_lib.get_motion_state(ids, at_s)
         )
         root_states = torch.cat((root_pos, root_rot, root_vel, root_ang_vel), dim=-1)
         return root_states, dof_pos, dof_vel, key_pos
 
     # --- reset -------------------------------------------------------------------------------
 
-    def reset_idx(self, env_ids: Tensor) -> None:
-        """As the base, then fill the AMP history with what would have come before."""
-        super().reset_idx(env_ids)
-        # Until a reference says otherwise the character has been standing still.
-        self._amp_obs_buf[env_ids] = self.obs_buf[env_ids].unsqueeze(1)
-        if len(self._reference_env_ids) > 0:
-            steps = torch.arange(1, self.env_cfg.num_amp_obs_steps, device=self.device)
-            self._amp_obs_buf[self._reference_env_ids, 1:] = self._reference_features(
-                self._reference_motion_ids, self._reference_times, steps
-            )
-
     def _reset_actors(self, env_ids: Tensor) -> None:
         """Start each environment as `stateInit` says: default pose or a moment of a clip."""
         mode = self.env_cfg.state_init
-        if mode == "Hybrid":
+        reference_ids, default_ids = env_ids, env_ids[:0]
+        if mode == "Default":
+            reference_ids, default_ids = default_ids, reference_ids
+        elif mode == "Hybrid":
             from_clip = torch.rand(len(env_ids), device=self.device) < self.env_cfg.hybrid_init_prob
-        else:
-            from_clip = torch.full_like(env_ids, mode != "Default", dtype=torch.bool)
-        self._reset_to_reference(env_ids[from_clip], at_start=mode == "Start")
-        default_ids = env_ids[~from_clip]
+            reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
+        self._reset_to_reference(reference_ids, at_start=mode == "Start")
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
 
+    @torch.inference_mode()
     def _reset_to_reference(self, env_ids: Tensor, at_start: bool) -> None:
-        """Put environments into the state of a sampled clip, and remember which moment it was."""
-        lib = self._motion_lib
-        motion_ids = lib.sample_motions(len(env_ids)) if len(env_ids) > 0 else env_ids
-        times = torch.zeros(len(env_ids), device=self.device)
-        if len(env_ids) > 0:
-            if not at_start:
-                times = lib.sample_time(motion_ids)
-            root_states, dof_pos, dof_vel, _ = self._reference_state(motion_ids, times)
-            self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
+        """Put environments into the state of a sampled clip, and remember what came before it."""
         self._reference_env_ids = env_ids
-        self._reference_motion_ids = motion_ids
-        self._reference_times = times
+        if len(env_ids) == 0:
+            return
+        lib = self._motion_lib
+        motion_ids = lib.sample_motions(len(env_ids))
+        if at_start:
+            times = torch.zeros(len(env_ids), device=self.device)
+        else:
+            times = lib.sample_time(motion_ids)
+        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
+        states = self._reference_states(motion_ids, times, steps)
+        root_states, dof_pos, dof_vel, _ = (state[: len(env_ids)] for state in states)
+        self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
+        self._reference_history = [state[len(env_ids) :] for state in states]
+
+    @torch.inference_mode()
+    def _observe_new_episodes(self, env_ids: Tensor) -> None:
+        """As the base, and fill the AMP history with what would have come before."""
+        states = self._features_source(env_ids)
+        has_references = len(self._reference_env_ids) > 0
+        if has_references:
+            # One call for both: for the few environments of a reset, a call costs more than a row.
+            pairs = zip(states, self._reference_history, strict=True)
+            root_states, dof_pos, dof_vel, key_body_pos = (torch.cat(pair) for pair in pairs)
+            states = root_states, dof_pos, dof_vel, key_body_pos
+        features = build_amp_observations(*states, self.env_cfg.local_root_obs)
+        now, before = features[: len(env_ids)], features[len(env_ids) :]
+        self.obs_buf.index_copy_(0, env_ids, now)
+        # Until a reference says otherwise the character has been standing still.
+        history = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
+        self._amp_obs_buf.index_copy_(0, env_ids, history)
+        if has_references:
+            history = before.unflatten(0, (-1, len(self._reference_env_ids))).transpose(0, 1)
+            self._amp_obs_buf[:, 1:].index_copy_(0, self._reference_env_ids, history)

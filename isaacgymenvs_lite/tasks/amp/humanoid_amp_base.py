@@ -44,6 +44,10 @@ KEY_BODY_NAMES = ("right_hand", "left_hand", "right_foot", "left_foot")
 _START_HEIGHT_M = 0.89
 
 
+# On tensors of a few kB the bookkeeping of autograd is a tenth of an operation, and nothing here is
+# ever differentiated: hence inference_mode where results are copied into buffers.
+
+
 class HumanoidAMPBase(VecTask):
     """N humanoids driven by PD targets (or torques); 105 observations, 28 actions.
 
@@ -111,7 +115,8 @@ class HumanoidAMPBase(VecTask):
         for name in names:
             if name not in known:
                 raise ConfigError(unknown(f"body in task.env.{key}:", name, known))
-        return torch.tensor([known.index(name) for name in names], device=self.device)
+        ids = [known.index(name) for name in names]
+        return torch.tensor(ids, dtype=torch.int64, device=self.device)
 
     def _build_action_scaling(self, layout: ModelLayout) -> None:
         """Offset and scale (D,) from actions to controls: PD targets in rad or torques in Nm."""
@@ -147,30 +152,38 @@ class HumanoidAMPBase(VecTask):
         """Count the step; observe; reward; end episodes at falls and at the time limit."""
         self.progress_buf += 1
         self.compute_observations()
-        self.rew_buf[:] = compute_humanoid_reward(self.obs_buf)
+        self.rew_buf.copy_(compute_humanoid_reward(self.obs_buf))
         self.compute_reset()
         self.extras["terminate"] = self._for_trainer(self._terminate_buf)
 
+    @torch.inference_mode()
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
         """Write the observation of all environments, or of `env_ids` (n,), into `obs_buf`."""
-        sim = self.simulation
+        features = compute_humanoid_observations(
+            *self._features_source(env_ids), self.env_cfg.local_root_obs
+        )
         if env_ids is None:
-            self.obs_buf[:] = compute_humanoid_observations(
-                sim.root_states,
-                sim.dof_pos,
-                sim.dof_vel,
-                sim.body_pos.index_select(1, self._key_body_ids),
-                self.env_cfg.local_root_obs,
-            )
+            self.obs_buf.copy_(features)
         else:
-            self.obs_buf[env_ids] = compute_humanoid_observations(
-                sim.root_states.index_select(0, env_ids),
-                sim.dof_pos.index_select(0, env_ids),
-                sim.dof_vel.index_select(0, env_ids),
-                sim.body_pos.index_select(0, env_ids).index_select(1, self._key_body_ids),
-                self.env_cfg.local_root_obs,
-            )
+            self.obs_buf.index_copy_(0, env_ids, features)
 
+    def _features_source(self, env_ids: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Root states, DOF positions and velocities, key body positions of (n,) or all."""
+        sim = self.simulation
+        # By components first: planes stay planes (see `SimulationBackend`).
+        key_body_pos = sim.body_pos.permute(2, 1, 0).index_select(1, self._key_body_ids)
+        states = (sim.root_states, sim.dof_pos, sim.dof_vel, key_body_pos.permute(2, 1, 0))
+        if env_ids is None:
+            return states
+        root_states, dof_pos, dof_vel, key_body_pos = states
+        return (
+            root_states.index_select(0, env_ids),
+            dof_pos.index_select(0, env_ids),
+            dof_vel.index_select(0, env_ids),
+            key_body_pos.index_select(0, env_ids),
+        )
+
+    @torch.inference_mode()
     def compute_reset(self) -> None:
         """Write `reset_buf` and the falls; a diverged simulation ends its episode as a fall."""
         self.reset_buf[:], self._terminate_buf[:] = compute_humanoid_reset(
@@ -184,8 +197,8 @@ class HumanoidAMPBase(VecTask):
             self.env_cfg.termination_height,
         )
         failed = self.simulation.failed
-        self.reset_buf[failed] = 1
-        self._terminate_buf[failed] = 1
+        self.reset_buf.masked_fill_(failed, 1)
+        self._terminate_buf.masked_fill_(failed, 1)
         self._report_failures()
 
     def _report_failures(self) -> None:
@@ -210,9 +223,12 @@ class HumanoidAMPBase(VecTask):
     def reset_idx(self, env_ids: Tensor) -> None:
         """Start new episodes in environments `env_ids` (n,)."""
         self._reset_actors(env_ids)
-        self.progress_buf[env_ids] = 0
-        self.reset_buf[env_ids] = 0
-        self._terminate_buf[env_ids] = 0
+        for counter in (self.progress_buf, self.reset_buf, self._terminate_buf):
+            counter.index_fill_(0, env_ids, 0)
+        self._observe_new_episodes(env_ids)
+
+    def _observe_new_episodes(self, env_ids: Tensor) -> None:
+        """Write the first observations of `env_ids` (n,)."""
         self.compute_observations(env_ids)
 
     def _reset_actors(self, env_ids: Tensor) -> None:

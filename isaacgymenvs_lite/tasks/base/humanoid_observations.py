@@ -15,10 +15,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 from isaacgymenvs_lite.utils.rotations import (
-    exp_map_to_quat,
-    quat_mul,
-    quat_to_tan_norm,
-    rotate_about_z,
+    exp_map_to_quat_components,
+    quat_mul_components,
+    tan_norm_components,
 )
 
 # A body counts as touched above this force (N) in any axis.
@@ -29,18 +28,24 @@ _HINGE_TARGET_SHARE = 0.7
 
 
 @lru_cache(maxsize=8)
+@torch.inference_mode(False)  # kept for callers in any mode
 def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Index tensors: DOFs of the ball joints (3 * balls,), of the hinges, and the output order."""
+    """Index tensors of `_dof_features`.
+
+    DOFs of the ball joints (3 * balls,), first all their x; DOFs of the hinges; and the places of
+    the features: six times the ball joints and the hinges before, in joint order after.
+    """
     offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
     groups = list(itertools.pairwise(offsets))
-    balls = [dof for a, b in groups if b - a == 3 for dof in range(a, b)]
+    balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
     hinges = [a for a, b in groups if b - a == 1]
     order: list[int] = []
-    next_ball, next_hinge = 0, 2 * len(balls)
+    num_balls = len(balls) // 3
+    next_ball, next_hinge = 0, 6 * num_balls
     for a, b in groups:
         if b - a == 3:
-            order += range(next_ball, next_ball + 6)
-            next_ball += 6
+            order += range(next_ball, 6 * num_balls, num_balls)
+            next_ball += 1
         else:
             order.append(next_hinge)
             next_hinge += 1
@@ -63,12 +68,16 @@ def dof_to_obs(dof_pos: Tensor) -> Tensor:
     Returns:
         (N, 52).
     """
-    balls, hinges, order = _dof_obs_layout(dof_pos.shape[-1], dof_pos.device)
+    return _dof_features(dof_pos.t()).t().contiguous()
+
+
+def _dof_features(dof_pos: Tensor) -> Tensor:
+    """As `dof_to_obs`, component-major: (D, N) to (52, N)."""
+    balls, hinges, order = _dof_obs_layout(len(dof_pos), dof_pos.device)
     # index_select is several times as fast as indexing with a tensor.
-    vectors = dof_pos.index_select(-1, balls).view(len(dof_pos), -1, 3)
-    rotations = quat_to_tan_norm(exp_map_to_quat(vectors)).flatten(1)
-    features = torch.cat((rotations, dof_pos.index_select(-1, hinges)), dim=-1)
-    return features.index_select(-1, order)
+    vectors = dof_pos.index_select(0, balls).unflatten(0, (3, -1))
+    rotations = tan_norm_components(exp_map_to_quat_components(vectors.unbind(0)))
+    return torch.cat((*rotations, dof_pos.index_select(0, hinges))).index_select(0, order)
 
 
 def compute_humanoid_observations(
@@ -93,41 +102,42 @@ def compute_humanoid_observations(
         (N, 13 + 52 + D + 3 K): root height, root rotation (tangent, normal), root linear and
         angular velocity, joint positions, joint velocities, key bodies relative to the root.
     """
-    root_pos, root_rot = root_states[:, 0:3], root_states[:, 3:7]
-    x, y, z, w = root_rot.unbind(-1)
-    # The root's x axis seen from above gives cosine and sine of the heading without any angle.
+    # One plane of N numbers for each component: operations on them run along memory.
+    root = root_states.t().contiguous()
+    cos, sin = _heading(*root[3:7].unbind(0))
+    root_rot = root[3:7].unbind(0)
+    if local_root_obs:
+        half = -0.5 * torch.atan2(sin, cos)
+        zero = torch.zeros_like(half)
+        root_rot = quat_mul_components((zero, zero, half.sin(), half.cos()), root_rot)
+
+    # (3, 2 + K, N): root velocities and key bodies
+    velocities_w = root[7:13].unflatten(0, (2, 3)).transpose(0, 1)
+    key_offsets_w = key_body_pos.permute(2, 1, 0) - root[:3].unsqueeze(1)
+    x, y, z = torch.cat((velocities_w, key_offsets_w), dim=1).unbind(0)
+    vectors = torch.stack((cos * x + sin * y, cos * y - sin * x, z), dim=1)
+    planes = torch.cat(
+        (
+            root[2:3],
+            torch.stack(tan_norm_components(root_rot)),
+            vectors[:2].flatten(0, 1),
+            _dof_features(dof_pos.t()),
+            dof_vel.t(),
+            vectors[2:].flatten(0, 1),
+        )
+    )
+    return planes.t().contiguous()
+
+
+def _heading(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+    """Return cosine and sine (N,) of the heading of rotations, given by their components (N,)."""
+    # The x axis seen from above gives them without any angle.
     forward_x = 2.0 * (w * w + x * x) - 1.0
     forward_y = 2.0 * (x * y + w * z)
     length = torch.sqrt(forward_x * forward_x + forward_y * forward_y)
     upright = length == 0.0
-    length = torch.where(upright, torch.ones_like(length), length)
-    cos = torch.where(upright, torch.ones_like(length), forward_x / length)
-    sin = forward_y / length
-
-    if local_root_obs:
-        half = -0.5 * torch.atan2(sin, cos)
-        zero = torch.zeros_like(half)
-        root_rot = quat_mul(torch.stack((zero, zero, half.sin(), half.cos()), dim=-1), root_rot)
-
-    vectors_w = torch.cat(
-        (
-            root_states[:, 7:13].view(-1, 2, 3),
-            key_body_pos - root_pos.unsqueeze(1),
-        ),
-        dim=1,
-    )
-    vectors = rotate_about_z(cos.unsqueeze(1), -sin.unsqueeze(1), vectors_w)
-    return torch.cat(
-        (
-            root_pos[:, 2:3],
-            quat_to_tan_norm(root_rot),
-            vectors[:, :2].flatten(1),
-            dof_to_obs(dof_pos),
-            dof_vel,
-            vectors[:, 2:].flatten(1),
-        ),
-        dim=-1,
-    )
+    length = length.masked_fill(upright, 1.0)
+    return (forward_x / length).masked_fill(upright, 1.0), forward_y / length
 
 
 def compute_humanoid_reward(obs_buf: Tensor) -> Tensor:
@@ -165,14 +175,15 @@ def compute_humanoid_reset(
     Returns:
         reset (N,) and terminated (N,), 0 or 1, dtype of `reset_buf`.
     """
-    fallen = torch.zeros_like(reset_buf, dtype=torch.bool)
-    if enable_early_termination:
-        touched = contact_buf.abs().amax(dim=-1) > _CONTACT_THRESHOLD_N
-        low = rigid_body_pos[..., 2] < termination_height
-        touched[:, contact_body_ids] = False
-        low[:, contact_body_ids] = False
-        fallen = touched.any(dim=-1) & low.any(dim=-1) & (progress_buf > 1)
     timed_out = progress_buf >= max_episode_length - 1
+    if not enable_early_termination:
+        return timed_out.to(reset_buf.dtype), torch.zeros_like(reset_buf)
+    # (B, N): extremes over the bodies run along memory, if the backend keeps planes.
+    force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
+    height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
+    touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
+    low = height.amin(dim=0) < termination_height
+    fallen = touched & low & (progress_buf > 1)
     return (fallen | timed_out).to(reset_buf.dtype), fallen.to(reset_buf.dtype)
 
 

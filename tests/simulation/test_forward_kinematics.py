@@ -1,0 +1,121 @@
+"""Forward kinematics against MuJoCo's own."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from isaacgymenvs_lite.simulation.forward_kinematics import Floats, ForwardKinematics
+
+# Every type of joint, several on one body, anchors beside the origin, turned bodies, references,
+# bodies without joints below and above bodies with some, two trees.
+MADE_UP = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="drone" pos="1 2 3" quat="0.5 0.5 -0.5 0.5"><freejoint/><geom size="0.1"/>
+    <body name="mast" pos="0.1 0.2 0.3" euler="0.4 -0.2 0.7"><geom size="0.1"/>
+      <body name="arm" pos="0 0.1 0.5" euler="0.1 0.2 0.3">
+        <joint type="slide" axis="1 2 -1" pos="0.3 0 0" ref="0.2"/>
+        <joint type="hinge" axis="0 1 1" pos="0.1 -0.2 0.3" ref="-0.4"/>
+        <joint type="slide" axis="0 0 1"/>
+        <geom size="0.1"/>
+        <body name="hand" pos="0.4 0 0"><joint type="ball" pos="0.05 0.02 -0.1"/><geom size="0.1"/>
+          <body name="finger" pos="0 0 0.2"><geom size="0.1"/></body></body>
+      </body>
+      <body name="tail" pos="0 -0.3 0"><joint type="ball"/><joint type="slide" axis="0 1 0"/>
+        <geom size="0.1"/></body>
+    </body>
+  </body>
+  <body name="post" pos="-1 0 0.5" euler="0 0 1"><geom size="0.1"/>
+    <body name="door" pos="0.2 0 0">
+      <joint type="hinge" axis="1 0 0"/><joint type="hinge" axis="0 0 1" pos="0.1 0.1 0"/>
+      <geom size="0.1"/></body></body>
+</worldbody></mujoco>
+"""
+
+
+def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
+    """Random positions (n, nq); the quaternions among them are not of unit length."""
+    return np.random.default_rng(0).normal(size=(n, model.nq))
+
+
+def _poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[Floats, Floats]:
+    """Our positions (n, B, 3) and rotations (n, B, 4) xyzw."""
+    num_bodies = model.nbody - 1
+    positions = np.full((3, num_bodies, len(qpos)), np.nan, dtype=np.float32)
+    rotations = np.full((4, num_bodies, len(qpos)), np.nan, dtype=np.float32)
+    columns = np.ascontiguousarray(qpos.T, dtype=np.float32)
+    ForwardKinematics(model)(columns, positions, rotations)
+    return positions.T, rotations.T
+
+
+def _assert_poses_are_mujoco_s(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+    positions, rotations = _poses(model, qpos)
+    data = mujoco.MjData(model)
+    for state, values in enumerate(qpos):
+        data.qpos[:] = values
+        mujoco.mj_kinematics(model, data)
+        # float32 through a handful of products of numbers of order 1
+        np.testing.assert_allclose(positions[state], data.xpos[1:], rtol=0.0, atol=5e-6)
+        turned_by = Rotation.from_matrix(data.xmat[1:].reshape(-1, 3, 3)).inv() * (
+            Rotation.from_quat(rotations[state])
+        )
+        np.testing.assert_allclose(turned_by.magnitude(), 0.0, atol=5e-6)
+
+
+def test_a_model_with_all_types_of_joints() -> None:
+    model = mujoco.MjModel.from_xml_string(MADE_UP)
+    assert set(model.jnt_type) == {0, 1, 2, 3}
+    _assert_poses_are_mujoco_s(model, _random_qpos(model, 50))
+
+
+def test_the_humanoid(humanoid_model) -> None:
+    _assert_poses_are_mujoco_s(humanoid_model, _random_qpos(humanoid_model, 50))
+
+
+def test_rotations_are_unit_and_follow_the_root_s_sign(humanoid_model) -> None:
+    qpos = _random_qpos(humanoid_model, 20)
+    _, rotations = _poses(humanoid_model, qpos)
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1.0, atol=2e-6)
+    w = qpos[:, 3] / np.linalg.norm(qpos[:, 3:7], axis=-1)
+    np.testing.assert_allclose(rotations[:, 0, 3], w, atol=2e-6)
+
+
+def test_two_bars_by_hand() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body pos="0 0 1"><joint axis="0 0 1"/><geom size="0.1"/>'
+        '<body pos="2 0 0"><joint axis="0 0 1"/><geom size="0.1"/>'
+        '<body pos="3 0 0"><geom size="0.1"/></body></body></body></worldbody></mujoco>'
+    )
+    # A quarter turn at each joint: along y, then back along x.
+    positions, rotations = _poses(model, np.full((1, 2), np.pi / 2.0))
+    expected = [[0.0, 0.0, 1.0], [0.0, 2.0, 1.0], [-3.0, 2.0, 1.0]]
+    np.testing.assert_allclose(positions[0], expected, atol=1e-6)
+    half_turn = [0.0, 0.0, 1.0, 0.0]
+    np.testing.assert_allclose(rotations[0, 1:], [half_turn, half_turn], atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [0, 13])
+def test_a_state_does_not_depend_on_those_beside_it(humanoid_model, first: int) -> None:
+    # Resets compute a few states, steps all of them: the same bytes either way.
+    qpos = _random_qpos(humanoid_model, 37)
+    for alone, among in zip(
+        _poses(humanoid_model, qpos[first : first + 5]), _poses(humanoid_model, qpos), strict=True
+    ):
+        assert alone.tobytes() == among[first : first + 5].tobytes()
+
+
+def test_quaternions_of_zero_length_are_no_rotation(humanoid_model) -> None:
+    qpos = _random_qpos(humanoid_model, 3)
+    qpos[1, 3:11] = 0.0
+    _assert_poses_are_mujoco_s(humanoid_model, qpos)
+
+
+def test_a_state_that_is_no_number_stays_alone(humanoid_model) -> None:
+    qpos = _random_qpos(humanoid_model, 3)
+    qpos[1, 7] = np.nan
+    positions, rotations = _poses(humanoid_model, qpos)
+    assert np.isfinite(positions[[0, 2]]).all()
+    assert np.isfinite(rotations[[0, 2]]).all()
+    assert np.isnan(positions[1, 2]).all()
