@@ -1,6 +1,6 @@
 # One virtual environment, made once and again only when the dependencies change.
 #
-#   make train ARGS="num_envs=256 max_iterations=100"    make test    make lint    make bench
+#   make train ARGS="num_envs=256 max_iterations=100"    make demo    make test    make lint    make bench
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -8,11 +8,12 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-dev train test test-slow lint format bench wheel clean
+.PHONY: help install install-dev train demo test test-slow lint format bench wheel clean
 
 help:
 	@echo "make install      virtual environment with the tested set of packages"
 	@echo "make train        install, then train HumanoidAMP; ARGS=\"key=value ...\" adds settings"
+	@echo "make demo         install, then film the trained policies that ship: demo/*.mp4"
 	@echo "make test         install-dev, lint, and the fast tests"
 	@echo "make test-slow    the slow tests"
 	@echo "make lint         ruff and pyright;   make format   lets ruff rewrite the files"
@@ -32,10 +33,17 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
+	touch $@ $(VENV)/.installed $(VENV)/.installed-video
+
+$(VENV)/.installed-video: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[video]"
 	touch $@ $(VENV)/.installed
 
 train: install
 	$(BIN)/python train.py task=HumanoidAMP $(ARGS)
+
+demo: $(VENV)/.installed-video
+	$(BIN)/python -m isaacgymenvs_lite.demo $(ARGS)
 
 test: lint
 	$(BIN)/python -m pytest $(ARGS)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,6 @@ from isaacgymenvs_lite.learning.evaluation import evaluate
 from isaacgymenvs_lite.making import seed_everything
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.registration import build_runner
 from isaacgymenvs_lite.runner import Session
 
 EPISODES = 32
@@ -164,11 +161,7 @@ class _Evaluation(Session):
             raise ConfigError(
                 f"task={env.cfg['name']}: only tasks with reference motions can be measured"
             )
-        runner = build_runner()
-        with contextlib.redirect_stdout(io.StringIO()):  # rl_games prints what it builds
-            runner.load({"params": self._params})
-            player: Any = runner.create_player()
-        player.restore(self._checkpoint)
+        player = self.make_player()
         speed = SpeedProbe(env.num_envs, env.dt)
         seed_everything(self._seed)  # whatever making the player drew
         result = evaluate(

@@ -11,9 +11,9 @@ The first trains HumanoidAMP with its default settings for some epochs and print
   `Batch.step`, network outputs for acting, discriminator outputs for the reward, gradient steps on
   fixed tensors), and what share of the speed of that sum the training reaches.
 
-`--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and as
-the published loop does (B): float32, torch's own threads, the critic evaluated for all rows after
-every step. Prints the ratio.
+`--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and
+as the published loop does (B): float32, torch's own threads, the critic evaluated for all rows
+after every step. Prints the ratio.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
     (VecTask, "reset_done", "environment: resets"),
     (CpuBatchSimulation, "step", "environment: physics and its state tensors"),
     (AMPAgent, "get_action_values", "policy: actions and values"),
-    (AMPAgent, "_evaluate_next_values", "policy: values after the step"),
+    (AMPAgent, "_value_noted_rows", "policy: values after the step"),
     (AMPAgent, "_calc_amp_rewards", "discriminator reward"),
     (AMPAgent, "discount_values", "advantages"),
     (AMPAgent, "_before_update", "demonstrations and replay: sampling"),
@@ -98,7 +98,7 @@ class Stopwatch:
         setattr(owner, name, timed)
 
 
-class Done(Exception):
+class TrainedEnoughError(Exception):
     """Ends a training from inside."""
 
 
@@ -127,13 +127,13 @@ def train(args: argparse.Namespace, at_end: Callable[[Any, list[float]], str]) -
         if len(marks) == _WARM_UP_EPOCHS + args.epochs + 1:
             pairs = zip(marks[_WARM_UP_EPOCHS:], marks[_WARM_UP_EPOCHS + 1 :], strict=False)
             text = at_end(agent, [after - before for before, after in pairs])
-            raise Done
+            raise TrainedEnoughError
         return epoch(agent)
 
     AMPAgent.train_epoch = counted  # type: ignore[method-assign]
     try:
         Session(cfg, check_config(cfg), seed=0).run()
-    except Done:
+    except TrainedEnoughError:
         pass
     finally:
         AMPAgent.train_epoch = epoch  # type: ignore[method-assign]

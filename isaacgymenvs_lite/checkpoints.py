@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 log = logging.getLogger(__name__)
 
@@ -188,7 +189,8 @@ def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -
     """Return the path that the key `checkpoint` means.
 
     Args:
-        checkpoint: '' (none), a path, or `last`: the newest checkpoint of the task's runs.
+        checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, or the
+            name of a shipped policy.
         train_dir: folder of the run folders.
         task_name: the task whose runs `last` looks at.
 
@@ -199,12 +201,14 @@ def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -
         return ""
     if checkpoint == "last":
         return str(_newest(Path(train_dir), task_name))
-    path = Path(checkpoint).expanduser()
+    policies = shipped_policies()
+    path = policies.get(checkpoint) or Path(checkpoint).expanduser()
     if not path.is_file():
         hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
+        names = f", or a shipped policy: {', '.join(policies)}" if policies else ""
         raise CheckpointError(
             f"checkpoint={checkpoint}: no file {path.absolute()}{hint}; give a .pth file, or"
-            " 'last' for the newest one of this task"
+            f" 'last' for the newest one of this task{names}"
         )
     return str(path.absolute())
 

@@ -141,6 +141,22 @@ class Session:
         self._envs.append(env)
         return env
 
+    def make_player(self) -> Any:
+        """Return rl_games' player of the checkpoint, with the task that was made.
+
+        Raises:
+            CheckpointError: the checkpoint is of another network or task.
+        """
+        runner = build_runner()
+        with _output_to_log():
+            runner.load({"params": self._params})
+            player = runner.create_player()
+            try:
+                player.restore(self._checkpoint)
+            except RuntimeError as error:
+                raise _explain_misfit(error, self._checkpoint) from error
+        return player
+
     def _play(self) -> None:
         if not self._checkpoint:
             log.warning("test=True without checkpoint=: playing an untrained policy")

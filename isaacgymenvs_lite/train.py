@@ -23,6 +23,7 @@ from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.policies.launch import complete_arguments
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -56,6 +57,7 @@ def _run_hydra() -> None:
         ConfigError: the configuration cannot be composed.
     """
     _check_options(sys.argv[1:])
+    sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy that is played
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"

@@ -25,10 +25,12 @@ FORBIDDEN = {
     "wrappers": {"learning"},
     "imitation": {"tasks", "learning", "simulation"},
     "config": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
+    "rendering": {"tasks", "learning", "runner", "registration"},
+    "policies": {"tasks", "learning", "simulation", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
-# Nobody imports those that stand above: train.py -> runner -> registration -> rooms.
-ABOVE = ("train", "runner", "registration")
+# Nobody imports those that stand above: demo, train.py -> runner -> registration -> rooms.
+ABOVE = ("demo", "train", "runner", "registration")
 
 
 @cache

@@ -158,6 +158,13 @@ def test_help_lists_the_groups(call: Call, runner, capsys):
     assert "task: HumanoidAMP" in capsys.readouterr().out
 
 
+def test_a_shipped_policy_brings_its_settings_along(call: Call, runner, monkeypatch):
+    """They come before what was typed."""
+    monkeypatch.setattr(train, "complete_arguments", lambda words: ["seed=7", "num_envs=5", *words])
+    assert call("num_envs=3") == 0
+    assert (runner.runs[0].seed, runner.runs[0].num_envs) == (7, 3)
+
+
 def test_folder_of_a_user(call: Call, runner, tmp_path):
     folder = tmp_path / "mine" / "train"
     folder.mkdir(parents=True)

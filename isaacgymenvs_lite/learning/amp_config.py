@@ -43,8 +43,8 @@ class AMPParams:
     normalize_amp_input: bool = setting(True)
     """Normalise AMP observations by running statistics."""
     amp_input_memory: int | None = setting(None, minimum=1)
-    """This project's: rows that these statistics remember, older ones fade; None = all. The falls of
-    the first epochs widen the statistics, and a wide scale hides small differences of pose."""
+    """This project's: rows that these statistics remember, older ones fade; None = all. The falls
+    of the first epochs widen the statistics, and a wide scale hides small differences of pose."""
     disc_reward: str | None = setting(None, choices=DISC_REWARDS)
     """This project's: the style reward's formula; None = the agent's own."""
     disc_learning_rate: float | None = setting(None, above=0)

@@ -1,6 +1,6 @@
 """Renders a clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
 
-The MuJoCo renderer needs an OpenGL library that works without a screen: MUJOCO_GL=egl or osmesa.
+Needs an OpenGL library that works without a screen, EGL or OSMesa; see `rendering`.
 """
 
 from __future__ import annotations
@@ -19,52 +19,34 @@ import numpy.typing as npt
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 
 _MODEL = "mjcf/amp_humanoid.xml"
-_CAMERA_DISTANCE_M = 2.5
-_CAMERA_HEIGHT_M = 0.82
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
-# Half width of the area in which shadows are drawn, in extents of the model: with MuJoCo's 1 the
-# shadow map ends in the picture, as noise on the floor.
-_SHADOW_CLIP = 4.0
+_NUM_COLOURS = 128
 
 
-def render_frames(
-    clip: MotionClip, times_s: FloatArray, azimuth_deg: float = 90.0
-) -> list[npt.NDArray[np.uint8]]:
-    """Render the poses nearest to `times_s` from the side, the camera moving along.
+def draw_poses(
+    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], azimuth_deg: float = 90.0
+) -> Image:
+    """Draw poses (n, nq) side by side, each from a camera of its own.
 
     Args:
-        clip: a clip of the shipped humanoid.
-        times_s: times within the clip.
+        model: of the figure.
+        qpos: joint positions in MuJoCo's order.
         azimuth_deg: where the camera looks: 90 from the right side, 180 from the front.
 
     Returns:
-        One image (height, width, 3) per time.
+        A picture (height, n * width, 3).
+
+    Raises:
+        RenderingError: this machine cannot draw.
     """
-    path = str(paths.assets_dir() / _MODEL)
-    skeleton = Skeleton.from_mjcf(path)
-    model = mujoco.MjModel.from_xml_path(path)
-    model.vis.map.shadowclip = _SHADOW_CLIP
-    data = mujoco.MjData(model)
-    poses = qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.distance, camera.azimuth, camera.elevation = _CAMERA_DISTANCE_M, azimuth_deg, -4.0
-    images = []
-    with mujoco.Renderer(model, _FRAME_HEIGHT, _FRAME_WIDTH) as renderer:
-        for time_s in times_s:
-            frame = int(np.clip(round(time_s * clip.fps), 0, clip.num_frames - 1))
-            data.qpos[:] = poses[frame]
-            mujoco.mj_forward(model, data)
-            camera.lookat[:] = (*data.qpos[:2], _CAMERA_HEIGHT_M)
-            renderer.update_scene(data, camera)
-            images.append(renderer.render().copy())
-    return images
+    with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, azimuth_deg=azimuth_deg) as renderer:
+        return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
 
 
 def save_strip(
@@ -76,14 +58,40 @@ def save_strip(
 ) -> Path:
     """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
 
+    Args:
+        clip: a clip of the shipped humanoid.
+        path: the file.
+        span_s: time to show; the poses are those nearest in the clip.
+        num_frames: number of poses.
+        azimuth_deg: see `draw_poses`.
+
     Raises:
         ConfigError: Pillow is not installed.
+        RenderingError: this machine cannot draw.
     """
-    image = _import_pillow()
+    _import_pillow()  # its absence should show before the drawing
+    model_path = str(paths.assets_dir() / _MODEL)
+    poses = qpos_from_poses(
+        Skeleton.from_mjcf(model_path), clip.root_translation, clip.local_rotation
+    )
     times_s = np.arange(num_frames) * (span_s / num_frames)
-    strip = np.concatenate(render_frames(clip, times_s, azimuth_deg), axis=1)
+    frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
+    model = mujoco.MjModel.from_xml_path(model_path)
+    return save_png(path, draw_poses(model, poses[frames], azimuth_deg))
+
+
+def save_png(path: str | Path, image: Image) -> Path:
+    """Write a picture (height, width, 3) with few colours, so that it stays small.
+
+    Raises:
+        ConfigError: Pillow is not installed, or the file cannot be written.
+    """
+    pillow = _import_pillow()
     path = Path(path)
-    image.fromarray(strip).quantize(128).save(path, optimize=True)
+    try:
+        pillow.fromarray(image).quantize(_NUM_COLOURS).save(path, format="PNG", optimize=True)
+    except OSError as error:
+        raise ConfigError(f"cannot write the picture {path.absolute()} ({error})") from error
     return path
 
 
@@ -100,7 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m isaacgymenvs_lite.motion.strip",
-        description="Renders poses of a motion clip side by side; needs MUJOCO_GL=egl or osmesa.",
+        description="Renders poses of a motion clip side by side.",
     )
     parser.add_argument("clip", help="a motion file, or the name of one in assets/amp/motions")
     parser.add_argument("out", type=Path, help="the PNG to write")

@@ -3,12 +3,16 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import mujoco
 import numpy as np
+import PIL.Image
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import strip
 from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
+from isaacgymenvs_lite.rendering.scene import Image
 
 
 def test_missing_pillow_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -29,15 +33,36 @@ def test_unknown_clip_is_one_line_and_exit_code_2(
 
 
 def test_strip_shows_poses_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Without a renderer: the frames stand in for it."""
-    image = pytest.importorskip("PIL.Image")
-    shown: list[float] = []
+    """Without a renderer: each pose is a grey panel, as bright as its root is far."""
 
-    def frames(clip: object, times_s: np.ndarray, azimuth_deg: float) -> list[np.ndarray]:
-        shown.extend(times_s)
-        return [np.full((4, 3, 3), 10 * i, dtype=np.uint8) for i in range(len(times_s))]
+    def draw(model: mujoco.MjModel, qpos: np.ndarray, azimuth_deg: float) -> Image:
+        panels = [np.full((4, 3, 3), 100 * x, np.uint8) for x in qpos[:, 0] - qpos[0, 0]]
+        return np.concatenate(panels, axis=1)
 
-    monkeypatch.setattr(strip, "render_frames", frames)
-    path = strip.save_strip(load_clips("walk")[0][0], tmp_path / "walk.png", 0.9, num_frames=3)
-    np.testing.assert_allclose(shown, (0.0, 0.3, 0.6))
-    assert image.open(path).size == (9, 4)
+    monkeypatch.setattr(strip, "draw_poses", draw)
+    clip = load_clips("walk")[0][0]
+    path = strip.save_strip(clip, tmp_path / "walk.png", 0.9, num_frames=3)
+    with PIL.Image.open(path) as image:
+        shown = np.asarray(image.convert("L"))
+    assert shown.shape == (4, 9)
+    frames = [round(time_s * clip.fps) for time_s in (0.0, 0.3, 0.6)]
+    away_m = clip.root_translation[frames, 0] - clip.root_translation[0, 0]
+    np.testing.assert_array_equal(shown[0, ::3], (100 * away_m).astype(np.uint8))
+
+
+def test_a_strip_is_drawn(tmp_path: Path) -> None:
+    try:
+        ensure_gl()
+    except RenderingError as error:
+        pytest.skip(str(error))
+    assert strip.main(["walk", str(tmp_path / "walk.png"), "--frames", "2"]) == 0
+    with PIL.Image.open(tmp_path / "walk.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert pixels.shape == (320, 400, 3)
+    assert pixels.mean() > 100
+    assert (pixels[:, :200] != pixels[:, 200:]).any()
+
+
+def test_a_picture_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"cannot write the picture .*nowhere"):
+        strip.save_png(tmp_path / "nowhere" / "a.png", np.zeros((2, 2, 3), np.uint8))

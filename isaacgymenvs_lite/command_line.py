@@ -1,0 +1,72 @@
+"""Small commands with the settings of train.py: python -m isaacgymenvs_lite.demo key=value ..."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import logging
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, TypeVar
+
+from omegaconf import OmegaConf
+from yaml import YAMLError
+
+from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
+from isaacgymenvs_lite.schema import read_section
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+
+EXIT_USER_ERROR = 2
+
+
+def run_command(
+    parser: argparse.ArgumentParser,
+    cls: type[T],
+    action: Callable[[T], object],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Read `key=value` words into a settings dataclass and run an action with it.
+
+    The log goes to stderr, messages only. A user's mistake is one line and exit code 2.
+
+    Args:
+        parser: with options and words of its own, if any; the settings are added to it.
+        cls: a dataclass, see `schema.setting`.
+        action: what the command does.
+        arguments: without the program's name; None = `sys.argv`.
+
+    Returns:
+        The exit code.
+    """
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("settings", nargs="*", metavar="key=value")
+    words = parser.parse_args(arguments).settings
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        action(read_settings(cls, words))
+    except UserError as error:
+        parser.exit(EXIT_USER_ERROR, f"error: {error}\n")
+    return 0
+
+
+def read_settings(cls: type[T], words: Sequence[str]) -> T:
+    """Read `["key=value", ...]`, values as in YAML, into a settings dataclass.
+
+    Raises:
+        ConfigError: a word without =, an unknown key, or a value that cannot be used.
+    """
+    known = [field.name for field in dataclasses.fields(cls)]
+    for word in words:
+        key, equals, _ = word.partition("=")
+        if not equals:
+            raise ConfigError(f"'{word}': expected key=value; keys: {', '.join(known)}")
+        if key not in known:
+            raise ConfigError(unknown("key", key, known))
+    try:
+        values = OmegaConf.from_dotlist(list(words))
+    except YAMLError as error:
+        raise ConfigError(f"{' '.join(words)}: a value is not valid YAML") from error
+    return read_section(cls, values, where="", complete=True)

@@ -1,0 +1,202 @@
+"""Plays the shipped policies and films them: python -m isaacgymenvs_lite.demo [key=value ...].
+
+    python -m isaacgymenvs_lite.demo                            # all of them: demo/<name>.mp4
+    python -m isaacgymenvs_lite.demo policies=[walk] seconds=10
+    python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
+    python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
+
+The reference clip is on the left (in a .png above), the policy on the right. The pose error is that
+of 16 episodes of 10 s that start anywhere in the clip; the video shows the first of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from omegaconf import DictConfig
+
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.imitation import ImitationResult
+from isaacgymenvs_lite.learning.evaluation import evaluate
+from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.motion.strip import draw_poses, save_png
+from isaacgymenvs_lite.policies.launch import playing_overrides
+from isaacgymenvs_lite.policies.shipped import shipped_policies, shipped_policies_dir
+from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track, reference_track
+from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.schema import setting
+
+log = logging.getLogger(__name__)
+
+_EPISODES = 16
+_EPISODE_STEPS = 300
+_SEED = 1
+_LABELS = ("reference clip", "policy")
+_POSES_OF_A_STRIP = 8
+# A panel's width and height in pixels, and of how many control steps one is shown.
+_SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoSettings:
+    """Arguments of the command."""
+
+    policies: tuple[str, ...] = setting([])
+    """Names of shipped policies; []: all."""
+    seconds: float = setting(5.0, above=0, maximum=60)
+    """Time to show."""
+    format: str = setting("mp4", choices=(*_SIZES, "png"))
+    """mp4, webp (animated) or png (a strip of poses)."""
+    out: str = setting("demo")
+    """Folder for the files; made if it does not exist."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What a policy did.
+
+    Attributes:
+        model: of the figure.
+        dt_s: control step.
+        reference: (T, nq) the clip, beginning in the policy's first pose.
+        policy: (T, nq) the first environment.
+        imitation: pose error and falls of all environments.
+    """
+
+    model: mujoco.MjModel
+    dt_s: float
+    reference: Track
+    policy: Track
+    imitation: ImitationResult
+
+
+def run_demo(settings: DemoSettings) -> list[Path]:
+    """Play, measure and film policies; returns the files, one for each.
+
+    Raises:
+        UserError: no such policy, no way to draw or encode, a folder that cannot be written.
+    """
+    names = settings.policies or tuple(shipped_policies())
+    for name in names:
+        if name not in shipped_policies():
+            raise ConfigError(unknown("policy", name, shipped_policies()))
+    if not names:
+        raise ConfigError(
+            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+        )
+    ensure_gl()  # whether it works should show before the play
+    folder = Path(settings.out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"out={settings.out}: cannot be made ({error.strerror})") from error
+    files = []
+    for name in names:
+        performance = perform(name, settings.seconds)
+        path = film(performance, folder / f"{name}.{settings.format}")
+        size_kib = path.stat().st_size / 1024
+        log.info("%s: %s", name, performance.imitation)
+        log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
+        files.append(path)
+    return files
+
+
+def perform(name: str, seconds: float) -> Performance:
+    """Let a shipped policy act.
+
+    Args:
+        name: of the policy.
+        seconds: time to record; less if all environments fall before.
+
+    Raises:
+        UserError: the policy cannot be played.
+    """
+    fixed = (
+        "test=True",
+        f"checkpoint={name}",
+        f"num_envs={_EPISODES}",
+        "rl_device=cpu",
+        "num_threads=1",  # so few humanoids are slower on more
+        "task.env.stateInit=Random",
+    )
+    cfg = compose([*playing_overrides(name), *fixed])
+    dt_s = cfg.task.sim.dt * cfg.task.env.controlFrequencyInv
+    num_steps = max(1, round(seconds / dt_s))
+    cfg.task.env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
+    session = _Demonstration(cfg, num_steps)
+    session.run()
+    return session.performance
+
+
+class _Demonstration(Session):
+    """A session that records what the mean policy does."""
+
+    performance: Performance
+
+    def __init__(self, cfg: DictConfig, num_steps: int) -> None:
+        settings = check_config(cfg)
+        seed_everything(_SEED)
+        super().__init__(cfg, settings, _SEED)
+        self._num_steps = num_steps
+
+    def _play(self) -> None:
+        env: Any = self._task
+        player = self.make_player()
+        recorder = PoseRecorder(env, self._num_steps)
+        result = evaluate(
+            env,
+            lambda obs: player.get_action(player.obs_to_torch(obs), True),
+            env.num_envs,
+            on_step=lambda *_: recorder.step(),
+        )
+        assert result.imitation is not None  # a task with reference motions
+        (policy,) = recorder.tracks()
+        self.performance = Performance(
+            env.simulation.model, env.dt, reference_track(env, policy), policy, result.imitation
+        )
+
+
+def film(performance: Performance, path: Path) -> Path:
+    """Write what a policy did beside its clip: a video (.mp4, .webp) or a strip of poses (.png).
+
+    Raises:
+        UserError: the file cannot be drawn, encoded or written.
+    """
+    tracks = (performance.reference, performance.policy)
+    kind = path.suffix.removeprefix(".")
+    if kind == "png":
+        times = np.linspace(0, len(performance.policy), _POSES_OF_A_STRIP, endpoint=False)
+        rows = [draw_poses(performance.model, track[times.astype(int)]) for track in tracks]
+        return save_png(path, np.concatenate(rows))
+    width, height, stride = _SIZES[kind]
+    images = draw_tracks(
+        performance.model,
+        [track[::stride] for track in tracks],
+        _LABELS,
+        width=width,
+        height=height,
+    )
+    return save_video(path, images, 1.0 / (performance.dt_s * stride))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.demo", description=__doc__)
+    return run_command(parser, DemoSettings, run_demo, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""Tracks: what a figure did, as MuJoCo joint positions over time, to be drawn.
+
+    recorder = PoseRecorder(env, num_steps=150)
+    ...                                             # recorder.step() after each env.step
+    (track,) = recorder.tracks()
+    reference = reference_track(env, track)         # the clip, from the same phase on
+
+Recording copies a few numbers per step, so that a training or a measurement is not slowed down by
+the drawing; see `video` for that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.simulation.state_planes import StateConverter
+
+Track = npt.NDArray[np.float64]
+"""(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
+
+_ROOT = 7  # numbers of a free joint: position, quaternion
+# Steps that tell the phase of a motion: one pose may occur twice, going up and going down.
+_PHASE_STEPS = 6
+
+
+class _TrackMaker:
+    """Makes tracks of states in the layout of `SimulationBackend`."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        layout = ModelLayout.from_model(model)
+        self._converter = StateConverter(model, layout)
+        self.root_size = _ROOT if layout.has_free_root else 0
+
+    def track(self, root_states: Tensor, dof_pos: Tensor) -> Track:
+        """Return the track of root states (T, 7 or more) and degrees of freedom (T, D)."""
+        roots = torch.zeros(len(dof_pos), 13)
+        roots[:, :_ROOT] = root_states[:, :_ROOT]
+        dofs = dof_pos.cpu()
+        return self._converter.rows(roots, dofs, torch.zeros_like(dofs))[0]
+
+
+class PoseRecorder:
+    """Keeps what some environments of a task do.
+
+    Args:
+        env: a task (`VecTask`).
+        num_steps: control steps to keep; later ones are not.
+        env_ids: which environments.
+    """
+
+    def __init__(self, env: Any, num_steps: int, env_ids: Sequence[int] = (0,)) -> None:
+        self._simulation = env.simulation
+        self._maker = _TrackMaker(env.simulation.model)
+        self._num_steps = num_steps
+        self._ids = torch.tensor(env_ids, device=env.simulation.device)
+        self._root_states: list[Tensor] = []
+        self._dof_pos: list[Tensor] = []
+
+    def step(self) -> None:
+        """Keep the present state; call it after `env.step`, before resets."""
+        if len(self._dof_pos) < self._num_steps:
+            self._root_states.append(self._simulation.root_states.index_select(0, self._ids))
+            self._dof_pos.append(self._simulation.dof_pos.index_select(0, self._ids))
+
+    def tracks(self) -> list[Track]:
+        """Return one track for each environment, of the steps kept so far; [] before the first."""
+        if not self._dof_pos:
+            return []
+        states = zip(
+            torch.stack(self._root_states, dim=1), torch.stack(self._dof_pos, dim=1), strict=True
+        )
+        return [self._maker.track(roots, dofs) for roots, dofs in states]
+
+
+def reference_track(env: Any, like: Track) -> Track:
+    """Return the reference clip of a task, as long as `like` and beginning in the same phase.
+
+    The phase, and of several clips the clip, is the one whose joints are nearest to the first
+    moments of `like`. A clip that ends goes on from its start, at the place where its root has
+    come to.
+
+    Args:
+        env: a task with a motion library.
+        like: (T, nq), a track of the task.
+    """
+    maker = _TrackMaker(env.simulation.model)
+    beginning = like[:_PHASE_STEPS, maker.root_size :]
+    best = (math.inf, 0, 0)
+    for motion_id in range(env.motion_lib.num_motions()):
+        length_s = float(env.motion_lib.get_motion_length([motion_id]))
+        frames = range(max(1, math.ceil(length_s / env.dt)))
+        joints = _clip_track(env.motion_lib, maker, motion_id, env.dt, frames)[:, maker.root_size :]
+        windows = np.stack([np.roll(joints, -step, axis=0) for step in range(len(beginning))])
+        distances = np.linalg.norm(windows - beginning[:, None], axis=-1).sum(axis=0)
+        frame = int(distances.argmin())
+        best = min(best, (float(distances[frame]), motion_id, frame))
+    _, motion_id, first = best
+    steps = range(first, first + len(like))
+    return _clip_track(env.motion_lib, maker, motion_id, env.dt, steps)
+
+
+def _clip_track(
+    motion_lib: MotionLib, maker: _TrackMaker, motion_id: int, dt_s: float, steps: range
+) -> Track:
+    """Return the clip's poses at the times `steps` * dt_s, repeated beyond its length."""
+    length_s = float(motion_lib.get_motion_length([motion_id]))
+    times_s = dt_s * torch.tensor(steps, dtype=torch.float64)
+    # The last two times are the clip's start and end: the way that a repetition goes on from.
+    in_clip_s = torch.cat((times_s % length_s, torch.tensor([0.0, length_s])))
+    state = motion_lib.get_motion_state(torch.full((len(in_clip_s),), motion_id), in_clip_s)
+    way_m = (state.root_pos[-1] - state.root_pos[-2]).cpu()
+    way_m[2] = 0.0  # a clip that ends higher than it began does not climb
+    repetitions = torch.floor(times_s / length_s).unsqueeze(-1)
+    root_pos = state.root_pos[:-2].cpu() + repetitions * way_m
+    roots = torch.cat((root_pos, state.root_rot[:-2].cpu()), dim=-1)
+    return maker.track(roots, state.dof_pos[:-2])

@@ -1,0 +1,169 @@
+"""Video files of what figures do: drawn without a display, encoded without a system's ffmpeg.
+
+    images = draw_tracks(env.simulation.model, tracks, labels=("reference", "policy"))
+    save_video("walk.mp4", images, fps=1.0 / env.dt)
+
+PyAV encodes: it brings FFmpeg's libraries as a wheel, works in the process picture by picture, and
+decodes as well, for the tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
+from isaacgymenvs_lite.rendering.tracks import Track
+
+PANEL_WIDTH, PANEL_HEIGHT = 320, 480
+"""Pixels of one track's panel."""
+
+# Suffix -> encoder, its options, options of the container. The options: at 20 H.264 looks like the
+# original; animated WebP is for pages that show pictures but no videos, such as a README.
+_FORMATS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
+    ".mp4": ("libx264", {"crf": "20", "preset": "veryfast"}, {"movflags": "+faststart"}),
+    ".webp": ("libwebp_anim", {"quality": "60"}, {"loop": "0"}),
+}
+_PIXEL_FORMAT = "yuv420p"  # what every player and browser shows
+
+
+class VideoWriter:
+    """Encodes pictures into a file, .mp4 or .webp. Use it in a `with` statement.
+
+    Args:
+        path: the file; an older one is replaced.
+        fps: pictures per second.
+
+    Raises:
+        ConfigError: another suffix, a folder that cannot be written, or PyAV is not installed.
+    """
+
+    def __init__(self, path: str | Path, fps: float) -> None:
+        self.path = Path(path)
+        if self.path.suffix not in _FORMATS:
+            raise ConfigError(unknown("video format", self.path.suffix, _FORMATS))
+        if not self.path.parent.is_dir():
+            raise self._unwritable("no such folder")
+        self._av = _import_av()
+        encoder, options, container_options = _FORMATS[self.path.suffix]
+        try:
+            self._container = self._av.open(str(path), "w", options=container_options)
+        except OSError as error:
+            raise self._unwritable(error.strerror) from error
+        rate = Fraction(fps).limit_denominator(1000)
+        self._stream = self._container.add_stream(encoder, rate=rate, options=options)
+        self._stream.pix_fmt = _PIXEL_FORMAT
+        self._num_images = 0
+
+    def add(self, image: Image) -> None:
+        """Append a picture (height, width, 3); all of one size, both numbers even.
+
+        Raises:
+            ConfigError: the file cannot be written.
+        """
+        if self._num_images == 0:
+            self._stream.height, self._stream.width = image.shape[:2]
+        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+        self._encode(frame)
+        self._num_images += 1
+
+    def _encode(self, frame: Any) -> None:
+        """Encode a frame, or with None what is left, and write it."""
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except OSError as error:
+            self._num_images = 0  # there is nothing to finish
+            raise self._unwritable(error.strerror) from error
+
+    def _unwritable(self, reason: str | None) -> ConfigError:
+        return ConfigError(
+            f"cannot write the video {self.path.absolute()} ({reason}); expected a folder that"
+            " exists, can be written and has room"
+        )
+
+    def close(self) -> None:
+        """Finish the file; without any picture there is none.
+
+        Raises:
+            ConfigError: the file cannot be written.
+        """
+        if self._num_images > 0:
+            self._encode(None)
+        with contextlib.suppress(OSError):
+            self._container.close()
+        if self._num_images == 0:
+            self.path.unlink(missing_ok=True)
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _import_av() -> Any:
+    if importlib.util.find_spec("av") is None:
+        raise ConfigError(
+            "writing videos needs the package av (PyAV), which is not installed;"
+            ' pip install "isaacgymenvs-lite[video]"'
+        )
+    return importlib.import_module("av")
+
+
+def draw_tracks(
+    model: mujoco.MjModel,
+    tracks: Sequence[Track],
+    labels: Sequence[str] = (),
+    *,
+    width: int = PANEL_WIDTH,
+    height: int = PANEL_HEIGHT,
+    fast: bool = True,
+) -> Iterator[Image]:
+    """Draw tracks side by side, each with a camera of its own, for as long as all of them last.
+
+    Args:
+        model: of the figures.
+        tracks: (T, nq) each.
+        labels: a text for each track, or none.
+        width: of one panel, pixels.
+        height: pixels.
+        fast: see `SceneRenderer`.
+
+    Yields:
+        A picture (height, len(tracks) * width, 3) for each time.
+
+    Raises:
+        RenderingError: this machine cannot draw.
+    """
+    labels = labels or [""] * len(tracks)
+    with SceneRenderer(model, width, height, fast=fast) as renderer:
+        for poses in zip(*tracks, strict=False):
+            panels = zip(poses, labels, strict=True)
+            yield np.concatenate([renderer.draw(*panel) for panel in panels], axis=1)
+
+
+def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
+    """Write pictures as a video, .mp4 or .webp, and return its path.
+
+    Raises:
+        ConfigError: see `VideoWriter`.
+    """
+    with VideoWriter(path, fps) as writer:
+        for image in images:
+            writer.add(image)
+        return writer.path

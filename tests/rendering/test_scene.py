@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
+
+pytestmark = pytest.mark.usefixtures("gl")
+
+
+def figure(image: Image) -> np.ndarray:
+    """Where something coloured is: the character, not the floor or the sky."""
+    pixels = image.astype(int)
+    return pixels.max(axis=2) - pixels.min(axis=2) > 70
+
+
+def test_a_pose_is_drawn(humanoid):
+    with SceneRenderer(humanoid, 120, 160) as renderer:
+        image = renderer.draw(humanoid.qpos0)
+    assert image.shape == (160, 120, 3)
+    assert image.dtype == np.uint8
+    assert image.mean() > 100  # a bright scene
+    assert 0.03 < figure(image).mean() < 0.5
+
+
+def test_pictures_are_not_overwritten_by_the_next(humanoid):
+    bent = humanoid.qpos0.copy()
+    bent[humanoid.joint("right_knee").qposadr[0]] = 1.5
+    with SceneRenderer(humanoid, 120, 160) as renderer:
+        first = renderer.draw(humanoid.qpos0)
+        kept = first.copy()
+        assert (renderer.draw(bent) != first).any()
+    assert (first == kept).all()
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_the_camera_goes_along(fast, humanoid):
+    away = humanoid.qpos0.copy()
+    away[:2] += (30.0, -12.0)
+    with SceneRenderer(humanoid, 120, 160, fast=fast) as renderer:
+        here, there = (figure(renderer.draw(qpos)) for qpos in (humanoid.qpos0, away))
+    # the same pixels, but for some at the edges
+    assert (here & there).sum() > 0.9 * (here | there).sum()
+
+
+def test_the_azimuth_turns_the_view(humanoid):
+    """From the right the left limbs, which are green, are hidden; from the front they are not."""
+    green = []
+    for azimuth_deg in (90.0, 180.0):
+        with SceneRenderer(humanoid, 120, 160, azimuth_deg=azimuth_deg) as renderer:
+            image = renderer.draw(humanoid.qpos0).astype(int)
+        green.append((image[..., 1] > image[..., [0, 2]].max(axis=2) + 15).sum())
+    assert green[1] > 3 * green[0] + 50
+
+
+def test_a_label_stands_in_the_upper_left_corner(humanoid):
+    with SceneRenderer(humanoid, 200, 300) as renderer:
+        plain, labelled = (renderer.draw(humanoid.qpos0, text) for text in ("", "policy"))
+    rows, columns = (plain != labelled).any(axis=2).nonzero()
+    assert len(rows) > 100
+    assert rows.max() < 50
+    assert columns.max() < 120
+
+
+def test_a_model_fixed_to_the_world_is_drawn_whole():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><light pos="0 0 4"/><body name="cart"><joint type="slide"/>
+        <geom size=".3" rgba="1 0 0 1"/></body></worldbody></mujoco>"""
+    )
+    with SceneRenderer(model, 120, 120) as renderer:
+        first, moved = renderer.draw([0.0]), renderer.draw([0.2])
+    assert 0.05 < figure(first).mean() < 0.9
+    assert (first != moved).any()
+
+
+def test_the_model_is_not_changed(humanoid):
+    before = humanoid.vis.global_.offwidth, humanoid.vis.quality.shadowsize
+    SceneRenderer(humanoid, 64, 48, fast=True).close()
+    assert (humanoid.vis.global_.offwidth, humanoid.vis.quality.shadowsize) == before
+
+
+def test_closing_twice_does_no_harm(humanoid):
+    renderer = SceneRenderer(humanoid, 64, 48)
+    renderer.close()
+    renderer.close()

@@ -1,0 +1,140 @@
+"""The demo with a tiny policy in place of the shipped ones."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import PIL.Image
+import pytest
+
+from isaacgymenvs_lite import demo
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.demo import DemoSettings, run_demo
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.policies import shipped
+from isaacgymenvs_lite.policies.packed import pack_policy
+from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
+from isaacgymenvs_lite.runner import run
+
+CONFIG = "train.params.config"
+TINY = (
+    "num_envs=4",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=1",
+    "train.params.network.mlp.units=[16,8]",
+    "train.params.network.disc.units=[16,8]",
+    f"{CONFIG}.mixed_precision=False",
+    f"{CONFIG}.horizon_length=2",
+    f"{CONFIG}.mini_epochs=1",
+    f"{CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{CONFIG}.amp_replay_buffer_size=64",
+    f"{CONFIG}.imitation_frequency=0",
+)
+
+
+@pytest.fixture(scope="module")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of assets with two policies of one epoch."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(compose(TINY))
+    (checkpoint,) = folder.glob("runs/*/nn/HumanoidAMP.pth")
+    for name in ("tiny", "small"):
+        pack_policy(checkpoint, name, folder=folder / "assets" / "policies")
+    return folder / "assets"
+
+
+@pytest.fixture
+def policies(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shipped, "assets_dir", lambda: assets)
+
+
+@pytest.fixture
+def gl() -> None:
+    try:
+        ensure_gl()
+    except RenderingError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def small_panels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "_SIZES", {"mp4": (48, 64, 1), "webp": (48, 64, 2)})
+
+
+@pytest.mark.usefixtures("policies", "gl", "small_panels")
+def test_every_shipped_policy_is_played_measured_and_filmed(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    with caplog.at_level(logging.INFO):
+        assert demo.main(["seconds=0.3"]) == 0
+    for name in ("small", "tiny"):
+        path = tmp_path / "demo" / f"{name}.mp4"
+        with av.open(str(path)) as container:
+            frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert len(frames) == 9  # 0.3 s of control steps of 0.0332 s
+        assert frames[0].shape == (64, 96, 3)
+        assert min(frame.mean() for frame in frames) > 100
+        assert np.abs(frames[8].astype(int) - frames[0]).max() > 60
+        assert f"{name}: pose error 0." in caplog.text
+        assert f"{name}: wrote demo/{name}.mp4" in caplog.text
+    assert "of 16 episodes without a fall" in caplog.text
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.usefixtures("policies", "gl", "small_panels")
+def test_an_animation_shows_every_second_step(tmp_path):
+    settings = DemoSettings(policies=("tiny",), seconds=0.3, format="webp", out=str(tmp_path))
+    assert run_demo(settings) == [tmp_path / "tiny.webp"]
+    with PIL.Image.open(tmp_path / "tiny.webp") as image:
+        assert (image.n_frames, image.size) == (5, (96, 64))
+
+
+@pytest.mark.usefixtures("policies", "gl")
+def test_a_picture_shows_the_clip_above_the_policy(tmp_path):
+    settings = DemoSettings(policies=("tiny",), seconds=0.3, format="png", out=str(tmp_path))
+    run_demo(settings)
+    with PIL.Image.open(tmp_path / "tiny.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert pixels.shape == (2 * 320, 8 * 200, 3)
+    # both begin in the same phase
+    beginning = np.abs(pixels[:320, :200] - pixels[320:, :200])
+    assert (beginning > 60).mean() < 0.1
+
+
+@pytest.mark.usefixtures("policies")
+def test_the_same_policy_performs_the_same_again():
+    first, second = (demo.perform("tiny", 0.2) for _ in range(2))
+    np.testing.assert_array_equal(first.policy, second.policy)
+    np.testing.assert_array_equal(first.reference, second.reference)
+    assert first.imitation.pose_error_m == second.imitation.pose_error_m
+    assert first.reference.shape == first.policy.shape == (6, 43)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"policies": ("smal",)}, r"unknown policy 'smal' \(did you mean 'small'\?\)"),
+        ({"out": "taken/demo"}, "out=taken/demo: cannot be made"),
+    ],
+)
+@pytest.mark.usefixtures("policies", "gl")
+def test_a_mistake_is_refused_before_the_play(
+    settings: dict[str, Any], message, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo, "perform", lambda *_: pytest.fail("a policy was played"))
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(ConfigError, match=message):
+        run_demo(DemoSettings(**settings))
+
+
+def test_without_policies_the_demo_says_how_to_make_one(monkeypatch, tmp_path):
+    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path)
+    with pytest.raises(ConfigError, match=r"no policy in .*pack checkpoint="):
+        run_demo(DemoSettings())
