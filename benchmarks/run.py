@@ -1,4 +1,7 @@
-"""All measurements one after another: `make bench`."""
+"""All measurements of speed and memory, one after another: `make bench`, about eight minutes.
+
+Learning has commands of its own: docs/protocol.md.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,20 @@ import sys
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
-_BENCHMARKS = ("benchmarks.env_step", "benchmarks.start_and_memory")
+_BENCHMARKS = (
+    "benchmarks.env_step",
+    "benchmarks.start_and_memory",
+    "benchmarks.training_speed --units 512 256",
+    "benchmarks.training_speed --units 1024 512",
+    "benchmarks.training_speed --units 1024 512 --compare",
+)
 
 
 def main() -> None:
     """Run each benchmark in a process of its own."""
-    for name in _BENCHMARKS:
-        subprocess.run([sys.executable, "-m", name], cwd=_ROOT, check=True)
+    for command in _BENCHMARKS:
+        print(f"\n$ python -m {command}\n", flush=True)
+        subprocess.run([sys.executable, "-m", *command.split()], cwd=_ROOT, check=True)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ def run_training(overrides: list[str]) -> tuple[float, float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--num-envs", type=int, default=4096)
     parser.add_argument("--epochs", type=int, default=18)
     parser.add_argument("overrides", nargs="*")

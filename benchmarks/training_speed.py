@@ -285,7 +285,7 @@ def _fps_of(command: list[str]) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("overrides", nargs="*", help="settings, key=value")
     parser.add_argument("--units", type=int, nargs="+", default=[512, 256])
     parser.add_argument("--num-envs", type=int, default=1024)
