@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.tasks.amp.drawn_ahead import DrawnAhead
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import NUM_ACTIONS, NUM_OBS, HumanoidAMPBase
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS
+_STARTS_AT_A_TIME = 1024
 
 
 def build_amp_observations(
@@ -63,6 +65,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._amp_obs_buf = torch.zeros(
             self.num_envs, self.env_cfg.num_amp_obs_steps, NUM_AMP_OBS_PER_STEP, device=self.device
         )
+        self._starts = DrawnAhead(self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME))
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -143,44 +146,51 @@ class HumanoidAMP(HumanoidAMPBase):
         elif mode == "Hybrid":
             from_clip = torch.rand(len(env_ids), device=self.device) < self.env_cfg.hybrid_init_prob
             reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
-        self._reset_to_reference(reference_ids, at_start=mode == "Start")
+        self._reset_to_reference(reference_ids)
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
 
+    def reset(self) -> dict[str, Tensor]:
+        """As the base; the starts depend on the generator's state from here on."""
+        self._starts.clear()
+        return super().reset()
+
     @torch.inference_mode()
-    def _reset_to_reference(self, env_ids: Tensor, at_start: bool) -> None:
+    def _draw_starts(self, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Draw moments of the clips: their states and the AMP features of the steps before.
+
+        Root states (n, 13), DOF positions and velocities (n, D), features (n, steps - 1, 105).
+        """
+        lib = self._motion_lib
+        motion_ids = lib.sample_motions(n)
+        times = torch.zeros(n, device=self.device)
+        if self.env_cfg.state_init != "Start":
+            times = lib.sample_time(motion_ids)
+        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
+        states = self._reference_states(motion_ids, times, steps)
+        before = build_amp_observations(
+            *(state[n:] for state in states), self.env_cfg.local_root_obs
+        )
+        history = before.view(len(steps) - 1, n, NUM_AMP_OBS_PER_STEP).transpose(0, 1)
+        root_states, dof_pos, dof_vel, _ = (state[:n] for state in states)
+        return root_states, dof_pos, dof_vel, history
+
+    def _reset_to_reference(self, env_ids: Tensor) -> None:
         """Put environments into the state of a sampled clip, and remember what came before it."""
         self._reference_env_ids = env_ids
         if len(env_ids) == 0:
             return
-        lib = self._motion_lib
-        motion_ids = lib.sample_motions(len(env_ids))
-        if at_start:
-            times = torch.zeros(len(env_ids), device=self.device)
-        else:
-            times = lib.sample_time(motion_ids)
-        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
-        states = self._reference_states(motion_ids, times, steps)
-        root_states, dof_pos, dof_vel, _ = (state[: len(env_ids)] for state in states)
+        root_states, dof_pos, dof_vel, self._reference_history = self._starts.take(len(env_ids))
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
-        self._reference_history = [state[len(env_ids) :] for state in states]
 
     @torch.inference_mode()
     def _observe_new_episodes(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with what would have come before."""
-        states = self._features_source(env_ids)
-        has_references = len(self._reference_env_ids) > 0
-        if has_references:
-            # One call for both: for the few environments of a reset, a call costs more than a row.
-            pairs = zip(states, self._reference_history, strict=True)
-            root_states, dof_pos, dof_vel, key_body_pos = (torch.cat(pair) for pair in pairs)
-            states = root_states, dof_pos, dof_vel, key_body_pos
-        features = build_amp_observations(*states, self.env_cfg.local_root_obs)
-        now, before = features[: len(env_ids)], features[len(env_ids) :]
+        now = build_amp_observations(*self._features_source(env_ids), self.env_cfg.local_root_obs)
         self.obs_buf.index_copy_(0, env_ids, now)
         # Until a reference says otherwise the character has been standing still.
-        history = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
-        self._amp_obs_buf.index_copy_(0, env_ids, history)
-        if has_references:
-            history = before.unflatten(0, (-1, len(self._reference_env_ids))).transpose(0, 1)
-            self._amp_obs_buf[:, 1:].index_copy_(0, self._reference_env_ids, history)
+        standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
+        self._amp_obs_buf.index_copy_(0, env_ids, standing)
+        if len(self._reference_env_ids) > 0:
+            before = self._amp_obs_buf[:, 1:]
+            before.index_copy_(0, self._reference_env_ids, self._reference_history)
