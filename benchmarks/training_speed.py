@@ -190,7 +190,6 @@ def time_parts(agent: Any) -> dict[str, float]:
     env, network = agent.vec_env.env, agent.model.a2c_network
     simulation = env.simulation
     raw = Batch(simulation.model, env.num_envs, simulation.num_threads)
-    raw.state[:] = simulation._batch.state
     obs = agent.obs["obs"]
     rollout = agent.experience_buffer.tensor_dict
     amp_obs = rollout["amp_obs"].flatten(0, 1)
@@ -199,8 +198,9 @@ def time_parts(agent: Any) -> dict[str, float]:
     steps = agent.mini_epochs_num * len(agent.dataset)
 
     def physics() -> None:
-        raw.state[:] = simulation._batch.state
+        # The same step again and again: left alone the humanoids would fall and cost more.
         for _ in range(agent.horizon_length):
+            raw.state[:] = simulation._batch.state
             raw.step(nstep=simulation.substeps)
 
     def acting() -> None:

@@ -26,7 +26,7 @@ class DrawnAhead:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what is left, so that the next rows depend on the generator's state from now on."""
+        """Forget what is left: the next rows depend on the generator's state from now on."""
         self._rows: Rows = ()
         self._left = 0
 
