@@ -168,8 +168,9 @@ class HumanoidAMP(HumanoidAMPBase):
             times = lib.sample_time(motion_ids)
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
         states = self._reference_states(motion_ids, times, steps)
+        root_before, pos_before, vel_before, keys_before = (state[n:] for state in states)
         before = build_amp_observations(
-            *(state[n:] for state in states), self.env_cfg.local_root_obs
+            root_before, pos_before, vel_before, keys_before, self.env_cfg.local_root_obs
         )
         history = before.view(len(steps) - 1, n, NUM_AMP_OBS_PER_STEP).transpose(0, 1)
         root_states, dof_pos, dof_vel, _ = (state[:n] for state in states)
