@@ -43,7 +43,8 @@ from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
-_WARM_UP_EPOCHS = 3
+# Until the replay buffer is full: its memory is touched for the first time before that.
+_WARM_UP_EPOCHS = 14
 _REPEATS = 5
 
 # Calls that are timed, from the outside in: the time of an inner one does not count for its outer.
@@ -61,9 +62,8 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
     (AMPAgent, "_after_update", "demonstrations and replay: storing"),
     (AMPAgent, "prepare_dataset", "normalised values and advantages"),
     (AMPAgent, "_run_mini_epochs", "update: gathering minibatches"),
-    (AMPAgent, "calc_gradients", "update: losses, backward pass of all networks"),
-    (AMPAgent, "_training_inputs", "update: normalised AMP observations"),
-    (AMPAgent, "_extra_losses", "update: discriminator loss"),
+    (AMPAgent, "calc_gradients", "update: networks, losses and their gradients"),
+    (AMPAgent, "_count_in", "update: statistics of the normalisers"),
     (AMPAgent, "trancate_gradients_and_step", "update: optimiser"),
     (AMPAgent, "_track_episodes", "episode statistics"),
     (AMPAgent, "write_stats", "logging"),

@@ -7,6 +7,7 @@
 | `_parameter_groups` | parameters with a learning rate of their own |
 | `_before_step` | work before each policy step |
 | `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
+| `_rows_to_count` | rows that its normalisers count in |
 | `_needs_next_value` | rows whose next value the following step's policy call will not give |
 | `_record_step` | what to keep of a step |
 | `_total_rewards` | rewards beside the task's |
@@ -21,6 +22,12 @@ from __future__ import annotations
 from typing import Any
 
 from torch import Tensor
+
+from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
+
+LossTerms = dict[str, tuple[float, Tensor]]
+"""{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
+weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
 
 
 class AgentHooks:
@@ -47,9 +54,19 @@ class AgentHooks:
         return {}
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return inputs of the model beside the observation for a minibatch."""
+        """Return inputs of the model beside the observation for a slice of a minibatch.
+
+        Several threads call it at the same time: it must not change the agent.
+        """
         del input_dict
         return {}
+
+    def _rows_to_count(
+        self, input_dict: dict[str, Tensor]
+    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
+        """Return normalisers and the rows of a minibatch (n, ...) that they count in, in order."""
+        del input_dict
+        return []
 
     def _needs_next_value(self) -> Tensor:
         """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
@@ -79,13 +96,15 @@ class AgentHooks:
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
-    ) -> dict[str, tuple[float, Tensor]]:
-        """Return loss terms {name: (weight, scalar)} beside PPO's.
+    ) -> LossTerms:
+        """Return loss terms beside PPO's for a slice of a minibatch; see `LossTerms`.
+
+        Several threads call it at the same time: it must not change the agent.
 
         Args:
             result: the model's output.
             batch: the model's input.
-            input_dict: the minibatch.
+            input_dict: the rows of the slice.
         """
         del result, batch, input_dict
         return {}

@@ -13,11 +13,14 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import read_amp_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
+from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
+_AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 _SCALARS = {
     "disc_loss": "losses/disc_loss",
     "disc_agent_acc": "info/disc_agent_acc",
@@ -149,19 +152,27 @@ class AMPAgent(CommonAgent):
         return {name: batch_dict[name] for name in self._dataset_row_limits()}
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        names = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
-        return dict.fromkeys(names, self._amp_minibatch_size)
+        return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Normalise the minibatch's AMP observations; each kind updates the statistics."""
+        """Normalise the AMP observations."""
         inputs = super()._training_inputs(input_dict)
-        for name in ("amp_obs", "amp_obs_replay", "amp_obs_demo"):
-            inputs[name] = self.discriminator.normalize(input_dict[name], update=True)
+        for name in _AMP_OBS_KINDS:
+            inputs[name] = self.discriminator.normalize(input_dict[name])
         return inputs
+
+    def _rows_to_count(
+        self, input_dict: dict[str, Tensor]
+    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
+        counts = super()._rows_to_count(input_dict)
+        if self.discriminator.normalizer is not None:
+            rows = [input_dict[name] for name in _AMP_OBS_KINDS]
+            counts.append((self.discriminator.normalizer, rows))
+        return counts
 
     def _extra_losses(
         self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
-    ) -> dict[str, tuple[float, Tensor]]:
+    ) -> LossTerms:
         terms = super()._extra_losses(result, batch, input_dict)
         agent_logit = torch.cat((result["disc_agent_logit"], result["disc_agent_replay_logit"]))
         info = self._disc_loss(
@@ -170,9 +181,10 @@ class AMPAgent(CommonAgent):
             batch["amp_obs_demo"],
             result["disc_demo_gradient"],
         )
-        loss = info.pop("disc_loss")
-        self._log_train_info({name: value.mean() for name, value in info.items()})
-        return {**terms, "disc_loss": (self._amp.disc_coef, loss)}
+        weights = {"disc_loss": self._amp.disc_coef}
+        return terms | {
+            name: (weights.get(name, 0.0), value.mean()) for name, value in info.items()
+        }
 
     def _disc_loss(
         self,

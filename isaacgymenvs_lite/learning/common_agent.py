@@ -17,8 +17,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning import losses
-from isaacgymenvs_lite.learning.agent_hooks import AgentHooks
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
+from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
@@ -31,7 +31,7 @@ _UNSUPPORTED_KEYS = (
 )
 
 
-class CommonAgent(AgentHooks, A2CAgent):
+class CommonAgent(MinibatchLoss, A2CAgent):
     """PPO that asks the environment for resets and bootstraps with the value after each step.
 
     Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
@@ -78,6 +78,7 @@ class CommonAgent(AgentHooks, A2CAgent):
         if self.is_rnn:
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
         self.last_lr = float(self.last_lr)
+        self._learned = [p for p in self.model.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(
             self._parameter_groups(),
             self.last_lr,
@@ -299,10 +300,6 @@ class CommonAgent(AgentHooks, A2CAgent):
             mb_fdones, mb_values, mb_rewards, mb_next_values, self.gamma, self.tau
         )
 
-    def bound_loss(self, mu: Tensor) -> Tensor:
-        """Return (M,) the squared excess of mean actions (M, A) over +-1."""
-        return losses.bound_loss(mu)
-
     # --- update ----------------------------------------------------------------------------
 
     def train_epoch(self) -> tuple[Any, ...]:
@@ -383,36 +380,13 @@ class CommonAgent(AgentHooks, A2CAgent):
 
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch; `self.train_result` holds what to log."""
-        batch = {
-            "is_train": True,
-            "prev_actions": input_dict["actions"],
-            "obs": self._preproc_obs(input_dict["obs"]),
-            **self._training_inputs(input_dict),
-        }
-        result = self.model(batch)
-        neglogp, values = result["prev_neglogp"], result["values"]
-        mu, sigma = result["mus"], result["sigmas"]
-
-        actor, clipped = losses.actor_loss(
-            input_dict["old_logp_actions"], neglogp, input_dict["advantages"], self.ppo, self.e_clip
-        )
-        critic = losses.critic_loss(
-            input_dict["old_values"], values, input_dict["returns"], self.e_clip, self.clip_value
-        )
-        terms = {
-            "actor_loss": (1.0, actor.mean()),
-            "critic_loss": (self.critic_coef, critic.mean()),
-            "bounds_loss": (self.bounds_loss_coef or 0.0, self.bound_loss(mu).mean()),
-            "entropy": (-self.entropy_coef, result["entropy"].mean()),
-            **self._extra_losses(result, batch, input_dict),
-        }
-        loss = torch.stack([weight * term for weight, term in terms.values()]).sum()
-        self.optimizer.zero_grad(set_to_none=True)
-        self.scaler.scale(loss).backward()
+        self._count_in(input_dict)
+        gradients, values = self.executor.gradients(self._row_loss, input_dict, self._learned)
+        for parameter, gradient in zip(self._learned, gradients, strict=True):
+            parameter.grad = gradient
         self.trancate_gradients_and_step()
 
-        with torch.no_grad():
-            kl = torch_ext.policy_kl(mu, sigma, input_dict["mu"], input_dict["sigma"])
+        kl, neglogp = values.pop("kl"), values.pop("neglogp")
         self.diagnostics.mini_batch(
             self,
             {
@@ -425,8 +399,7 @@ class CommonAgent(AgentHooks, A2CAgent):
             self.e_clip,
             0,
         )
-        self._log_train_info({name: term.detach() for name, (_, term) in terms.items()})
-        self._log_train_info({"clip_frac": clipped.float().mean()})
+        self._log_train_info(values)
         self.train_result = {"kl": kl, "lr_mul": 1.0, "last_lr": self.last_lr}
 
     # --- statistics ------------------------------------------------------------------------

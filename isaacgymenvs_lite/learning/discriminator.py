@@ -10,7 +10,7 @@ from typing import Protocol
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.losses import input_gradient
@@ -64,7 +64,7 @@ class StyleDiscriminator:
         self._network = network
         self._params = params
         self._reward_kind = params.disc_reward or disc_reward
-        self.normalizer: nn.Module | None = None
+        self.normalizer: RunningMeanStd | None = None
         if params.normalize_amp_input:
             normalizer = RunningMeanStd((amp_obs_size,), params.amp_input_memory)
             self.normalizer = normalizer.to(device).eval()
@@ -73,11 +73,10 @@ class StyleDiscriminator:
         """Normalise AMP observations (n, F); with `update` they join the statistics first."""
         if self.normalizer is None:
             return amp_obs
-        self.normalizer.train(update)
+        if update:
+            self.normalizer.count_in(amp_obs)
         with torch.no_grad():
-            normalized = self.normalizer(amp_obs)
-        self.normalizer.eval()
-        return normalized
+            return self.normalizer(amp_obs)
 
     def logits(self, amp_obs: Tensor) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""

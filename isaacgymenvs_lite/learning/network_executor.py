@@ -1,9 +1,10 @@
 """How networks are evaluated: their precision and, on CPUs, one slice of rows per thread.
 
 torch's own threads split every operation of a network and meet after each, some hundred times in
-a gradient step. Here each thread takes a slice of the rows through the whole network, forwards
-and backwards, and they meet once. On two cores a gradient step of AMP takes half as long
-(docs/speed.md), and no idle OpenMP threads spin on the CPUs that the physics needs.
+a gradient step. Here each thread takes a slice of the rows through the whole network and, in the
+agents of this project, through the losses too, forwards and backwards. On two cores a gradient
+step of AMP takes half as long (docs/speed.md), and no idle OpenMP threads spin on the CPUs that the
+physics needs.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.row_slices import cut_in_proportion, cut_rows, join, sum_of_slices
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 # Fewer rows than this are not worth another thread.
@@ -27,6 +29,8 @@ _UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
 
 RowFunction = Callable[..., tuple[Tensor, ...]]
 """Tensors of n rows -> tensors of n rows, each row for itself."""
+LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
+"""{name: rows} -> a loss, the mean over these rows, and values: such means, or tensors of rows."""
 
 
 class NetworkExecutor:
@@ -54,20 +58,21 @@ class NetworkExecutor:
         """Let `network` be evaluated by this executor whoever calls it.
 
         Covers `forward` of rl_games' networks (a dictionary of rows in, a tuple of rows and the
-        recurrent state out) and the methods that the network names in `row_functions`. A network
-        with layers that mix rows only gets the precision.
+        recurrent state out) and the methods that the network names in `row_functions`. With layers
+        that mix rows nothing is sliced from here on; the precision stays.
         """
-        mixes_rows = any(isinstance(layer, _UNSLICED_LAYERS) for layer in network.modules())
+        if any(isinstance(layer, _UNSLICED_LAYERS) for layer in network.modules()):
+            self.num_threads = 1
         whole = network.forward
 
         @functools.wraps(whole)
         def forward(inputs: dict[str, Any]) -> tuple[Any, ...]:
-            if mixes_rows or not isinstance(inputs["obs"], Tensor):
+            if not isinstance(inputs["obs"], Tensor):
                 return self._whole(whole, inputs)
             return self._forward_rows(network, whole, inputs)
 
         network.forward = forward  # type: ignore[method-assign]
-        for name in () if mixes_rows else getattr(network, "row_functions", ()):
+        for name in getattr(network, "row_functions", ()):
             setattr(network, name, self._row_method(network, getattr(network, name)))
 
     def _forward_rows(
@@ -134,6 +139,38 @@ class NetworkExecutor:
 
     def _num_slices(self, num_rows: int) -> int:
         return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
+
+    def gradients(
+        self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
+    ) -> tuple[list[Tensor | None], dict[str, Tensor]]:
+        """Differentiate a loss that is a mean over rows, from its rows to its gradients by slices.
+
+        Threads meet once, where a loss of the outputs of `run` makes them meet behind each network,
+        and the loss itself is shared between them too.
+
+        Args:
+            function: see `LossFunction`; several threads call it at the same time.
+            rows: {name: (n, ...)}. Numbers of rows may differ between names; each slice has the
+                same share of all of them.
+            parameters: that the loss is differentiated by.
+
+        Returns:
+            The gradients by `parameters`, None for those that the loss does not depend on, and
+            the values: means over all rows where `function` gives numbers, all rows where it gives
+            rows.
+        """
+
+        def differentiate(part: dict[str, Tensor], share: float) -> tuple[Any, ...]:
+            loss, values = function(part)
+            found = torch.autograd.grad(loss * share, parameters, allow_unused=True)
+            return found, {name: value.detach() for name, value in values.items()}
+
+        most = max(len(tensor) for tensor in rows.values())
+        parts, shares = cut_in_proportion(rows, self._num_slices(most))
+        results = self.map(differentiate, list(zip(parts, shares, strict=True)))
+        found, values = zip(*results, strict=True)
+        together = {name: join([v[name] for v in values], shares) for name in values[0]}
+        return [sum_of_slices(column) for column in zip(*found, strict=True)], together
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
         """Return [function(*a) for a in arguments], the calls spread over the threads."""
@@ -235,17 +272,4 @@ class _Sliced(torch.autograd.Function):
         num_row_grads = sum(ctx.wanted)
         row_grads = iter(columns[:num_row_grads])
         of_rows = [torch.cat(next(row_grads)) if wanted else None for wanted in ctx.wanted]
-        return (None, None, None, None, *of_rows, *map(_sum, columns[num_row_grads:]))
-
-
-def cut_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:
-    """Return `slices` tuples of consecutive parts of all tensors."""
-    return list(zip(*(torch.tensor_split(tensor, slices) for tensor in rows), strict=True))
-
-
-def _sum(grads: tuple[Tensor | None, ...]) -> Tensor | None:
-    """Add a parameter's gradients in the order of the slices."""
-    total = grads[0]
-    for grad in grads[1:]:
-        total = grad if total is None else total if grad is None else total + grad
-    return total
+        return (None, None, None, None, *of_rows, *map(sum_of_slices, columns[num_row_grads:]))

@@ -27,11 +27,13 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         if denorm or mask is not None or self.per_channel or self.norm_only:
             return super().forward(input, denorm, mask)
         if self.training:
-            self._count_in(input)
+            self.count_in(input)
         scale = torch.sqrt(self.running_var.float() + self.epsilon)
         return (input - self.running_mean.float()).div_(scale).clamp_(-5.0, 5.0)
 
-    def _count_in(self, rows: Tensor) -> None:
+    @torch.no_grad()
+    def count_in(self, rows: Tensor) -> None:
+        """Take rows (n, ...) into the statistics, whatever the mode."""
         mean = rows.mean(0)
         var = (rows - mean).square_().mean(0)
         statistics = (self.running_mean, self.running_var, self.count)

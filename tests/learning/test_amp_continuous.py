@@ -252,24 +252,31 @@ def test_of_more_rows_than_fit_a_random_subset_is_kept(make_agent):
 # --- discriminator update ---------------------------------------------------------------------
 
 
-def test_the_normaliser_hears_agent_replay_and_demonstration_in_this_order(make_agent):
+def test_the_normaliser_counts_agent_replay_and_demonstration_before_any_is_normalised(make_agent):
     agent = make_agent()
     generator = torch.Generator().manual_seed(0)
     kinds = {
         name: scale * torch.randn(8, 210, generator=generator) + scale
         for name, scale in (("amp_obs", 1.0), ("amp_obs_replay", 3.0), ("amp_obs_demo", 9.0))
     }
-    inputs = agent._training_inputs(dict(kinds))
+    obs = 5.0 + torch.randn(16, 105, generator=generator)
+    agent.set_train()
+    agent._count_in({**kinds, "obs": obs})
     mean, var, count = np.zeros(210), np.ones(210), 1.0
-    for name, data in kinds.items():
+    for data in kinds.values():
         rows = data.double().numpy()
         delta, total = rows.mean(0) - mean, count + len(rows)
         var = (var * count + rows.var(0) * len(rows) + delta**2 * count * len(rows) / total) / total
         mean, count = mean + delta * len(rows) / total, total
-        # each kind is normalised with the statistics after its own update
-        expected = ((rows - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)
+    inputs = agent._training_inputs(dict(kinds))
+    for name, data in kinds.items():
+        expected = ((data.double().numpy() - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)
         np.testing.assert_allclose(inputs[name].detach().numpy(), expected, atol=1e-4)
     assert agent.discriminator.normalizer.count.item() == 25.0
+    # Slices of observations are normalised by several threads: they must not count again.
+    assert agent.model.running_mean_std.count.item() == 17.0
+    agent.model.norm_obs(obs)
+    assert agent.model.running_mean_std.count.item() == 17.0
 
 
 def test_the_losses_of_a_minibatch_are_those_of_the_discriminator(make_agent):

@@ -97,6 +97,43 @@ def test_slices_give_the_outputs_and_gradients_of_the_whole(net, threads):
         torch.testing.assert_close(found[name], gradient, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_a_loss_of_slices_has_the_gradients_of_the_loss_of_the_whole(net, threads):
+    rows = {"obs": random(ROWS, 6), "amp": random(ROWS // 4, 4, seed=2)}
+
+    def loss_and_values(part: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        assert 4 * len(part["amp"]) == len(part["obs"])  # the same share of both
+        loss = loss_of(net, {"obs": part["obs"]}, part["amp"])
+        return loss, {"loss": loss, "obs": part["obs"] + 1.0}
+
+    expected = gradients(net, {"obs": rows["obs"]}, rows["amp"])
+    loss = loss_of(net, {"obs": rows["obs"]}, rows["amp"])
+    executor = NetworkExecutor("cpu", num_threads=threads)
+    executor.attach(net)
+    net.seen.clear()
+    learned = {name: p for name, p in net.named_parameters() if p.requires_grad}
+    found, values = executor.gradients(loss_and_values, rows, list(learned.values()))
+    assert len(net.seen) == threads
+    assert sum(net.seen) == ROWS
+    torch.testing.assert_close(values["loss"], loss.detach(), rtol=1e-5, atol=1e-6)
+    assert torch.equal(values["obs"], rows["obs"] + 1.0)
+    for name, gradient in zip(learned, found, strict=True):
+        torch.testing.assert_close(gradient, expected[name], rtol=1e-4, atol=1e-6)
+
+
+def test_a_parameter_that_the_loss_does_not_depend_on_has_no_gradient(net):
+    executor = NetworkExecutor("cpu", num_threads=2)
+
+    def value_only(part: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        return net.value(part["obs"]).mean(), {}
+
+    learned = {name: p for name, p in net.named_parameters() if p.requires_grad}
+    rows = {"obs": random(ROWS, 6)}
+    found, _ = executor.gradients(value_only, rows, list(learned.values()))
+    with_gradient = {name for name, grad in zip(learned, found, strict=True) if grad is not None}
+    assert with_gradient == {"value.weight", "value.bias"}
+
+
 def test_repeated_evaluations_are_bit_identical(net):
     attached(net, 2)
     args = {"obs": random(ROWS, 6)}, random(ROWS, 4)

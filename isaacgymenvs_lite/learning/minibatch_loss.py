@@ -1,0 +1,89 @@
+"""The loss of a slice of a minibatch: PPO's terms and those that an agent adds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch import torch_ext
+from torch import Tensor
+
+from isaacgymenvs_lite.learning import losses
+from isaacgymenvs_lite.learning.agent_hooks import AgentHooks, LossTerms
+from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
+
+
+class MinibatchLoss(AgentHooks):
+    """What CommonAgent computes of rows, on several threads at the same time.
+
+    Attributes: as rl_games' agents have them, from their configuration.
+    """
+
+    executor: Any
+    normalize_input: bool
+    ppo: bool
+    e_clip: float
+    clip_value: bool
+    critic_coef: float
+    bounds_loss_coef: float | None
+    entropy_coef: float
+    _preproc_obs: Any
+
+    def _rows_to_count(
+        self, input_dict: dict[str, Tensor]
+    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
+        if not self.normalize_input:
+            return []
+        return [(self.model.running_mean_std, [self._preproc_obs(input_dict["obs"])])]
+
+    def _count_in(self, minibatch: dict[str, Tensor]) -> None:
+        """Let all normalisers count a minibatch in; slices of it are only normalised then."""
+
+        def count(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
+            normalizer.eval()
+            for rows in kinds:
+                normalizer.count_in(rows)
+
+        self.executor.map(count, self._rows_to_count(minibatch))
+
+    def _row_loss(self, rows: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss of rows of the training set, and what to log of it.
+
+        The values are the loss terms, `clip_frac` and `kl`, all numbers, and `neglogp` (n,).
+        """
+        batch = {
+            "is_train": True,
+            "prev_actions": rows["actions"],
+            "obs": self._preproc_obs(rows["obs"]),
+            **self._training_inputs(rows),
+        }
+        result = self.model(batch)
+        terms, values = self._ppo_terms(result, rows)
+        terms |= self._extra_losses(result, batch, rows)
+        weighted = [weight * term for weight, term in terms.values() if weight != 0.0]
+        values |= {name: term for name, (_, term) in terms.items()}
+        return torch.stack(weighted).sum(), values
+
+    def _ppo_terms(
+        self, result: dict[str, Tensor], rows: dict[str, Tensor]
+    ) -> tuple[LossTerms, dict[str, Tensor]]:
+        neglogp, mu = result["prev_neglogp"], result["mus"]
+        actor, clipped = losses.actor_loss(
+            rows["old_logp_actions"], neglogp, rows["advantages"], self.ppo, self.e_clip
+        )
+        critic = losses.critic_loss(
+            rows["old_values"], result["values"], rows["returns"], self.e_clip, self.clip_value
+        )
+        with torch.no_grad():
+            kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
+        terms = {
+            "actor_loss": (1.0, actor.mean()),
+            "critic_loss": (self.critic_coef, critic.mean()),
+            "bounds_loss": (self.bounds_loss_coef or 0.0, self.bound_loss(mu).mean()),
+            "entropy": (-self.entropy_coef, result["entropy"].mean()),
+        }
+        return terms, {"clip_frac": clipped.float().mean(), "kl": kl, "neglogp": neglogp}
+
+    def bound_loss(self, mu: Tensor) -> Tensor:
+        """Return (M,) the squared excess of mean actions (M, A) over +-1."""
+        return losses.bound_loss(mu)

@@ -1,0 +1,53 @@
+"""Cutting tensors of rows into slices, and putting together what was made of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import torch
+from torch import Tensor
+
+
+def cut_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:
+    """Return `slices` tuples of consecutive parts of all tensors."""
+    return list(zip(*(torch.tensor_split(tensor, slices) for tensor in rows), strict=True))
+
+
+def cut_in_proportion(
+    rows: dict[str, Tensor], slices: int
+) -> tuple[list[dict[str, Tensor]], list[float]]:
+    """Cut tensors of different lengths so that each slice has the same share of all of them.
+
+    Means over the slices, weighted by the shares, are then means over all rows of each tensor.
+
+    Args:
+        rows: {name: (n, ...)}, not empty.
+        slices: at most so many; there are fewer if the lengths have no common divisor that large.
+
+    Returns:
+        The slices, consecutive rows, and their shares, which add up to 1.
+    """
+    unit = math.gcd(*(len(tensor) for tensor in rows.values()))
+    slices = max(1, min(slices, unit))
+    ends = [unit * i // slices for i in range(slices + 1)]
+    parts = [
+        {name: t[len(t) // unit * first : len(t) // unit * end] for name, t in rows.items()}
+        for first, end in itertools.pairwise(ends)
+    ]
+    return parts, [(end - first) / unit for first, end in itertools.pairwise(ends)]
+
+
+def join(values: list[Tensor], shares: list[float]) -> Tensor:
+    """Put the values of slices together: the mean of numbers, all rows of rows."""
+    if values[0].ndim > 0:
+        return torch.cat(values)
+    return torch.stack([v * share for v, share in zip(values, shares, strict=True)]).sum()
+
+
+def sum_of_slices(grads: tuple[Tensor | None, ...]) -> Tensor | None:
+    """Add a parameter's gradients in the order of the slices."""
+    total = grads[0]
+    for grad in grads[1:]:
+        total = grad if total is None else total if grad is None else total + grad
+    return total

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.learning.row_slices import cut_in_proportion, join, sum_of_slices
+
+
+@pytest.mark.parametrize(
+    ("lengths", "asked", "expected"),
+    [
+        ((12, 4), 2, [(6, 2), (6, 2)]),
+        ((12, 4), 3, [(3, 1), (3, 1), (6, 2)]),
+        ((12, 4), 9, [(3, 1)] * 4),
+        ((12, 5), 4, [(12, 5)]),  # no common divisor
+        ((7,), 2, [(3,), (4,)]),
+    ],
+)
+def test_every_slice_has_the_same_share_of_all_tensors(lengths, asked, expected):
+    rows = {str(i): torch.arange(n) for i, n in enumerate(lengths)}
+    parts, shares = cut_in_proportion(rows, asked)
+    assert [tuple(len(t) for t in part.values()) for part in parts] == expected
+    assert shares == pytest.approx([part[0] / lengths[0] for part in expected])
+    assert sum(shares) == pytest.approx(1.0)
+    for name, tensor in rows.items():
+        assert torch.equal(torch.cat([part[name] for part in parts]), tensor)
+
+
+def test_numbers_are_averaged_by_their_shares_and_rows_put_together():
+    assert join([torch.tensor(2.0), torch.tensor(6.0)], [0.25, 0.75]).item() == 5.0
+    assert join([torch.tensor([1.0]), torch.tensor([2.0, 3.0])], [0.5, 0.5]).tolist() == [1, 2, 3]
+
+
+def test_gradients_that_a_slice_does_not_have_count_as_zero():
+    one = torch.ones(2)
+    assert sum_of_slices((None, None)) is None
+    assert torch.equal(sum_of_slices((None, one, 2 * one)), 3 * one)
+    assert torch.equal(sum_of_slices((one, None)), one)
