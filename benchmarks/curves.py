@@ -1,11 +1,11 @@
 """Draws learning curves of runs and prints their table for docs/.
 
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
-        [--runs-dir runs/benchmarks] [--against minutes|frames]
+        [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved]
 
 A target is a run folder or the name of an experiment: one thin line for each seed, the median
-thick. Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is
-printed.
+thick. `--saved` draws the curves of experiments that benchmarks/results keeps, without their runs.
+Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.learning_curve import FloatArray, LearningCurve, Series, read_learning_curve
 from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
+from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
 
 _PANELS = {
@@ -129,6 +131,19 @@ def _frames_per_s(curve: LearningCurve) -> float | None:
     return float(np.ptp(clock.frames) / (60.0 * np.ptp(clock.minutes)))
 
 
+def _of_runs(targets: Sequence[str], runs_dir: Path) -> dict[str, list[LearningCurve]]:
+    curves: dict[str, list[LearningCurve]] = {}
+    for target in targets:
+        for run in find_runs(target, runs_dir):
+            curve = read_learning_curve(run.folder / "summaries")
+            curves.setdefault(run.experiment, []).append(curve)
+    return curves
+
+
+def _saved(experiments: Sequence[str]) -> dict[str, list[LearningCurve]]:
+    return {name: find_saved_curves(name, RESULTS_DIR / CURVES) for name in experiments}
+
+
 def main() -> None:
     """Draw and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -136,13 +151,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="the picture, .png or .svg")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
+    parser.add_argument("--saved", action="store_true", help="curves that were kept")
     args = parser.parse_intermixed_args()
     try:
-        curves: dict[str, list[LearningCurve]] = {}
-        for target in args.targets:
-            for run in find_runs(target, args.runs_dir):
-                curve = read_learning_curve(run.folder / "summaries")
-                curves.setdefault(run.experiment, []).append(curve)
+        curves = _saved(args.targets) if args.saved else _of_runs(args.targets, args.runs_dir)
         print(markdown_table(curves))
         if args.out:
             draw(curves, args.out, args.against)

@@ -6,7 +6,8 @@
 A target is a checkpoint, a run folder (its newest checkpoint), or the name of an experiment (the
 newest checkpoint of each of its seeds). 32 episodes of up to 300 steps, one in each environment,
 from random moments of the clip, the same for every policy; mean actions. Prints one line for each
-policy and the medians over seeds; `--write` adds the records to benchmarks/results.
+policy and the medians over seeds; `--write` adds the records and the learning curves to
+benchmarks/results.
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ from benchmarks.records import (
     write_records,
 )
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs, plain
+from benchmarks.saved_curves import save_curve
 from isaacgymenvs_lite.checkpoints import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 
 RESULTS_DIR = Path(__file__).with_name("results")
+CURVES = "curves"
+"""Folder of the learning curves in that of the records."""
 
 
 def measure(
@@ -102,7 +106,7 @@ def evaluate_and_report(
     Args:
         runs: what to measure.
         checkpoints: one for each run; None for the newest.
-        results_dir: where records are written; None writes none.
+        results_dir: where records and learning curves are written; None writes none.
         markdown: print a table for docs/, too.
         seed: of the episodes' starts.
         num_threads: for physics and networks.
@@ -123,6 +127,9 @@ def evaluate_and_report(
     if results_dir is not None:
         for file in write_records(records, results_dir):
             print(f"wrote {file}")
+        for run in runs:
+            curve = read_learning_curve(run.folder / "summaries")
+            save_curve(curve, results_dir / CURVES / f"{run.folder.resolve().name}.json")
     return records
 
 

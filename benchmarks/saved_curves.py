@@ -1,0 +1,68 @@
+"""Learning curves that outlive their run folders: thinned, one JSON file for each run."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.learning_curve import LearningCurve, Series
+from benchmarks.records import GOOD_EPISODE_STEPS
+from isaacgymenvs_lite.errors import ConfigError
+
+_POINTS = 100
+_SIGNIFICANT_DIGITS = 5
+
+
+def save_curve(curve: LearningCurve, file: Path) -> None:
+    """Write a curve of about a hundred points; makes the folder."""
+    series = {name: _columns(_thinned(curve[name])) for name in curve.series}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(series, separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+def load_curve(file: Path) -> LearningCurve:
+    """Read a file of `save_curve`."""
+    columns = json.loads(file.read_text(encoding="utf-8"))
+    return LearningCurve(
+        {name: Series(*(np.array(c, dtype=np.float64) for c in cs)) for name, cs in columns.items()}
+    )
+
+
+def find_saved_curves(experiment: str, folder: Path) -> list[LearningCurve]:
+    """Return the curves of all seeds of an experiment, by seed.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    pattern = re.compile(re.escape(experiment) + r"_seed(\d+)")
+    found = {
+        int(seed[1]): file
+        for file in folder.glob(f"{experiment}_seed*.json")
+        if (seed := pattern.fullmatch(file.stem))
+    }
+    if not found:
+        present = ", ".join(sorted(file.stem for file in folder.glob("*.json"))) or "nothing"
+        raise ConfigError(f"'{experiment}': no saved curve in {folder} (there: {present})")
+    return [load_curve(found[seed]) for seed in sorted(found)]
+
+
+def _thinned(series: Series) -> Series:
+    """Keep evenly spread values, the last one, and the first that is good enough."""
+    kept = np.linspace(0, len(series) - 1, min(_POINTS, len(series))).round().astype(int)
+    good = np.flatnonzero(series.values >= GOOD_EPISODE_STEPS)[:1]
+    rows = np.union1d(kept, good)
+    return Series(series.frames[rows], series.minutes[rows], series.values[rows])
+
+
+def _columns(series: Series) -> list[list[float]]:
+    """Return frames, minutes and values, rounded."""
+    columns = (series.frames, series.minutes, series.values)
+    frames, minutes, values = (column.tolist() for column in columns)
+    return [
+        [int(x) for x in frames],
+        [round(x, 3) for x in minutes],
+        [float(f"{x:.{_SIGNIFICANT_DIGITS}g}") for x in values],
+    ]
