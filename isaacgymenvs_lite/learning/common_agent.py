@@ -11,17 +11,17 @@ from typing import Any
 
 import torch
 from rl_games.algos_torch import torch_ext
-from rl_games.algos_torch.a2c_continuous import A2CAgent
 from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
 from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.next_values import NextValues
 from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.learning.training_log import TrainingLog
 
 _UNSUPPORTED_KEYS = (
     "central_value_config",
@@ -31,7 +31,7 @@ _UNSUPPORTED_KEYS = (
 )
 
 
-class CommonAgent(MinibatchLoss, A2CAgent):
+class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     """PPO that asks the environment for resets and bootstraps with the value after each step.
 
     Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
@@ -213,72 +213,6 @@ class CommonAgent(MinibatchLoss, A2CAgent):
             )
         return result
 
-    def _note_next_values(self, n: int, infos: dict[str, Any]) -> None:
-        """Keep the rows after step n that no later policy call values.
-
-        Where the episode goes on, the policy call of step n + 1 evaluates the same observation,
-        and `_fill_next_values` takes its value over. After a failure there is nothing to value.
-        """
-        asked = self._needs_next_value()
-        if n == self.horizon_length - 1:
-            asked = torch.ones_like(asked)
-        self._pending = ~asked
-        terminate = self._terminated(infos).bool()
-        self.experience_buffer.tensor_dict["next_values"][n].zero_()
-        rows = (asked & ~terminate).nonzero().flatten()
-        inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
-        kept = {name: value.index_select(0, rows) for name, value in inputs.items()}
-        self._unvalued.append((n * len(terminate) + rows, kept))
-
-    def _fill_next_values(self, n: int, values: Tensor) -> None:
-        next_values = self.experience_buffer.tensor_dict["next_values"][n]
-        torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
-
-    def _value_noted_rows(self) -> None:
-        """Evaluate the rows of the whole rollout that `_note_next_values` kept, in one call."""
-        places, kept = zip(*self._unvalued, strict=True)
-        self._unvalued = []
-        inputs = {name: torch.cat([rows[name] for rows in kept]) for name in kept[0]}
-        if len(inputs["obs"]) > 0:
-            next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
-            next_values[torch.cat(places)] = self._eval_critic(inputs)
-
-    def _terminated(self, infos: dict[str, Any]) -> Tensor:
-        """(N,) 1 where the episode ended by a failure: no future to bootstrap from."""
-        if "terminate" in infos:
-            return infos["terminate"].to(self.ppo_device)
-        if "time_outs" in infos:
-            return self.dones.bool() & ~infos["time_outs"].to(self.ppo_device).bool()
-        return self.dones
-
-    def _eval_critic(self, inputs: dict[str, Tensor]) -> Tensor:
-        """Values (n, values), denormalised, of raw observations and the policy's other inputs.
-
-        The critic is called directly, so that the observation is normalised here.
-        """
-        self.model.eval()
-        others = {name: value for name, value in inputs.items() if name != "obs"}
-        with torch.no_grad():
-            obs = self.model.norm_obs(inputs["obs"])
-            return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **others))
-
-    def _track_episodes(
-        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
-    ) -> None:
-        """Feed rl_games' meters of finished episodes and the observers."""
-        self.current_rewards += rewards
-        self.current_shaped_rewards += shaped_rewards
-        self.current_lengths += 1
-        done_indices = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
-        self.game_rewards.update(self.current_rewards[done_indices])
-        self.game_shaped_rewards.update(self.current_shaped_rewards[done_indices])
-        self.game_lengths.update(self.current_lengths[done_indices])
-        self.algo_observer.process_infos(infos, done_indices)
-        going_on = (1.0 - self.dones.float()).unsqueeze(1)
-        self.current_rewards *= going_on
-        self.current_shaped_rewards *= going_on
-        self.current_lengths *= going_on.squeeze(1)
-
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         self._value_noted_rows()
         buffer = self.experience_buffer.tensor_dict
@@ -291,14 +225,6 @@ class CommonAgent(MinibatchLoss, A2CAgent):
         batch["played_frames"] = self.batch_size
         batch["step_time"] = step_time_s
         return batch
-
-    def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
-        self, mb_fdones: Tensor, mb_values: Tensor, mb_rewards: Tensor, mb_next_values: Tensor
-    ) -> Tensor:
-        """Return advantages (H, N, values); see `losses.discount_values`."""
-        return losses.discount_values(
-            mb_fdones, mb_values, mb_rewards, mb_next_values, self.gamma, self.tau
-        )
 
     # --- update ----------------------------------------------------------------------------
 
@@ -401,35 +327,3 @@ class CommonAgent(MinibatchLoss, A2CAgent):
         )
         self._log_train_info(values)
         self.train_result = {"kl": kl, "lr_mul": 1.0, "last_lr": self.last_lr}
-
-    # --- statistics ------------------------------------------------------------------------
-
-    def _log_train_info(self, values: dict[str, Tensor]) -> None:
-        """Collect scalars of a minibatch; their epoch means are written by `write_stats`."""
-        for name, value in values.items():
-            self._train_info.setdefault(name, []).append(value)
-
-    def train_info_means(self) -> dict[str, float]:
-        """Return the epoch means of all collected scalars."""
-        return {
-            name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()
-        }
-
-    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
-        (step_time, play_time, update_time, *_rest) = args
-        frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
-        writer = self.writer
-        writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
-        writer.add_scalar("performance/update_time", update_time, frame)
-        writer.add_scalar("performance/play_time", play_time, frame)
-        self._write_train_info(frame)
-        if self.game_rewards.current_size > 0:
-            mean_length = self.game_lengths.get_mean().item()
-            mean_reward = self.game_rewards.get_mean()[0].item()
-            writer.add_scalar("rewards/frame", mean_reward, frame)
-            writer.add_scalar("episode_lengths/frame", mean_length, frame)
-        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
-
-    def _write_train_info(self, frame: int) -> None:
-        self.writer.add_scalar("info/clip_frac", self.train_info_means()["clip_frac"], frame)

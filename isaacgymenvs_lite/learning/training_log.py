@@ -1,0 +1,63 @@
+"""What CommonAgent collects in an epoch and writes to TensorBoard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rl_games.algos_torch import torch_ext
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from torch import Tensor
+
+
+class TrainingLog(A2CAgent):
+    """Statistics of finished episodes, and scalars of an agent's minibatches and epochs."""
+
+    writer: Any
+    _train_info: dict[str, list[Tensor]]
+
+    def _track_episodes(
+        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
+    ) -> None:
+        """Feed rl_games' meters of finished episodes and the observers."""
+        self.current_rewards += rewards
+        self.current_shaped_rewards += shaped_rewards
+        self.current_lengths += 1
+        done_indices = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
+        self.game_rewards.update(self.current_rewards[done_indices])
+        self.game_shaped_rewards.update(self.current_shaped_rewards[done_indices])
+        self.game_lengths.update(self.current_lengths[done_indices])
+        self.algo_observer.process_infos(infos, done_indices)
+        going_on = (1.0 - self.dones.float()).unsqueeze(1)
+        self.current_rewards *= going_on
+        self.current_shaped_rewards *= going_on
+        self.current_lengths *= going_on.squeeze(1)
+
+    def _log_train_info(self, values: dict[str, Tensor]) -> None:
+        """Collect scalars of a minibatch; their epoch means are written by `write_stats`."""
+        for name, value in values.items():
+            self._train_info.setdefault(name, []).append(value)
+
+    def train_info_means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {
+            name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()
+        }
+
+    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
+        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
+        (step_time, play_time, update_time, *_rest) = args
+        frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
+        writer = self.writer
+        writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
+        writer.add_scalar("performance/update_time", update_time, frame)
+        writer.add_scalar("performance/play_time", play_time, frame)
+        self._write_train_info(frame)
+        if self.game_rewards.current_size > 0:
+            mean_length = self.game_lengths.get_mean().item()
+            mean_reward = self.game_rewards.get_mean()[0].item()
+            writer.add_scalar("rewards/frame", mean_reward, frame)
+            writer.add_scalar("episode_lengths/frame", mean_length, frame)
+        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
+
+    def _write_train_info(self, frame: int) -> None:
+        self.writer.add_scalar("info/clip_frac", self.train_info_means()["clip_frac"], frame)
