@@ -27,6 +27,10 @@ from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPA
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous, LeastSquaresAMPPlayer
+from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
+from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
+from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
+from isaacgymenvs_lite.learning.gen_amp_players import GenAMPPlayerContinuous
 from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
@@ -36,12 +40,17 @@ _ALGORITHMS: dict[str, tuple[type, type]] = {
     "amp_agent": (LeastSquaresAMPAgent, LeastSquaresAMPPlayer),
     "amp_continuous": (AMPAgent, AMPPlayerContinuous),
     "amp": (AMPAgent, AMPPlayerContinuous),
+    "gen_amp": (GenAMPAgent, GenAMPPlayerContinuous),
+    "ase": (GenAMPAgent, GenAMPPlayerContinuous),
 }
 _MODELS: dict[str, type] = {
     "continuous_amp": ModelAMPContinuous,
     "amp": ModelAMPContinuous,
+    "continuous_gen_amp": ModelGenAMPContinuous,
+    "gen_amp": ModelGenAMPContinuous,
+    "ase": ModelGenAMPContinuous,
 }
-_NETWORKS: dict[str, type] = {"amp": AMPBuilder}
+_NETWORKS: dict[str, type] = {"amp": AMPBuilder, "gen_amp": GenAMPBuilder, "ase": GenAMPBuilder}
 _ENV_NAME = "rlgpu"
 
 

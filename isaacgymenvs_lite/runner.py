@@ -23,7 +23,7 @@ from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.event_sink import protect
-from isaacgymenvs_lite.learning.amp_config import AMPParams
+from isaacgymenvs_lite.learning.amp_config import UNREAD_KEYS, GenAMPParams
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.observers import (
     AdviceObserver,
@@ -119,9 +119,11 @@ class Session:
                 algos=names["algo"],
                 models=names["model"],
                 networks=names["network"],
-                config_keys=[*keys_of(AMPParams), *_RUNNER_KEYS],
+                config_keys=[*keys_of(GenAMPParams), *UNREAD_KEYS, *_RUNNER_KEYS],
             ),
         )
+        if self._settings.latent:
+            params["config"].setdefault("player", {})["latent"] = self._settings.latent
         # rl_games sets torch's threads by this key, to at most four by default.
         params.setdefault("torch_threads", thread_count(self._settings.num_threads))
         return params

@@ -19,9 +19,9 @@ from isaacgymenvs_lite.registration import (
 )
 
 # architecture.md, as far as these agents exist
-ALGORITHMS = ("amp_agent", "amp_continuous", "amp")
-MODELS = ("continuous_amp", "amp")
-NETWORKS = ("amp",)
+ALGORITHMS = ("amp_agent", "amp_continuous", "amp", "gen_amp", "ase")
+MODELS = ("continuous_amp", "amp", "continuous_gen_amp", "gen_amp", "ase")
+NETWORKS = ("amp", "gen_amp", "ase")
 
 
 @pytest.fixture

@@ -33,6 +33,8 @@ class LaunchSettings:
     """File to restore, `last`, or ''."""
     sigma: float | None = setting(None, blank=True)
     """Replaces the log standard deviation of a policy with fixed sigma."""
+    latent: str = setting("")
+    """Skills that a played low-level controller shows: random, interpolate or a file."""
     num_envs: int | None = setting(None, minimum=1, blank=True)
     max_iterations: int | None = setting(None, minimum=1, blank=True)
     """Epochs."""
@@ -100,6 +102,11 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     }
     settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
     _check_features(settings, cfg)
+    if settings.latent and not settings.test:
+        raise ConfigError(
+            f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
+            " checkpoint=, or remove it (training draws latents at random)"
+        )
     check_device(settings.sim_device, "sim_device")
     if not postponed:
         check_device(settings.rl_device, "rl_device")

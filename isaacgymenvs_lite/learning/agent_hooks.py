@@ -5,20 +5,23 @@
 | `_load_config_params` | its own keys |
 | `_build_net_config` | its own arguments of the networks |
 | `_parameter_groups` | parameters with a learning rate of their own |
-| `_before_step` | work before each policy step |
+| `_after_reset`, `_before_step` | work where episodes start, and before each policy step |
 | `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
+| `_evaluation_inputs` | the same for another task that the policy plays |
 | `_rows_to_count` | rows that its normalisers count in |
 | `_needs_next_value` | rows whose next value the following step's policy call will not give |
 | `_record_step` | what to keep of a step |
 | `_total_rewards` | rewards beside the task's |
 | `_before_update`, `_after_update` | work around the gradient steps |
 | `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
+| `_derived_rows` | rows that a whole minibatch decides about |
 | `_extra_losses` | loss terms beside PPO's |
 | `_checkpoint_keys` | what a checkpoint must hold |
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from torch import Tensor
@@ -46,12 +49,20 @@ class AgentHooks:
         """
         return [{"params": list(self.model.parameters())}]
 
+    def _after_reset(self, env_ids: Tensor) -> None:
+        """Called before each policy step with the environments (n,) whose episodes start there."""
+
     def _before_step(self) -> None:
         """Called before each policy step of a rollout."""
 
     def _policy_inputs(self) -> dict[str, Tensor]:
         """Return inputs of actor and critic beside the observation, (N, ...) each."""
         return {}
+
+    def _evaluation_inputs(self, env: Any) -> Callable[[], dict[str, Tensor]]:
+        """Return a function that gives such inputs, (n, ...), for each step of another task."""
+        del env
+        return dict
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return inputs of the model beside the observation for a slice of a minibatch.
@@ -92,6 +103,15 @@ class AgentHooks:
 
     def _dataset_row_limits(self) -> dict[str, int]:
         """Return how many rows of a minibatch are read, for names where it is not all."""
+        return {}
+
+    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return rows (M, ...) that join a minibatch before it is cut into slices.
+
+        For what needs all rows at once, or random numbers: slices are computed by several threads.
+        `row_weights` (M,), of mean 1, weigh the rows in the policy's losses.
+        """
+        del input_dict
         return {}
 
     def _extra_losses(

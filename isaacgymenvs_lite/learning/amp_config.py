@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 
 DISC_REWARDS = ("least_squares", "logistic")
 DISC_LOSSES = ("bce", "least_squares")
+UNREAD_KEYS = ("amp_latent_grad_bonus", "amp_latent_grad_bonus_max")
+"""Keys of ASE's files that nothing has ever read."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AMPParams:
     """What an AMP agent reads beside PPO's keys; names and meanings as IsaacGymEnvs unless said."""
 
@@ -52,14 +54,50 @@ class AMPParams:
     learning_rate, with its schedule."""
     disc_loss: str = setting("bce", choices=DISC_LOSSES)
     """This project's: the prediction loss; least_squares is the AMP paper's."""
+    enable_eps_greedy: bool = setting(False)
+    """ASE's: some environments act without exploration noise, so that the discriminator sees
+    motion free of noise; what they did does not train the policy."""
 
 
-def read_amp_params(config: Mapping[str, Any]) -> AMPParams:
+@dataclass(frozen=True, kw_only=True)
+class GenAMPParams(AMPParams):
+    """What a GenAMP agent reads beside AMP's keys; names and meanings as ASE."""
+
+    latent_dim: int = setting(minimum=2)
+    """Numbers in a latent."""
+    latent_steps_min: int = setting(minimum=1)
+    """Least number of control steps that a latent is kept."""
+    latent_steps_max: int = setting(minimum=2)
+    """Above the largest number."""
+    amp_diversity_bonus: float = setting(minimum=0)
+    """Weight of the loss that makes different latents act differently."""
+    amp_diversity_tar: float = setting()
+    """Its target: squared distance of actions over squared distance of latents."""
+    enc_coef: float = setting(minimum=0)
+    """Weight of the encoder's loss."""
+    enc_weight_decay: float = setting(minimum=0)
+    """Weight of all its squared weights."""
+    enc_reward_scale: float = setting()
+    """Factor of the encoder's reward."""
+    enc_grad_penalty: float = setting(minimum=0)
+    """Weight of the squared gradient of its error by the AMP observations."""
+    enc_reward_w: float = setting()
+    """Weight of the encoder's reward."""
+
+
+P = TypeVar("P", bound=AMPParams)
+
+
+def read_amp_params(config: Mapping[str, Any], cls: type[P] = AMPParams) -> P:
     """Check the AMP keys of `train.params.config`.
+
+    Args:
+        config: with PPO's keys beside them.
+        cls: whose keys they are.
 
     Raises:
         ConfigError: a key is missing, ill-typed or out of range.
     """
-    known = keys_of(AMPParams)
+    known = keys_of(cls)
     section = {key: value for key, value in config.items() if key in known}
-    return read_section(AMPParams, section, "train.params.config")
+    return read_section(cls, section, "train.params.config")

@@ -7,33 +7,21 @@ Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Cha
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
-from isaacgymenvs_lite.learning.amp_config import read_amp_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.losses import normalize_masked
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
-_SCALARS = {
-    "disc_loss": "losses/disc_loss",
-    "disc_agent_acc": "info/disc_agent_acc",
-    "disc_demo_acc": "info/disc_demo_acc",
-    "disc_agent_logit": "info/disc_agent_logit",
-    "disc_demo_logit": "info/disc_demo_logit",
-    "disc_grad_penalty": "info/disc_grad_penalty",
-    "disc_logit_loss": "info/disc_logit_loss",
-    "disc_reward_mean": "info/disc_reward_mean",
-    "disc_reward_std": "info/disc_reward_std",
-    "task_reward_mean": "info/task_reward_mean",
-    "style_share": "info/style_reward_share",
-}
 
 
 class AMPAgent(CommonAgent):
@@ -44,10 +32,26 @@ class AMPAgent(CommonAgent):
 
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
+        params_class: the keys that it reads beside PPO's.
+        scalars: what it logs of an epoch -> names in TensorBoard.
         discriminator: normaliser, loss and reward.
     """
 
     default_disc_reward = "logistic"
+    params_class: ClassVar[type[AMPParams]] = AMPParams
+    scalars: ClassVar[dict[str, str]] = {
+        "disc_loss": "losses/disc_loss",
+        "disc_agent_acc": "info/disc_agent_acc",
+        "disc_demo_acc": "info/disc_demo_acc",
+        "disc_agent_logit": "info/disc_agent_logit",
+        "disc_demo_logit": "info/disc_demo_logit",
+        "disc_grad_penalty": "info/disc_grad_penalty",
+        "disc_logit_loss": "info/disc_logit_loss",
+        "disc_reward_mean": "info/disc_reward_mean",
+        "disc_reward_std": "info/disc_reward_std",
+        "task_reward_mean": "info/task_reward_mean",
+        "style_share": "info/style_reward_share",
+    }
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         super().__init__(base_name, params)
@@ -61,7 +65,7 @@ class AMPAgent(CommonAgent):
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
-        self._amp = read_amp_params(config)
+        self._amp = read_amp_params(config, self.params_class)
         if "amp_observation_space" not in self.env_info:
             raise ConfigError(
                 "train.params.algo: AMP needs a task with reference motions"
@@ -91,6 +95,12 @@ class AMPAgent(CommonAgent):
             self.horizon_length, self.num_actors, size, device=self.ppo_device
         )
         self.tensor_list += ["amp_obs"]
+        if self._amp.enable_eps_greedy:
+            self.experience_buffer.tensor_dict["rand_action_mask"] = torch.zeros(
+                self.horizon_length, self.num_actors, device=self.ppo_device
+            )
+            self.tensor_list += ["rand_action_mask"]
+            self._exploration_probs = exploration_probs(self.num_actors).to(self.ppo_device)
         self._demo_buffer = ReplayBuffer(self._amp.amp_obs_demo_buffer_size, self.ppo_device)
         self._replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
         for _ in range(math.ceil(self._amp.amp_obs_demo_buffer_size / self._amp.amp_batch_size)):
@@ -102,8 +112,19 @@ class AMPAgent(CommonAgent):
 
     # --- rollout ---------------------------------------------------------------------------
 
+    def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Sample actions; with `enable_eps_greedy` some environments take the mean action."""
+        result = super().get_action_values(obs)
+        if self._amp.enable_eps_greedy:
+            self._explored = torch.bernoulli(self._exploration_probs)
+            explored = self._explored.bool().unsqueeze(-1)
+            result["actions"] = torch.where(explored, result["actions"], result["mus"])
+        return result
+
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
         self.experience_buffer.update_data("amp_obs", n, infos["amp_obs"])
+        if self._amp.enable_eps_greedy:
+            self.experience_buffer.update_data("rand_action_mask", n, self._explored)
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
         amp_rewards = self._calc_amp_rewards(self.experience_buffer.tensor_dict["amp_obs"])
@@ -148,8 +169,24 @@ class AMPAgent(CommonAgent):
             }
         )
 
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """As CommonAgent; advantages by the moments of the rows that explored."""
+        super().prepare_dataset(batch_dict)
+        if self._amp.enable_eps_greedy and self.normalize_advantage:
+            raw = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
+            advantages = normalize_masked(raw, batch_dict["rand_action_mask"])
+            self.dataset.values_dict["advantages"] = advantages
+
+    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        rows = super()._derived_rows(input_dict)
+        if self._amp.enable_eps_greedy:
+            mask = input_dict["rand_action_mask"]
+            rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
+        return rows
+
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        return {name: batch_dict[name] for name in self._dataset_row_limits()}
+        mask = ("rand_action_mask",) if self._amp.enable_eps_greedy else ()
+        return {name: batch_dict[name] for name in (*_AMP_OBS_KINDS, *mask)}
 
     def _dataset_row_limits(self) -> dict[str, int]:
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
@@ -212,8 +249,9 @@ class AMPAgent(CommonAgent):
     def _write_train_info(self, frame: int) -> None:
         super()._write_train_info(frame)
         means = self.train_info_means()
-        for name, tag in _SCALARS.items():
-            self.writer.add_scalar(tag, means[name], frame)
+        for name, tag in self.scalars.items():
+            if name in means:
+                self.writer.add_scalar(tag, means[name], frame)
 
     # --- checkpoint ------------------------------------------------------------------------
 
@@ -233,6 +271,18 @@ class AMPAgent(CommonAgent):
         super().set_stats_weights(weights)
         if self.discriminator.normalizer is not None:
             self.discriminator.normalizer.load_state_dict(weights["amp_input_mean_std"])
+
+
+def exploration_probs(num_envs: int) -> Tensor:
+    """Return (N,) how probable exploration noise is in each environment, from 1 to 0 (as ASE).
+
+    1 - exp(10 (i / (N - 1) - 1)) for environment i; a single environment always explores.
+    """
+    if num_envs == 1:
+        return torch.ones(1)
+    probs = 1.0 - torch.exp(10.0 * (torch.linspace(0.0, 1.0, num_envs) - 1.0))
+    probs[0], probs[-1] = 1.0, 0.0
+    return probs
 
 
 class LeastSquaresAMPAgent(AMPAgent):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -60,31 +61,45 @@ class AMPBuilder(A2CBuilder):
                 raise ConfigError(
                     "train.params.network.disc.units=[]: expected at least one hidden layer"
                 )
-            self._disc_mlp = self._build_mlp(
-                input_size=input_shape[0],
-                units=disc["units"],
-                activation=disc["activation"],
-                dense_func=nn.Linear,
-            )
+            self._disc_mlp = self._hidden_layers(input_shape[0], disc["units"], disc)
             self._disc_logits = nn.Linear(disc["units"][-1], 1)
-            init = self.init_factory.create(**disc.get("initializer", {"name": "default"}))
-            for layer in self._disc_mlp.modules():
-                if isinstance(layer, nn.Linear):
-                    init(layer.weight)
-                    nn.init.zeros_(layer.bias)
             nn.init.uniform_(
                 self._disc_logits.weight, -_DISC_LOGIT_INIT_SCALE, _DISC_LOGIT_INIT_SCALE
             )
             nn.init.zeros_(self._disc_logits.bias)
 
+        def _hidden_layers(
+            self, inputs: int, units: Sequence[int], section: dict[str, Any]
+        ) -> nn.Module:
+            """Return layers with the section's activation behind each, initialised as it says."""
+            layers = self._build_mlp(
+                input_size=inputs,
+                units=list(units),
+                activation=section["activation"],
+                dense_func=nn.Linear,
+            )
+            self._init_linear(layers, section)
+            return layers
+
+        def _init_linear(self, module: nn.Module, section: dict[str, Any]) -> None:
+            """Initialise linear layers by a section's `initializer`, their biases with zeros."""
+            init = self.init_factory.create(**section.get("initializer", {"name": "default"}))
+            for layer in module.modules():
+                if isinstance(layer, nn.Linear):
+                    init(layer.weight)
+                    nn.init.zeros_(layer.bias)
+
         def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
             """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
-            hidden = self.actor_mlp(obs)
-            mu = self.mu_act(self.mu(hidden))
+            return self._act_on(self.actor_mlp(obs))
+
+        def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
+            """Return mean actions and log standard deviations of the trunk's features."""
+            mu = self.mu_act(self.mu(features))
             if self.fixed_sigma:
                 return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)
             layer: Any = self.sigma
-            return mu, self.sigma_act(layer(hidden))
+            return mu, self.sigma_act(layer(features))
 
         def eval_critic(self, obs: Tensor) -> Tensor:
             """Return normalised values (n, values) for normalised obs (n, O)."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import Tensor
 
 from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.learning.amp_config import read_amp_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
@@ -26,6 +26,7 @@ class AMPPlayerContinuous(CommonPlayer):
     """
 
     default_disc_reward = AMPAgent.default_disc_reward
+    params_class: ClassVar[type[AMPParams]] = AMPParams
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._print_disc_prediction = bool(params["config"].get("print_disc_prediction", False))
@@ -33,7 +34,7 @@ class AMPPlayerContinuous(CommonPlayer):
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self.env.amp_observation_space.shape[0],
-            read_amp_params(self.config),
+            read_amp_params(self.config, self.params_class),
             self.default_disc_reward,
             self.device,
         )

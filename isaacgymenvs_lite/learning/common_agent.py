@@ -7,6 +7,7 @@ Agents override the hooks of `agent_hooks`, never the loops.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -49,6 +50,7 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     writer: Any
     obs: Any
     train_result: Any
+    tensor_list: list[str]
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
@@ -195,23 +197,44 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         return self._rollout_batch(step_time_s)
 
     def _reset_done_envs(self) -> Any:
-        obs, _ = self.vec_env.reset_done()
+        obs, env_ids = self.vec_env.reset_done()
+        self._after_reset(env_ids.to(self.ppo_device))
         return self.obs_to_tensors(obs)
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
+        return self._evaluate_policy(obs, self._policy_inputs())
+
+    def _evaluate_policy(
+        self, obs: dict[str, Tensor], inputs: dict[str, Tensor]
+    ) -> dict[str, Tensor]:
         self.model.eval()
         with torch.no_grad():
-            result = self.model(
+            return self.model(
                 {
                     "is_train": False,
                     "prev_actions": None,
                     "obs": self._preproc_obs(obs["obs"]),
                     "rnn_states": None,
-                    **self._policy_inputs(),
+                    **inputs,
                 }
             )
-        return result
+
+    def mean_policy(self, env: Any) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return what plays `env`, another task of the same kind: mean actions without noise.
+
+        Args:
+            env: a `VecTask`; the policy may look at its `progress_buf`.
+        """
+        inputs = self._evaluation_inputs(env)
+
+        def act(obs: dict[str, Tensor]) -> Tensor:
+            tensors: Any = self.obs_to_tensors(obs)
+            means = self._evaluate_policy(tensors, inputs())["mus"].float()
+            actions: Any = self.preprocess_actions(means)
+            return actions
+
+        return act
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         self._value_noted_rows()
@@ -307,7 +330,8 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch; `self.train_result` holds what to log."""
         self._count_in(input_dict)
-        gradients, values = self.executor.gradients(self._row_loss, input_dict, self._learned)
+        rows = input_dict | self._derived_rows(input_dict)
+        gradients, values = self.executor.gradients(self._row_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
         self.trancate_gradients_and_step()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from rl_games.algos_torch.players import PpoPlayerContinuous
+from rl_games.algos_torch.players import PpoPlayerContinuous, rescale_actions
 from rl_games.common.player import BasePlayer
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
 
@@ -28,13 +29,25 @@ class CommonPlayer(PpoPlayerContinuous):
 
     Attributes:
         result: what `run` measured; None before.
+        hears_latents: whether its policies act under skill latents.
+
+    Raises:
+        ConfigError: a latent for a policy that hears none.
     """
+
+    hears_latents: ClassVar[bool] = False
 
     def __init__(self, params: dict[str, Any]) -> None:
         # Not PpoPlayerContinuous' constructor: it builds the model before an agent's own inputs
         # are known.
         BasePlayer.__init__(self, params)
         self.result: EvaluationResult | None = None
+        latent = self.player_config.get("latent")
+        if latent and not self.hears_latents:
+            raise ConfigError(
+                f"latent={latent}: this policy hears no skill latents (algorithms gen_amp and ase"
+                " make such); remove it"
+            )
         # rl_games' default means "until the window is closed"; without a window a play ends.
         self.games_num = int(self.player_config.get("games_num", _DEFAULT_EPISODES))
         self.has_batch_dimension = True
@@ -70,6 +83,27 @@ class CommonPlayer(PpoPlayerContinuous):
             on_step=self._on_step,
         )
         log.info("played %s", self.result)
+
+    def get_action(self, obs: Any, is_deterministic: bool = False) -> Tensor:
+        """Return actions (N, A) for raw observations (N, O), within the action space's limits."""
+        with torch.no_grad():
+            result = self.model(
+                {
+                    "is_train": False,
+                    "prev_actions": None,
+                    "obs": self._preproc_obs(obs),
+                    "rnn_states": None,
+                    **self._policy_inputs(),
+                }
+            )
+        actions = result["mus"] if is_deterministic else result["actions"]
+        if not self.clip_actions:
+            return actions
+        return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        """Return inputs of the policy beside the observation, (N, ...); once for each step."""
+        return {}
 
     def _act(self, obs: dict[str, Tensor]) -> Tensor:
         return self.get_action(self.obs_to_torch(obs), self.is_deterministic)

@@ -76,3 +76,37 @@ def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
     """
     (gradient,) = torch.autograd.grad(outputs, inputs, torch.ones_like(outputs), create_graph=True)
     return gradient
+
+
+def diversity_loss(
+    mu: Tensor, other_mu: Tensor, latents: Tensor, other_latents: Tensor, target: float
+) -> Tensor:
+    """Return (M,) how far actions of two latents are from being as different as the latents are.
+
+    (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2 with actions clamped to +-1 (ASE, Peng
+    et al. 2022, eq. 14, in its published code's form).
+
+    Args:
+        mu: (M, A) mean actions under `latents`.
+        other_mu: (M, A) mean actions of the same observations under `other_latents`.
+        latents: (M, Z) unit vectors.
+        other_latents: (M, Z) unit vectors.
+        target: of the quotient.
+    """
+    action_distance = (mu.clamp(-1.0, 1.0) - other_mu.clamp(-1.0, 1.0)).square().mean(dim=-1)
+    latent_distance = 0.5 - 0.5 * (latents * other_latents).sum(dim=-1)
+    return (target - action_distance / (latent_distance + 1e-5)).square()
+
+
+def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
+    """Return values (n,) less the mean and over the spread of those whose mask (n,) is 1.
+
+    Unbiased variance; with fewer than two rows there is no spread and the values are returned as
+    they are.
+    """
+    count = mask.sum()
+    if count < 2:
+        return values
+    mean = (mask * values).sum() / count
+    variance = ((mask * values).square().sum() / count - mean.square()) * count / (count - 1)
+    return (values - mean) / (variance.clamp(min=0.0).sqrt() + 1e-8)

@@ -76,14 +76,22 @@ class MinibatchLoss(AgentHooks):
         )
         with torch.no_grad():
             kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
+        bound = self.bound_loss(mu)
         terms = {
-            "actor_loss": (1.0, actor.mean()),
+            "actor_loss": (1.0, weighted_mean(actor, rows)),
             "critic_loss": (self.critic_coef, critic.mean()),
-            "bounds_loss": (self.bounds_loss_coef or 0.0, self.bound_loss(mu).mean()),
-            "entropy": (-self.entropy_coef, result["entropy"].mean()),
+            "bounds_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
+            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
         }
-        return terms, {"clip_frac": clipped.float().mean(), "kl": kl, "neglogp": neglogp}
+        clip_frac = weighted_mean(clipped.float(), rows)
+        return terms, {"clip_frac": clip_frac, "kl": kl, "neglogp": neglogp}
 
     def bound_loss(self, mu: Tensor) -> Tensor:
         """Return (M,) the squared excess of mean actions (M, A) over +-1."""
         return losses.bound_loss(mu)
+
+
+def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:
+    """Return the mean of values (n,), by the weights that rows may have (`_derived_rows`)."""
+    weights = rows.get("row_weights")
+    return values.mean() if weights is None else (weights * values).mean()

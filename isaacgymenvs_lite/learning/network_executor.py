@@ -94,17 +94,19 @@ class NetworkExecutor:
 
     def _row_method(self, network: nn.Module, method: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(method)
-        def sliced(*rows: Tensor, **named_rows: Tensor) -> Any:
+        def sliced(*rows: Tensor, **named: Any) -> Any:
+            names = [name for name, value in named.items() if isinstance(value, Tensor)]
+            others = {name: value for name, value in named.items() if name not in names}
             several = True
 
             def function(*part: Tensor) -> tuple[Tensor, ...]:
                 nonlocal several
-                named = dict(zip(named_rows, part[len(rows) :], strict=True))
-                result = method(*part[: len(rows)], **named)
+                named_part = dict(zip(names, part[len(rows) :], strict=True))
+                result = method(*part[: len(rows)], **named_part, **others)
                 several = not isinstance(result, Tensor)
                 return tuple(result) if several else (result,)
 
-            outputs = self.run(network, function, *rows, *named_rows.values())
+            outputs = self.run(network, function, *rows, *(named[name] for name in names))
             return outputs if several else outputs[0]
 
         return sliced

@@ -93,9 +93,14 @@ class ImitationObserver(AlgoObserver):
                 reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
                 self.clip_spread_m = clip_spread_m(reference)
             torch.manual_seed(self._SEED)
-            return evaluate(self._env, self._act, self._num_episodes)
+            return evaluate(self._env, self._policy(), self._num_episodes)
 
-    def _act(self, obs: dict[str, Tensor]) -> Tensor:
+    def _policy(self) -> Callable[[dict[str, Tensor]], Tensor]:
+        if hasattr(self._algo, "mean_policy"):
+            return self._algo.mean_policy(self._env)
+        return self._means_of_rl_games
+
+    def _means_of_rl_games(self, obs: dict[str, Tensor]) -> Tensor:
         algo = self._algo
         means = algo.get_action_values(algo.obs_to_tensors(obs))["mus"].float()
         return algo.preprocess_actions(means)

@@ -14,7 +14,7 @@ ROOT_KEYS = {
     *("graphics_device_id", "solver_type", "num_subscenes", "test", "checkpoint", "sigma"),
     *("multi_gpu", "wandb_activate", "wandb_group", "wandb_entity", "wandb_logcode_dir"),
     *("wandb_name", "wandb_project", "wandb_tags", "capture_video", "capture_video_freq"),
-    *("capture_video_len", "force_render", "headless"),
+    *("capture_video_len", "force_render", "headless", "latent"),
 }
 
 

@@ -70,6 +70,7 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("~task.name", "the key 'task.name' is missing"),
         ("~task.env", "the key 'task.env' is missing"),
         ("~train.params", "the key 'train.params' is missing"),
+        ("latent=random", "latent=random chooses what a trained policy shows: add test=True"),
         ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),
         ("capture_video=True", "capture_video=True: recording videos is not implemented"),
         ("pbt.enabled=True", "pbt.enabled=True: population-based training is not implemented"),

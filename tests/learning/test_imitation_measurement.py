@@ -64,5 +64,5 @@ def test_the_mean_action_is_played_within_its_limits(observed):
     agent, observer = observed
     with torch.no_grad():
         agent.model.a2c_network.mu.bias.fill_(3.0)
-    actions = observer._act({"obs": torch.zeros(4, 105)})
+    actions = observer._policy()({"obs": torch.zeros(4, 105)})
     assert torch.equal(actions, torch.ones(4, 28))

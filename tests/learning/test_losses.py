@@ -148,3 +148,21 @@ def test_bound_loss_begins_at_one():
 
 def test_bound_loss_with_another_bound():
     assert losses.bound_loss(torch.tensor([[1.5]]), 1.1).tolist() == pytest.approx([0.16])
+
+
+def test_diversity_loss_by_hand():
+    mu, other = torch.tensor([[0.2, 1.5]]), torch.tensor([[-0.3, 0.5]])
+    # z . z' = 0.2
+    latents = torch.tensor([[1.0, 0.0]])
+    others = torch.tensor([[0.2, math.sqrt(0.96)]])
+    # actions clamped to 1: (0.5^2 + 0.5^2) / 2 = 0.25; latents 0.5 - 0.1 = 0.4
+    loss = losses.diversity_loss(mu, other, latents, others, 1.0)
+    assert loss.item() == pytest.approx((1.0 - 0.25 / 0.40001) ** 2, rel=1e-5)
+    assert loss.item() == pytest.approx(0.140637, abs=2e-5)
+
+
+def test_moments_of_masked_rows():
+    values, mask = torch.tensor([1.0, 2.0, 3.0, 10.0]), torch.tensor([1.0, 1.0, 1.0, 0.0])
+    assert losses.normalize_masked(values, mask).tolist() == pytest.approx([-1.0, 0.0, 1.0, 8.0])
+    for few in (torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 0.0])):
+        assert torch.equal(losses.normalize_masked(values, few), values)

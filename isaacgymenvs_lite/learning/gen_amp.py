@@ -1,0 +1,174 @@
+"""GenAMPAgent: AMP whose policy hears a skill latent; the low-level controller of ASE.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+An encoder must tell the latent from the motion, so that different latents become different skills.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.agent_hooks import LossTerms
+from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
+from isaacgymenvs_lite.learning.losses import diversity_loss
+from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
+from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
+
+
+class GenAMPAgent(AMPAgent):
+    """The agent of `algo: name: gen_amp` or `ase`.
+
+    Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes.
+
+    Attributes:
+        encoder: reward and loss.
+        schedule: the latents of now.
+    """
+
+    params_class: ClassVar[type[AMPParams]] = GenAMPParams
+    scalars: ClassVar[dict[str, str]] = {
+        **AMPAgent.scalars,
+        "enc_loss": "losses/enc_loss",
+        "amp_diversity_loss": "losses/amp_diversity_loss",
+        "enc_reward_mean": "info/enc_reward_mean",
+        "enc_reward_std": "info/enc_reward_std",
+        "enc_grad_penalty": "info/enc_grad_penalty",
+    }
+    _amp: GenAMPParams
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        super().__init__(base_name, params)
+        self.encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        super()._load_config_params(config)
+        self.schedule = make_schedule(self._amp, self.num_actors, self.ppo_device)
+
+    def _build_net_config(self) -> dict[str, Any]:
+        return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
+
+    def init_tensors(self) -> None:
+        """Allocate the rollout of latents, too."""
+        super().init_tensors()
+        self.experience_buffer.tensor_dict["amp_latents"] = torch.zeros(
+            self.horizon_length, self.num_actors, self._amp.latent_dim, device=self.ppo_device
+        )
+        self.tensor_list += ["amp_latents"]
+
+    # --- rollout ---------------------------------------------------------------------------
+
+    def env_reset(self) -> Any:
+        """Reset the environment, every episode with a new latent."""
+        obs = super().env_reset()
+        self.schedule.restart(torch.arange(self.num_actors, device=self.ppo_device))
+        return obs
+
+    def _after_reset(self, env_ids: Tensor) -> None:
+        super()._after_reset(env_ids)
+        self.schedule.restart(env_ids)
+
+    def _before_step(self) -> None:
+        super()._before_step()
+        self.schedule.advance(self._progress())
+
+    def _progress(self) -> Tensor:
+        return self.vec_env.env.progress_buf.to(self.ppo_device)
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        return {**super()._policy_inputs(), "amp_latents": self.schedule.latents}
+
+    def _evaluation_inputs(self, env: Any) -> Callable[[], dict[str, Tensor]]:
+        latents = PlayedLatents(make_schedule(self._amp, env.num_envs, self.ppo_device))
+        return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
+
+    def _needs_next_value(self) -> Tensor:
+        """Where the latent ends, too: the value is that of going on under the latent of now."""
+        return super()._needs_next_value() | self.schedule.is_over(self._progress())
+
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        super()._record_step(n, infos)
+        self.experience_buffer.update_data("amp_latents", n, self.schedule.latents)
+
+    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
+        """Return {"disc_rewards", "enc_rewards"}, (H, N, 1) each, of the rollout's (H, N, F)."""
+        latents = self.experience_buffer.tensor_dict["amp_latents"]
+        rewards = super()._calc_amp_rewards(amp_obs)
+        return {**rewards, "enc_rewards": self.encoder.reward(amp_obs, latents)}
+
+    def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
+        """Return AMP's sum and enc_reward_w * encoder, (..., 1)."""
+        return (
+            super()._combine_rewards(task_rewards, amp_rewards)
+            + self._amp.enc_reward_w * amp_rewards["enc_rewards"]
+        )
+
+    # --- update ----------------------------------------------------------------------------
+
+    def _log_rewards(self) -> None:
+        super()._log_rewards()
+        rewards = self._rollout_rewards["enc_rewards"]
+        self._log_train_info({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
+
+    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        latents = batch_dict["amp_latents"]
+        # The encoder's rows are those of `amp_obs`, the first of a minibatch, and cut as they are.
+        own = {"amp_latents": latents, "enc_latents": latents}
+        return {**super()._extra_dataset(batch_dict), **own}
+
+    def _dataset_row_limits(self) -> dict[str, int]:
+        return {**super()._dataset_row_limits(), "enc_latents": self._amp_minibatch_size}
+
+    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        rows = super()._derived_rows(input_dict)
+        if self._amp.amp_diversity_bonus != 0.0:
+            n = len(input_dict["amp_latents"])
+            rows["diversity_latents"] = self.model.a2c_network.sample_latents(n)
+        return rows
+
+    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
+        return {
+            **super()._training_inputs(input_dict),
+            "amp_latents": input_dict["amp_latents"],
+            "enc_latents": input_dict["enc_latents"],
+            "enc_gradient": self._amp.enc_grad_penalty != 0.0,
+        }
+
+    def _extra_losses(
+        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
+    ) -> LossTerms:
+        terms = super()._extra_losses(result, batch, input_dict)
+        info = self.encoder.loss(
+            result["enc_pred"], batch["enc_latents"], result.get("enc_gradient")
+        )
+        weights = {"enc_loss": self._amp.enc_coef}
+        terms |= {name: (weights.get(name, 0.0), value) for name, value in info.items()}
+        if "diversity_latents" in input_dict:
+            loss = self._diversity_loss(result["mus"], batch, input_dict["diversity_latents"])
+            mean = weighted_mean(loss, input_dict)
+            terms["amp_diversity_loss"] = (self._amp.amp_diversity_bonus, mean)
+        return terms
+
+    def _diversity_loss(self, mu: Tensor, batch: dict[str, Any], others: Tensor) -> Tensor:
+        """Return (n,) the loss of rows whose observations the model has normalised."""
+        other_mu, _ = self.model.a2c_network.eval_actor(batch["obs"], others)
+        return diversity_loss(
+            mu, other_mu, batch["amp_latents"], others, self._amp.amp_diversity_tar
+        )
+
+
+def make_schedule(
+    params: GenAMPParams, num_envs: int, device: str | torch.device
+) -> LatentSchedule:
+    """Return the schedule that the keys ask for.
+
+    Raises:
+        ConfigError: latent_steps_min is not below latent_steps_max.
+    """
+    steps = (params.latent_steps_min, params.latent_steps_max)
+    return LatentSchedule(num_envs, params.latent_dim, *steps, device)

@@ -1,0 +1,238 @@
+"""The GenAMP network: AMP's, whose actor and critic also hear a skill latent, and an encoder.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+Parameter names are ASE's, so that its checkpoints load.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
+from isaacgymenvs_lite.learning.latents import sample_latents
+from isaacgymenvs_lite.learning.losses import input_gradient
+
+_STYLE_UNITS = (512, 256)
+# As ASE: the style starts spread over all of tanh, the encoder near one point of the sphere.
+_STYLE_INIT_SCALE = 1.0
+_ENC_INIT_SCALE = 0.1
+
+
+class StyleMLP(nn.Module):
+    """The actor's trunk: layers over the observation and a style that is made of the latent.
+
+    style(z) = tanh(W MLP(z)), as wide as the latent.
+
+    Args:
+        obs_size: numbers in an observation.
+        latent_dim: numbers in a latent.
+        units: layers over observation and style.
+        style_units: layers over the latent.
+        style_layers: those layers.
+        activation: behind each layer.
+    """
+
+    def __init__(
+        self,
+        obs_size: int,
+        latent_dim: int,
+        units: Sequence[int],
+        style_units: Sequence[int],
+        style_layers: nn.Module,
+        activation: nn.Module,
+    ) -> None:
+        super().__init__()
+        self._style_mlp = style_layers
+        self._style_dense = nn.Linear(style_units[-1], latent_dim)
+        sizes = [obs_size + latent_dim, *units]
+        self._dense_layers = nn.ModuleList(nn.Linear(*pair) for pair in itertools.pairwise(sizes))
+        self._activation = activation
+
+    def eval_style(self, latents: Tensor) -> Tensor:
+        """Return styles (n, latent_dim) of latents (n, latent_dim)."""
+        return torch.tanh(self._style_dense(self._style_mlp(latents)))
+
+    def forward(self, obs: Tensor, latents: Tensor, use_hidden_latents: bool = False) -> Tensor:
+        """Return features (n, units[-1]); `use_hidden_latents`: the latents are styles already."""
+        style = latents if use_hidden_latents else self.eval_style(latents)
+        features = torch.cat((obs, style), dim=-1)
+        for layer in self._dense_layers:
+            features = self._activation(layer(features))
+        return features
+
+
+class LatentMLP(nn.Module):
+    """The critic's trunk: layers over the observation and the latent itself."""
+
+    def __init__(self, layers: nn.Module) -> None:
+        super().__init__()
+        self._mlp = layers
+
+    def forward(self, obs: Tensor, latents: Tensor) -> Tensor:
+        """Return features (n, units[-1])."""
+        return self._mlp(torch.cat((obs, latents), dim=-1))
+
+
+class GenAMPBuilder(AMPBuilder):
+    """Builds the network of the section `network:` with `name: gen_amp` or `ase`.
+
+    Parameter names: AMPBuilder's, with `actor_mlp._style_mlp, ._style_dense, ._dense_layers`,
+    `critic_mlp._mlp`, `_enc_mlp` and `_enc`.
+    """
+
+    class Network(AMPBuilder.Network):
+        """Actor, critic, discriminator and encoder.
+
+        Args:
+            params: the section `network:`. `enc.separate` False lets the encoder share the
+                discriminator's layers (`enc.units` is ignored then). `style.units` is this
+                project's: layers over the latent, by default ASE's [512, 256].
+            kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
+
+        Raises:
+            ConfigError: as AMPBuilder, no section `enc:`, or actor and critic that share layers.
+        """
+
+        row_functions = (*AMPBuilder.Network.row_functions, "eval_enc", "eval_enc_with_gradient")
+
+        def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
+            names = ("amp_latent_shape", "ase_latent_shape")
+            latent_shape = next(kwargs.pop(name) for name in names if name in kwargs)
+            (obs_size,), (amp_obs_size,) = kwargs["input_shape"], kwargs["amp_input_shape"]
+            if not params.get("separate", False):
+                raise ConfigError(
+                    "train.params.network.separate=False: the actor hears the latent as a style,"
+                    " the critic as it is, so that they share no layers; set it to True"
+                )
+            super().__init__(params, **kwargs)
+            self._latent_dim = int(latent_shape[0])
+            self._build_trunks(params, obs_size)
+            self._build_enc(params, amp_obs_size)
+
+        def _build_trunks(self, params: dict[str, Any], obs_size: int) -> None:
+            """Replace the trunks of actor and critic by those with latents."""
+            mlp = params["mlp"]
+            style_units = list(params.get("style", {}).get("units", _STYLE_UNITS))
+            for key, units in (("mlp", mlp["units"]), ("style", style_units)):
+                if len(units) == 0:
+                    raise ConfigError(
+                        f"train.params.network.{key}.units=[]: expected at least one hidden layer"
+                    )
+            self.actor_mlp = StyleMLP(
+                obs_size,
+                self._latent_dim,
+                mlp["units"],
+                style_units,
+                self._hidden_layers(self._latent_dim, style_units, mlp),
+                self.activations_factory.create(mlp["activation"]),
+            )
+            self._init_linear(self.actor_mlp, mlp)
+            self.critic_mlp = LatentMLP(
+                self._hidden_layers(obs_size + self._latent_dim, mlp["units"], mlp)
+            )
+            style_dense = self.actor_mlp._style_dense
+            nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
+
+        def _build_enc(self, params: dict[str, Any], amp_obs_size: int) -> None:
+            if "enc" not in params:
+                raise ConfigError(
+                    "train.params.network.enc is missing: expected units, activation, separate and"
+                    " initializer of the encoder"
+                )
+            enc = params["enc"]
+            self._enc_separate = bool(enc.get("separate", False))
+            if self._enc_separate:
+                self._enc_mlp = self._hidden_layers(amp_obs_size, enc["units"], enc)
+                width = enc["units"][-1]
+            else:
+                self._enc_mlp = self._disc_mlp
+                width = self._disc_logits.in_features
+            self._enc = nn.Linear(width, self._latent_dim)
+            nn.init.uniform_(self._enc.weight, -_ENC_INIT_SCALE, _ENC_INIT_SCALE)
+            nn.init.zeros_(self._enc.bias)
+
+        def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
+            """Return mean actions, log standard deviations, values and no recurrent state.
+
+            Args:
+                obs_dict: `obs` (n, O), normalised, and `amp_latents` (n, Z).
+            """
+            obs, latents = obs_dict["obs"], obs_dict["amp_latents"]
+            mu, logstd = self.eval_actor(obs, latents)
+            return mu, logstd, self.eval_critic(obs, latents), None
+
+        def eval_actor(
+            self,
+            obs: Tensor,
+            amp_latents: Tensor | None = None,
+            ase_latents: Tensor | None = None,
+            use_hidden_latents: bool = False,
+        ) -> tuple[Tensor, Tensor]:
+            """Return mean actions and log standard deviations (n, A).
+
+            Args:
+                obs: (n, O), normalised.
+                amp_latents: (n, Z) unit vectors.
+                ase_latents: the same under ASE's name.
+                use_hidden_latents: the latents are styles, the trunk's own, already.
+            """
+            latents = _one_of(amp_latents, ase_latents)
+            return self._act_on(self.actor_mlp(obs, latents, use_hidden_latents))
+
+        def eval_critic(
+            self,
+            obs: Tensor,
+            amp_latents: Tensor | None = None,
+            ase_latents: Tensor | None = None,
+        ) -> Tensor:
+            """Return normalised values (n, values); arguments as `eval_actor`."""
+            latents = _one_of(amp_latents, ase_latents)
+            return self.value_act(self.value(self.critic_mlp(obs, latents)))
+
+        def eval_enc(self, amp_obs: Tensor) -> Tensor:
+            """Return the latents (n, Z), unit vectors, that normalised AMP observations suggest."""
+            return F.normalize(self._enc(self._enc_mlp(amp_obs)), dim=-1)
+
+        def eval_enc_with_gradient(self, amp_obs: Tensor, latents: Tensor) -> tuple[Tensor, Tensor]:
+            """Return `eval_enc` and the gradients (n, F) of its error -q(x) . z by x.
+
+            The gradients can be differentiated by the parameters.
+
+            Args:
+                amp_obs: x, (n, F), normalised.
+                latents: z, (n, Z).
+            """
+            with torch.enable_grad():
+                amp_obs = amp_obs.detach().requires_grad_()
+                found = self.eval_enc(amp_obs)
+            with torch.autocast(amp_obs.device.type, enabled=False):
+                error = -(found.float() * latents).sum(dim=-1, keepdim=True)
+                return found, input_gradient(error, amp_obs)
+
+        def sample_latents(self, n: int) -> Tensor:
+            """Return n random latents (n, Z), unit vectors, where the network is."""
+            return sample_latents(n, self._latent_dim, self._enc.weight.device)
+
+        def get_enc_weights(self) -> list[Tensor]:
+            """Return all weight matrices of the encoder, flat; no biases."""
+            layers = [m for m in self._enc_mlp.modules() if isinstance(m, nn.Linear)]
+            return [layer.weight.flatten() for layer in (*layers, self._enc)]
+
+    def build(self, name: str, **kwargs: Any) -> GenAMPBuilder.Network:
+        """Build the network; rl_games calls this through the model."""
+        del name
+        return GenAMPBuilder.Network(self.params, **kwargs)
+
+
+def _one_of(amp_latents: Tensor | None, ase_latents: Tensor | None) -> Tensor:
+    latents = ase_latents if amp_latents is None else amp_latents
+    if latents is None:
+        raise TypeError("expected latents: amp_latents (or ase_latents), (n, latent_dim)")
+    return latents

@@ -1,0 +1,88 @@
+"""The player of skill-conditioned policies: which latents they act under."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams, read_amp_params
+from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
+from isaacgymenvs_lite.learning.gen_amp import make_schedule
+from isaacgymenvs_lite.learning.latents import PlayedLatents
+
+
+class GenAMPPlayerContinuous(AMPPlayerContinuous):
+    """The player of `gen_amp` and `ase`.
+
+    Keys of `train.params.config.player` beside CommonPlayer's: `latent`, which `train.py` has as
+    `latent=`: `random` (by default: new ones at resets and after a random number of steps),
+    `interpolate` (moves from one to the next) or a .npy file (K, latent_dim): environment i acts
+    under row i mod K for ever.
+
+    Raises:
+        ConfigError: a latent that is none of these, or of another width.
+    """
+
+    hears_latents = True
+    params_class: ClassVar[type[AMPParams]] = GenAMPParams
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        self._gen_amp = read_amp_params(params["config"], GenAMPParams)
+        super().__init__(params)
+        latent = str(self.player_config.get("latent") or "random")
+        self._latents = self._latents_of(latent)
+
+    def _build_net_config(self) -> dict[str, Any]:
+        return {**super()._build_net_config(), "amp_latent_shape": (self._gen_amp.latent_dim,)}
+
+    def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
+        num_envs = self.env.num_envs
+        if latent in ("random", "interpolate"):
+            schedule = make_schedule(self._gen_amp, num_envs, self.device)
+            return PlayedLatents(schedule, interpolate=latent == "interpolate")
+        rows = read_latents(Path(latent), self._gen_amp.latent_dim).to(self.device)
+        fixed = rows[torch.arange(num_envs, device=self.device) % len(rows)]
+        return lambda progress: fixed
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        progress = self.env.progress_buf.to(self.device)
+        return {**super()._policy_inputs(), "amp_latents": self._latents(progress)}
+
+
+def read_latents(file: Path, latent_dim: int) -> Tensor:
+    """Read latents (K, latent_dim) from a .npy file, one or several, and scale them to length 1.
+
+    Raises:
+        ConfigError: the file cannot be read, or its rows are no latents of this width.
+    """
+    choices = "random, interpolate or a .npy file"
+    try:
+        array = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ConfigError(f"latent={file}: {error}; expected {choices}") from error
+    shape = np.shape(array)
+    if (
+        not isinstance(array, np.ndarray)
+        or array.dtype.kind not in "fi"
+        or array.ndim not in (1, 2)
+    ):
+        raise ConfigError(f"latent={file}: expected an array of numbers (K, {latent_dim})")
+    if shape[-1] != latent_dim or array.size == 0:
+        raise ConfigError(
+            f"latent={file}: shape {shape}; the policy's latents have {latent_dim} numbers,"
+            f" expected (K, {latent_dim})"
+        )
+    rows = torch.from_numpy(np.atleast_2d(array).astype(np.float32))
+    lengths = rows.norm(dim=-1)
+    if not bool(((lengths > 0.0) & lengths.isfinite()).all()):
+        raise ConfigError(
+            f"latent={file}: a row is zero or not finite, so that it has no direction"
+        )
+    return F.normalize(rows, dim=-1)

@@ -1,0 +1,91 @@
+"""The skill encoder: how well a motion tells which latent made it, as reward and as loss.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+The network itself stays inside the actor-critic network, as the discriminator's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.amp_config import GenAMPParams
+
+# Rows evaluated at once, as the discriminator's.
+_REWARD_ROWS = 8192
+
+
+class EncoderNetwork(Protocol):
+    """What this module needs of a network (GenAMPBuilder's has it)."""
+
+    def eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return unit vectors (n, Z) for normalised AMP observations (n, F)."""
+        ...
+
+    def get_enc_weights(self) -> list[Tensor]:
+        """Return all weight matrices, flat."""
+        ...
+
+
+class SkillEncoder:
+    """Judges which latent the policy acted under.
+
+    Args:
+        network: holds the encoder's layers.
+        normalize: of AMP observations (n, F), the discriminator's.
+        params: weights and scales.
+    """
+
+    def __init__(
+        self,
+        network: EncoderNetwork,
+        normalize: Callable[[Tensor], Tensor],
+        params: GenAMPParams,
+    ) -> None:
+        self._network = network
+        self._normalize = normalize
+        self._params = params
+
+    def reward(self, amp_obs: Tensor, latents: Tensor) -> Tensor:
+        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1).
+
+        Args:
+            amp_obs: x, (..., F), raw.
+            latents: z, (..., Z), those that the policy acted under.
+        """
+        rows = amp_obs.reshape(-1, amp_obs.shape[-1])
+        with torch.no_grad():
+            found = [
+                self._network.eval_enc(self._normalize(chunk)).float()
+                for chunk in rows.split(_REWARD_ROWS)
+            ]
+            agreement = (torch.cat(found).view_as(latents) * latents).sum(dim=-1, keepdim=True)
+        return agreement.clamp(min=0.0) * self._params.enc_reward_scale
+
+    def loss(
+        self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return the encoder's loss and what is worth logging.
+
+        mean of -q . z, weight decay and, with `gradient`, the gradient penalty.
+
+        Args:
+            found: q, (K, Z) of the policy's AMP observations.
+            latents: z, (K, Z).
+            gradient: (K, F) of -q . z by the normalised AMP observations, differentiable.
+
+        Returns:
+            `enc_loss`, the weighted sum, and `enc_grad_penalty`, unweighted, if there is one.
+        """
+        loss = -(found.float() * latents).sum(dim=-1).mean()
+        if self._params.enc_weight_decay != 0.0:
+            squares = [weights.square().sum() for weights in self._network.get_enc_weights()]
+            loss = loss + self._params.enc_weight_decay * torch.stack(squares).sum()
+        if gradient is None:
+            return {"enc_loss": loss}
+        penalty = gradient.float().square().sum(dim=-1).mean()
+        loss = loss + self._params.enc_grad_penalty * penalty
+        return {"enc_loss": loss, "enc_grad_penalty": penalty.detach()}
