@@ -29,25 +29,28 @@ _HINGE_TARGET_SHARE = 0.7
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)  # kept for callers in any mode
-def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+def _dof_obs_layout(
+    num_dofs: int, as_ase: bool, device: torch.device
+) -> tuple[Tensor, Tensor, Tensor]:
     """Index tensors of `_dof_features`.
 
     DOFs of the ball joints (3 * balls,), first all their x; DOFs of the hinges; and the places of
-    the features: six times the ball joints and the hinges before, in joint order after.
+    the features: those of the ball joints and then those of the hinges before, component by
+    component, in joint order after.
     """
     offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
     groups = list(itertools.pairwise(offsets))
     balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
     hinges = [a for a, b in groups if b - a == 1]
+    num_balls, per_hinge = len(balls) // 3, 6 if as_ase else 1
     order: list[int] = []
-    num_balls = len(balls) // 3
     next_ball, next_hinge = 0, 6 * num_balls
     for a, b in groups:
         if b - a == 3:
             order += range(next_ball, 6 * num_balls, num_balls)
             next_ball += 1
         else:
-            order.append(next_hinge)
+            order += range(next_hinge, 6 * num_balls + per_hinge * len(hinges), len(hinges))
             next_hinge += 1
     return (
         torch.tensor(balls, device=device),
@@ -56,28 +59,35 @@ def _dof_obs_layout(num_dofs: int, device: torch.device) -> tuple[Tensor, Tensor
     )
 
 
-def dof_to_obs(dof_pos: Tensor) -> Tensor:
-    """Encode joint positions for the observation.
+def dof_to_obs(dof_pos: Tensor, as_ase: bool = False) -> Tensor:
+    """Encode joint positions for the observation, in joint order.
 
-    A 3-DoF joint gives the tangent and normal of its rotation vector (6 numbers), a hinge its
-    angle (1), in joint order; as IsaacGymEnvs' HumanoidAMP.
+    As IsaacGymEnvs' HumanoidAMP: a 3-DoF joint gives the tangent and normal of its rotation vector
+    (6 numbers), the identity's if it is longer than pi; a hinge gives its angle (1). As ASE:
+    vectors of any length, and a hinge gives the tangent and normal of its turn about y (6).
 
     Args:
         dof_pos: (N, D) rad, D = 28.
+        as_ase: ASE's encoding.
 
     Returns:
-        (N, 52).
+        (N, 52), or (N, 72) with `as_ase`.
     """
-    return _dof_features(dof_pos.t()).t().contiguous()
+    return _dof_features(dof_pos.t(), as_ase).t().contiguous()
 
 
-def _dof_features(dof_pos: Tensor) -> Tensor:
-    """As `dof_to_obs`, component-major: (D, N) to (52, N)."""
-    balls, hinges, order = _dof_obs_layout(len(dof_pos), dof_pos.device)
+def _dof_features(dof_pos: Tensor, as_ase: bool) -> Tensor:
+    """As `dof_to_obs`, component-major: (D, N) to (52 or 72, N)."""
+    balls, hinges, order = _dof_obs_layout(len(dof_pos), as_ase, dof_pos.device)
     # index_select is several times as fast as indexing with a tensor.
     vectors = dof_pos.index_select(0, balls).unflatten(0, (3, -1))
-    rotations = tan_norm_components(exp_map_to_quat_components(vectors.unbind(0)))
-    return torch.cat((*rotations, dof_pos.index_select(0, hinges))).index_select(0, order)
+    rotations = tan_norm_components(exp_map_to_quat_components(vectors.unbind(0), as_ase))
+    angles = dof_pos.index_select(0, hinges)
+    if not as_ase:
+        return torch.cat((*rotations, angles)).index_select(0, order)
+    cos, sin, zero = angles.cos(), angles.sin(), torch.zeros_like(angles)
+    turns = (cos, zero, -sin, sin, zero, cos)  # the x and the z axis, turned about y
+    return torch.cat((*rotations, *turns)).index_select(0, order)
 
 
 def compute_humanoid_observations(
@@ -86,6 +96,7 @@ def compute_humanoid_observations(
     dof_vel: Tensor,
     key_body_pos: Tensor,
     local_root_obs: bool,
+    as_ase: bool = False,
 ) -> Tensor:
     """Describe the humanoid's state; policy observation and one step of the AMP observation.
 
@@ -97,14 +108,15 @@ def compute_humanoid_observations(
         dof_vel: (N, D) rad/s.
         key_body_pos: (N, K, 3) world positions (m).
         local_root_obs: take the heading out of the root rotation too.
+        as_ase: joint positions as ASE encodes them; see `dof_to_obs`.
 
     Returns:
-        (N, 13 + 52 + D + 3 K): root height, root rotation (tangent, normal), root linear and
-        angular velocity, joint positions, joint velocities, key bodies relative to the root.
+        (N, 13 + 52 (or 72) + D + 3 K): root height, root rotation (tangent, normal), root linear
+        and angular velocity, joint positions, joint velocities, key bodies relative to the root.
     """
     # One plane of N numbers for each component: operations on them run along memory.
     root = root_states.t().contiguous()
-    cos, sin = _heading(*root[3:7].unbind(0))
+    cos, sin = heading_cos_sin(*root[3:7].unbind(0))
     root_rot = root[3:7].unbind(0)
     if local_root_obs:
         half = -0.5 * torch.atan2(sin, cos)
@@ -121,7 +133,7 @@ def compute_humanoid_observations(
             root[2:3],
             torch.stack(tan_norm_components(root_rot)),
             vectors[:2].flatten(0, 1),
-            _dof_features(dof_pos.t()),
+            _dof_features(dof_pos.t(), as_ase),
             dof_vel.t(),
             vectors[2:].flatten(0, 1),
         )
@@ -129,7 +141,7 @@ def compute_humanoid_observations(
     return planes.t().contiguous()
 
 
-def _heading(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+def heading_cos_sin(x: Tensor, y: Tensor, z: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
     """Return cosine and sine (N,) of the heading of rotations, given by their components (N,)."""
     # The x axis seen from above gives them without any angle.
     forward_x = 2.0 * (w * w + x * x) - 1.0

@@ -101,6 +101,21 @@ def test_a_rotation_vector_longer_than_pi_reads_as_no_rotation() -> None:
 # --- root -------------------------------------------------------------------------------------
 
 
+def test_joints_as_ase_encodes_them() -> None:
+    dof_pos = torch.zeros(1, 28)
+    dof_pos[0, 9], dof_pos[0, 24] = -0.7, 0.3  # right elbow, left knee
+    dof_pos[0, 3:6] = torch.tensor([0.0, 0.0, 1.5 * math.pi])  # neck, a quarter turn back
+    encoded = dof_to_obs(dof_pos, as_ase=True)[0]
+    assert encoded.shape == (72,)
+    joints = encoded.view(12, 6)
+    _close(joints[3], [0.764842, 0.0, 0.644218, -0.644218, 0.0, 0.764842], SIX_DIGITS)
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    _close(joints[10], [cos, 0.0, -sin, sin, 0.0, cos], SIX_DIGITS)
+    _close(joints[1], [0.0, -1.0, 0.0, 0.0, 0.0, 1.0], SIX_DIGITS)
+    for joint in (0, 2, 4, 5, 6, 7, 8, 9, 11):
+        _close(joints[joint], IDENTITY_6D, SIX_DIGITS)
+
+
 def test_root_rotation_of_the_specification() -> None:
     full = [0.726316, 0.526316, 0.442105, -0.315789, -0.315789, 0.894737]
     without_heading = [0.896963, 0.0, 0.442105, -0.441008, -0.070413, 0.894737]
