@@ -31,6 +31,10 @@ from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.gen_amp_players import GenAMPPlayerContinuous
+from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
+from isaacgymenvs_lite.learning.hrl_models import ModelHRLContinuous
+from isaacgymenvs_lite.learning.hrl_network_builder import HRLBuilder
+from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
 from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
@@ -42,6 +46,8 @@ _ALGORITHMS: dict[str, tuple[type, type]] = {
     "amp": (AMPAgent, AMPPlayerContinuous),
     "gen_amp": (GenAMPAgent, GenAMPPlayerContinuous),
     "ase": (GenAMPAgent, GenAMPPlayerContinuous),
+    "hrl": (HRLAgent, HRLPlayer),
+    "hrl_continuous": (HRLAgent, HRLPlayer),
 }
 _MODELS: dict[str, type] = {
     "continuous_amp": ModelAMPContinuous,
@@ -49,8 +55,15 @@ _MODELS: dict[str, type] = {
     "continuous_gen_amp": ModelGenAMPContinuous,
     "gen_amp": ModelGenAMPContinuous,
     "ase": ModelGenAMPContinuous,
+    "continuous_hrl": ModelHRLContinuous,
+    "hrl": ModelHRLContinuous,
 }
-_NETWORKS: dict[str, type] = {"amp": AMPBuilder, "gen_amp": GenAMPBuilder, "ase": GenAMPBuilder}
+_NETWORKS: dict[str, type] = {
+    "amp": AMPBuilder,
+    "gen_amp": GenAMPBuilder,
+    "ase": GenAMPBuilder,
+    "hrl": HRLBuilder,
+}
 _ENV_NAME = "rlgpu"
 
 

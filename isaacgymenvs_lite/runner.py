@@ -24,6 +24,7 @@ from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_para
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.amp_config import UNREAD_KEYS, GenAMPParams
+from isaacgymenvs_lite.learning.hrl_config import HRLParams
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.observers import (
     AdviceObserver,
@@ -119,7 +120,12 @@ class Session:
                 algos=names["algo"],
                 models=names["model"],
                 networks=names["network"],
-                config_keys=[*keys_of(GenAMPParams), *UNREAD_KEYS, *_RUNNER_KEYS],
+                config_keys=[
+                    *keys_of(GenAMPParams),
+                    *keys_of(HRLParams),
+                    *UNREAD_KEYS,
+                    *_RUNNER_KEYS,
+                ],
             ),
         )
         if self._settings.latent:

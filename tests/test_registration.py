@@ -19,9 +19,10 @@ from isaacgymenvs_lite.registration import (
 )
 
 # architecture.md, as far as these agents exist
-ALGORITHMS = ("amp_agent", "amp_continuous", "amp", "gen_amp", "ase")
+AMP_ALGORITHMS = ("amp_agent", "amp_continuous", "amp", "gen_amp", "ase")
+ALGORITHMS = (*AMP_ALGORITHMS, "hrl", "hrl_continuous")
 MODELS = ("continuous_amp", "amp", "continuous_gen_amp", "gen_amp", "ase")
-NETWORKS = ("amp", "gen_amp", "ase")
+NETWORKS = ("amp", "gen_amp", "ase", "hrl")
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_rl_games_own_names_stay(runner):
             assert own.__code__ is builder.__code__, name
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", AMP_ALGORITHMS)
 def test_every_algorithm_has_a_player(name, runner):
     assert issubclass(class_of(runner.algo_factory, name), AMPAgent)
     agent = class_of(runner.algo_factory, name)

@@ -13,6 +13,9 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import plain
 
+# Where IsaacGymEnvs' own files say that train files are.
+_PUBLISHED_FOLDER = ("isaacgymenvs", "cfg", "train")
+
 
 def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
     """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
@@ -21,7 +24,8 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     defaults of cfg/config.yaml and the given values.
 
     Args:
-        path: a file, relative to the working directory, or the bare name of one in cfg/train.
+        path: a file, relative to the working directory or to the project's, or the name of one in
+            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of published files means the last.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
@@ -63,7 +67,15 @@ def _find(path: Path | str) -> Path:
             return named
         names = [other.stem for other in folder.glob("*.yaml")]
         raise ConfigError(unknown("train file", str(path), names, "or give the path of a file"))
-    raise ConfigError(f"the train file '{path}' does not exist (looked in {Path.cwd()})")
+    in_project = cfg_dir().parent / file
+    in_package = folder / file.name
+    if in_project.is_file():
+        return in_project
+    if file.parts[:-1] == _PUBLISHED_FOLDER and in_package.is_file():
+        return in_package
+    raise ConfigError(
+        f"the train file '{path}' does not exist (looked in {Path.cwd()}, {cfg_dir().parent})"
+    )
 
 
 def _with_defaults(file: Path, above: tuple[Path, ...]) -> DictConfig:

@@ -10,6 +10,7 @@ from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.actor_critic_network import ActorCriticNetwork
 from isaacgymenvs_lite.learning.losses import input_gradient
 
 # The last layer of the discriminator starts in U(-1, 1), as IsaacGymEnvs and ASE.
@@ -23,8 +24,8 @@ class AMPBuilder(A2CBuilder):
     `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
     """
 
-    class Network(A2CBuilder.Network):
-        """Actor and critic of rl_games' A2C network, and a discriminator beside them.
+    class Network(ActorCriticNetwork):
+        """Actor and critic, and a discriminator beside them.
 
         Args:
             params: the section `network:`.
@@ -34,20 +35,15 @@ class AMPBuilder(A2CBuilder):
             ConfigError: recurrent or convolutional networks, or no section `disc:`.
         """
 
-        row_functions = ("eval_actor", "eval_critic", "eval_disc", "eval_disc_with_gradient")
-        """Methods whose rows are independent; see `NetworkExecutor.attach`."""
+        row_functions = (
+            *ActorCriticNetwork.row_functions,
+            "eval_disc",
+            "eval_disc_with_gradient",
+        )
 
         def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
             amp_input_shape = kwargs.pop("amp_input_shape")
-            for section in ("rnn", "cnn"):
-                if section in params:
-                    raise ConfigError(
-                        f"train.params.network.{section}: AMP networks are plain MLPs; remove it"
-                    )
             super().__init__(params, **kwargs)
-            if self.is_continuous and self.fixed_sigma:
-                learn_sigma = params["space"]["continuous"].get("learn_sigma", False)
-                self.sigma.requires_grad_(bool(learn_sigma))
             self._build_disc(params, amp_input_shape)
 
         def _build_disc(self, params: dict[str, Any], input_shape: tuple[int, ...]) -> None:
@@ -88,23 +84,6 @@ class AMPBuilder(A2CBuilder):
                 if isinstance(layer, nn.Linear):
                     init(layer.weight)
                     nn.init.zeros_(layer.bias)
-
-        def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-            """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
-            return self._act_on(self.actor_mlp(obs))
-
-        def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
-            """Return mean actions and log standard deviations of the trunk's features."""
-            mu = self.mu_act(self.mu(features))
-            if self.fixed_sigma:
-                return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)
-            layer: Any = self.sigma
-            return mu, self.sigma_act(layer(features))
-
-        def eval_critic(self, obs: Tensor) -> Tensor:
-            """Return normalised values (n, values) for normalised obs (n, O)."""
-            trunk = self.critic_mlp if self.separate else self.actor_mlp
-            return self.value_act(self.value(trunk(obs)))
 
         def eval_disc(self, amp_obs: Tensor) -> Tensor:
             """Return discriminator logits (n, 1) for normalised AMP observations (n, F)."""

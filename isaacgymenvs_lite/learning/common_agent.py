@@ -37,6 +37,9 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
 
     Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
 
+    Attributes:
+        control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
+
     Args:
         base_name: name for rl_games' bookkeeping.
         params: the section `params` of a train file, prepared by the Runner.
@@ -51,6 +54,7 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     obs: Any
     train_result: Any
     tensor_list: list[str]
+    control_steps_per_action = 1
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
@@ -245,7 +249,7 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         )
         batch = self.experience_buffer.get_transformed_list(swap_and_flatten01, self.tensor_list)
         batch["returns"] = swap_and_flatten01(advantages + buffer["values"])
-        batch["played_frames"] = self.batch_size
+        batch["played_frames"] = self.batch_size * self.control_steps_per_action
         batch["step_time"] = step_time_s
         return batch
 

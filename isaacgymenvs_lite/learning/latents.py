@@ -5,6 +5,8 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
+import gymnasium
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -15,6 +17,11 @@ from isaacgymenvs_lite.errors import ConfigError
 def sample_latents(n: int, latent_dim: int, device: str | torch.device = "cpu") -> Tensor:
     """Return n unit vectors (n, latent_dim), uniform on the sphere."""
     return F.normalize(torch.randn(n, latent_dim, device=device), dim=-1)
+
+
+def latent_space(latent_dim: int) -> gymnasium.spaces.Box:
+    """Return the action space of a policy that chooses latents."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (latent_dim,), np.float32)
 
 
 class LatentSchedule:

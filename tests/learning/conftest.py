@@ -14,6 +14,7 @@ from torch import Tensor
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
+from isaacgymenvs_lite.learning.hrl_config import HRLParams
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.registration import build_runner, register_env
 from isaacgymenvs_lite.schema import keys_of
@@ -51,7 +52,8 @@ def make_runner(tmp_path: Path, walk_clip: Path) -> Iterator[Callable[..., Any]]
         tasks.append(task)
         register_env(lambda **kwargs: task)
         runner = build_runner(observer)
-        keys = [*keys_of(GenAMPParams), "imitation_frequency", "print_disc_prediction"]
+        keys = [*keys_of(GenAMPParams), *keys_of(HRLParams)]
+        keys += ["imitation_frequency", "print_disc_prediction"]
         params = prepare_train_params(
             cfg,
             num_envs=num_envs,

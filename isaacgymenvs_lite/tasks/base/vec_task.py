@@ -88,6 +88,10 @@ class Env(ABC):  # noqa: B024  a task is abstract through VecTask
         """Box of one environment's action, -1..1."""
         return self.act_space
 
+    def get_task_obs_size(self) -> int:
+        """Return how many of the last entries of an observation describe the task's goal."""
+        return 0
+
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
         """Hear from the trainer how many environment steps were made so far."""
         del args, kwargs

@@ -1,0 +1,55 @@
+"""The actor and the critic that the networks of our agents share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch.network_builder import A2CBuilder
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+
+
+class ActorCriticNetwork(A2CBuilder.Network):
+    """rl_games' A2C network whose actor and critic can be called by themselves.
+
+    Args:
+        params: the section `network:`.
+        kwargs: rl_games' build arguments.
+
+    Raises:
+        ConfigError: recurrent or convolutional networks.
+    """
+
+    row_functions: tuple[str, ...] = ("eval_actor", "eval_critic")
+    """Methods whose rows are independent; see `NetworkExecutor.attach`."""
+
+    def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
+        for section in ("rnn", "cnn"):
+            if section in params:
+                raise ConfigError(
+                    f"train.params.network.{section}: networks of the AMP family are plain MLPs;"
+                    " remove it"
+                )
+        super().__init__(params, **kwargs)
+        if self.is_continuous and self.fixed_sigma:
+            learn_sigma = params["space"]["continuous"].get("learn_sigma", False)
+            self.sigma.requires_grad_(bool(learn_sigma))
+
+    def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
+        return self._act_on(self.actor_mlp(obs))
+
+    def _act_on(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean actions and log standard deviations of the trunk's features."""
+        mu = self.mu_act(self.mu(features))
+        if self.fixed_sigma:
+            return mu, torch.zeros_like(mu) + self.sigma_act(self.sigma)
+        layer: Any = self.sigma
+        return mu, self.sigma_act(layer(features))
+
+    def eval_critic(self, obs: Tensor) -> Tensor:
+        """Return normalised values (n, values) for normalised obs (n, O)."""
+        trunk = self.critic_mlp if self.separate else self.actor_mlp
+        return self.value_act(self.value(trunk(obs)))

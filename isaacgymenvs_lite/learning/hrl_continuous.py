@@ -1,0 +1,188 @@
+"""HRLAgent: a high-level policy whose actions are the latents of a frozen low-level controller.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
+from isaacgymenvs_lite.learning.latents import latent_space
+from isaacgymenvs_lite.learning.low_level_policy import (
+    LowLevelPolicy,
+    LowLevelSizes,
+    latents_of_actions,
+)
+
+
+class HRLAgent(CommonAgent):
+    """The agent of `algo: name: hrl` or `hrl_continuous`.
+
+    A step of the high level is `llc_steps` control steps under one latent: rewards are averaged
+    over them, an episode that ends on the way earns nothing more, and is reset after the last one.
+
+    Needs of the environment beside CommonAgent's: `get_task_obs_size()`, the number of trailing
+    observation entries that the low-level controller does not see, and `infos["amp_obs"]` (N, F).
+
+    Attributes:
+        llc: the low-level controller.
+    """
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        super()._load_config_params(config)
+        self._wanted_precision = config.get("llc_mixed_precision", False)
+        self._hrl: HRLParams = read_hrl_params(config)
+        self.llc = self._build_llc(self._hrl)
+        self._setup_action_space()
+        self.control_steps_per_action = self._hrl.llc_steps
+        self._disc_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
+
+    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
+        """Return the low-level controller that the keys name."""
+        return LowLevelPolicy(
+            params.llc_config,
+            params.llc_checkpoint,
+            self._build_llc_agent_config(),
+            self.ppo_device,
+            self._wanted_precision,
+        )
+
+    def _build_llc_agent_config(self) -> LowLevelSizes:
+        """Return what the task tells the low-level controller.
+
+        Raises:
+            ConfigError: the task has no AMP observations.
+        """
+        if "amp_observation_space" not in self.env_info:
+            raise ConfigError(
+                "train.params.algo: a hierarchy needs a task with reference motions"
+                " (amp_observation_space), such as task=HumanoidAMP"
+            )
+        return LowLevelSizes(
+            num_obs=self.obs_shape[0],
+            num_task_obs=self.vec_env.env.get_task_obs_size(),
+            num_amp_obs=self.env_info["amp_observation_space"].shape[0],
+            action_space=self.env_info["action_space"],
+        )
+
+    def _setup_action_space(self) -> None:
+        """Make the latent the agent's action; rl_games sized everything by the task's actions."""
+        self.actions_num = self.llc.latent_dim
+        box = latent_space(self.actions_num)
+        self.env_info = {**self.env_info, "action_space": box}
+        self.actions_low = torch.from_numpy(box.low.copy()).to(self.ppo_device)
+        self.actions_high = torch.from_numpy(box.high.copy()).to(self.ppo_device)
+
+    def init_tensors(self) -> None:
+        """Allocate the rollout of style rewards, too."""
+        super().init_tensors()
+        buffer = self.experience_buffer.tensor_dict
+        buffer["disc_rewards"] = torch.zeros_like(buffer["rewards"])
+
+    # --- rollout ---------------------------------------------------------------------------
+
+    def preprocess_actions(self, actions: Tensor) -> Tensor:
+        """Return actions (N, Z) clamped to +-1."""
+        return actions.clamp(-1.0, 1.0)
+
+    def _obs_tensor(self, obs: Any) -> Tensor:
+        """Return the observation tensor (N, O) of what the environment gives."""
+        tensors: Any = self.obs_to_tensors(obs)
+        return tensors["obs"] if isinstance(tensors, dict) else tensors
+
+    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (N, O) without the task's features."""
+        return self.llc.extract_obs(obs)
+
+    def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
+        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
+        return self.llc.actions(self._obs_tensor(obs), latents_of_actions(actions))
+
+    def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        """Make `llc_steps` control steps under one latent.
+
+        Args:
+            actions: (N, Z).
+
+        Returns:
+            The observation after the last step, of an episode that ended before: the one at its
+            end; mean rewards (N, 1); dones (N,), 1.0 where any step ended the episode; the infos of
+            the last step, with `terminate` 1 where the episode's end was a failure.
+        """
+        actions = self.preprocess_actions(actions)
+        obs = self._obs_tensor(self.obs)
+        going_on = torch.ones(len(actions), device=self.ppo_device)
+        terminate = torch.zeros_like(going_on)
+        rewards = torch.zeros(len(actions), 1, device=self.ppo_device)
+        self._disc_rewards = torch.zeros_like(rewards)
+        infos: dict[str, Any] = {}
+        for _ in range(self._hrl.llc_steps):
+            raw_obs, step_rewards, dones, infos = self.vec_env.step(
+                self._compute_llc_action(obs, actions)
+            )
+            playing = going_on.unsqueeze(1)
+            obs = torch.where(playing.bool(), self._obs_tensor(raw_obs), obs)
+            rewards += playing * step_rewards.to(self.ppo_device).view_as(rewards)
+            if self._hrl.disc_reward_w != 0.0:
+                style = self.llc.style_reward(infos["amp_obs"].to(self.ppo_device))
+                self._disc_rewards += playing * style
+            terminate += going_on * self._step_terminated(dones, infos)
+            going_on *= 1.0 - dones.to(self.ppo_device).float()
+        self._disc_rewards /= self._hrl.llc_steps
+        # A task may have forgotten an end that lies some steps back.
+        env = self.vec_env.env
+        env.reset_buf.masked_fill_((going_on == 0.0).to(env.device), 1)
+        infos = {**infos, "terminate": terminate}
+        return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
+
+    def _step_terminated(self, dones: Tensor, infos: dict[str, Any]) -> Tensor:
+        self.dones = dones.to(self.ppo_device)
+        return self._terminated(infos).float()
+
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        super()._record_step(n, infos)
+        self.experience_buffer.update_data("disc_rewards", n, self._disc_rewards)
+
+    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
+        style = self.experience_buffer.tensor_dict["disc_rewards"]
+        self._rollout_disc_rewards = style
+        return self._hrl.task_reward_w * task_rewards + self._hrl.disc_reward_w * style
+
+    def _track_episodes(
+        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
+    ) -> None:
+        """As CommonAgent, in control steps and their rewards."""
+        steps = self._hrl.llc_steps
+        super()._track_episodes(steps * rewards, steps * shaped_rewards, infos)
+
+    def mean_policy(self, env: Any) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return what plays `env` one control step after another; see CommonAgent."""
+        del env
+        held: dict[str, Any] = {"step": 0}
+
+        def act(obs: dict[str, Tensor]) -> Tensor:
+            tensors: Any = self.obs_to_tensors(obs)
+            if held["step"] % self._hrl.llc_steps == 0:
+                held["latents"] = self._evaluate_policy(tensors, {})["mus"].float()
+            held["step"] += 1
+            return self._compute_llc_action(obs, self.preprocess_actions(held["latents"]))
+
+        return act
+
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        super()._before_update(batch_dict)
+        style = self._rollout_disc_rewards
+        self._log_train_info({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
+
+    def _write_train_info(self, frame: int) -> None:
+        super()._write_train_info(frame)
+        means = self.train_info_means()
+        for name in ("disc_reward_mean", "disc_reward_std"):
+            self.writer.add_scalar(f"info/{name}", means[name], frame)

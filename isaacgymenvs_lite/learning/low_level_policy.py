@@ -1,0 +1,184 @@
+"""The frozen low-level controller of a hierarchy: latents in, actions out.
+
+The agent that trains a high-level policy and the player that plays one share it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import torch
+import torch.nn.functional as F
+from rl_games.algos_torch.players import rescale_actions
+from torch import Tensor
+
+from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_amp_params
+from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
+from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
+from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
+from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+
+_NETWORKS = ("gen_amp", "ase")
+
+
+@dataclass(frozen=True)
+class LowLevelSizes:
+    """What the task tells a low-level controller.
+
+    Attributes:
+        num_obs: numbers in an observation, the task's features included.
+        num_task_obs: of these, the last ones, which describe the task.
+        num_amp_obs: numbers in an AMP observation.
+        action_space: of the task.
+    """
+
+    num_obs: int
+    num_task_obs: int
+    num_amp_obs: int
+    action_space: gymnasium.spaces.Box
+
+
+class LowLevelPolicy:
+    """A trained GenAMP policy that never changes: evaluation mode, no gradients.
+
+    Args:
+        llc_config: the train file that it was trained with; see `load_train_file`.
+        llc_checkpoint: its checkpoint.
+        sizes: of the task.
+        device: where it computes.
+        mixed_precision: as the key of that name.
+
+    Attributes:
+        latent_dim: numbers in a latent.
+        params: the GenAMP keys of the train file.
+        discriminator: its style reward.
+
+    Raises:
+        ConfigError: the train file is not of a GenAMP policy.
+        CheckpointError: the checkpoint does not fit the file or the task.
+    """
+
+    def __init__(
+        self,
+        llc_config: str,
+        llc_checkpoint: str,
+        sizes: LowLevelSizes,
+        device: str | torch.device,
+        mixed_precision: Any = False,
+    ) -> None:
+        train_params = load_train_file(llc_config)["params"]
+        network = train_params.get("network") or {}
+        if network.get("name") not in _NETWORKS or "latent_dim" not in train_params["config"]:
+            raise ConfigError(
+                f"llc_config={llc_config}: no skill policy (network: name:"
+                f" {network.get('name')}); expected the train file of a low-level controller, with"
+                f" network: name: {' or '.join(_NETWORKS)} and config: latent_dim"
+            )
+        self.params = read_amp_params(train_params["config"], GenAMPParams)
+        self.latent_dim = self.params.latent_dim
+        self._sizes = sizes
+        self._device = torch.device(device)
+        scale_units(network)
+        self.model = self._build_model(network, train_params["config"])
+        self.discriminator = StyleDiscriminator(
+            self.model.a2c_network,
+            sizes.num_amp_obs,
+            self.params,
+            GenAMPAgent.default_disc_reward,
+            self._device,
+        )
+        self._load(llc_checkpoint, llc_config)
+        attach_executor(self.model.a2c_network, self._device, mixed_precision)
+        self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
+        self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
+
+    def _build_model(self, network: dict[str, Any], config: dict[str, Any]) -> Any:
+        builder = GenAMPBuilder()
+        builder.load(network)
+        model = ModelGenAMPContinuous(builder).build(
+            {
+                "actions_num": self._sizes.action_space.shape[0],
+                "input_shape": (self._sizes.num_obs - self._sizes.num_task_obs,),
+                "num_seqs": 1,
+                "value_size": 1,
+                "normalize_value": config.get("normalize_value", False),
+                "normalize_input": config["normalize_input"],
+                "amp_input_shape": (self._sizes.num_amp_obs,),
+                "amp_latent_shape": (self.latent_dim,),
+            }
+        )
+        use_quick_moments(model)
+        return model.to(self._device).eval().requires_grad_(False)
+
+    def _load(self, checkpoint: str, llc_config: str) -> None:
+        state = checkpoints.load_checkpoint(checkpoint)
+        self._check_shapes(state.get("model") or {}, checkpoint, llc_config)
+        try:
+            self.model.load_state_dict(state["model"])
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointError(
+                f"llc_checkpoint={checkpoint} does not fit llc_config={llc_config}: {reason}"
+            ) from error
+        if self.discriminator.normalizer is not None:
+            if "amp_input_mean_std" not in state:
+                raise CheckpointError(
+                    f"llc_checkpoint={checkpoint}: has no amp_input_mean_std; expected a checkpoint"
+                    " of a GenAMP agent"
+                )
+            self.discriminator.normalizer.load_state_dict(state["amp_input_mean_std"])
+
+    def _check_shapes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
+        """Explain the usual misfits in the user's words."""
+        own = self.model.state_dict()
+        for key, what, source in (
+            ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
+            ("a2c_network.mu.bias", "actions", "the task has"),
+            ("a2c_network._disc_mlp.0.weight", "AMP observation", "the task has"),
+            ("a2c_network._enc.bias", "latent", f"{llc_config} says"),
+        ):
+            if key not in weights:
+                raise CheckpointError(
+                    f"llc_checkpoint={checkpoint}: no low-level controller (it has no {key});"
+                    " expected a checkpoint of algo: name: gen_amp"
+                )
+            there, here = weights[key].shape[-1], own[key].shape[-1]
+            if there != here:
+                raise CheckpointError(
+                    f"llc_checkpoint={checkpoint}: was trained with {there} numbers of {what},"
+                    f" {source} {here}: another humanoid or another observation; train a"
+                    " low-level controller for this task, or choose the task that it was trained on"
+                )
+
+    def extract_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (n, O) without the task's features, the last ones."""
+        return obs[:, : self._sizes.num_obs - self._sizes.num_task_obs]
+
+    def actions(self, obs: Tensor, latents: Tensor) -> Tensor:
+        """Return mean actions (n, A) within the task's limits.
+
+        Args:
+            obs: (n, O), raw, with or without the task's features.
+            latents: (n, Z), unit vectors.
+        """
+        with torch.no_grad():
+            normalized = self.model.norm_obs(self.extract_obs(obs))
+            mu, _ = self.model.a2c_network.eval_actor(normalized, amp_latents=latents)
+        return rescale_actions(self._low, self._high, mu.clamp(-1.0, 1.0))
+
+    def style_reward(self, amp_obs: Tensor) -> Tensor:
+        """Return style rewards (n, 1) of raw AMP observations (n, F)."""
+        return self.discriminator.reward(amp_obs)
+
+
+def latents_of_actions(actions: Tensor) -> Tensor:
+    """Return the unit vectors (n, Z) that high-level actions (n, Z) point to."""
+    return F.normalize(actions, dim=-1)
