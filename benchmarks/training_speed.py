@@ -38,6 +38,7 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.learning import common_agent
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.network_executor import NetworkExecutor
 from isaacgymenvs_lite.making import seed_everything
 from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
@@ -247,7 +248,7 @@ def _median_s(part: Callable[[], None]) -> float:
 
 def published_loop(args: argparse.Namespace) -> None:
     """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
-    common_agent.attach_executor = lambda network, device, precision: None  # type: ignore[assignment]
+    common_agent.attach_executor = lambda network, device, precision: NetworkExecutor(device)
     AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
     reset = AMPAgent.env_reset
 

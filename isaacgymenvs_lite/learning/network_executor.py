@@ -178,6 +178,8 @@ class NetworkExecutor:
         """Return [function(*a) for a in arguments], the calls spread over the threads."""
         grad_enabled = torch.is_grad_enabled()
         busy = min(self.num_threads, len(arguments))
+        if busy <= 1:
+            return [function(*a) for a in arguments]
 
         def work(first: int) -> list[Any]:
             self._within.slice = True
