@@ -33,13 +33,13 @@ class AMPAgent(CommonAgent):
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
         params_class: the keys that it reads beside PPO's.
-        scalars: what it logs of an epoch -> names in TensorBoard.
         discriminator: normaliser, loss and reward.
     """
 
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
     scalars: ClassVar[dict[str, str]] = {
+        **CommonAgent.scalars,
         "disc_loss": "losses/disc_loss",
         "disc_agent_acc": "info/disc_agent_acc",
         "disc_demo_acc": "info/disc_demo_acc",
@@ -245,13 +245,6 @@ class AMPAgent(CommonAgent):
             chosen = torch.randperm(len(rows), device=rows.device)
             rows = rows[chosen[: self._replay_buffer.get_buffer_size()]]
         self._replay_buffer.store({"amp_obs": rows})
-
-    def _write_train_info(self, frame: int) -> None:
-        super()._write_train_info(frame)
-        means = self.train_info_means()
-        for name, tag in self.scalars.items():
-            if name in means:
-                self.writer.add_scalar(tag, means[name], frame)
 
     # --- checkpoint ------------------------------------------------------------------------
 

@@ -30,11 +30,12 @@ class AMPPlayerContinuous(CommonPlayer):
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._print_disc_prediction = bool(params["config"].get("print_disc_prediction", False))
+        self._amp = read_amp_params(params["config"], self.params_class)
         super().__init__(params)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self.env.amp_observation_space.shape[0],
-            read_amp_params(self.config, self.params_class),
+            self._amp,
             self.default_disc_reward,
             self.device,
         )

@@ -14,12 +14,11 @@ from torch import Tensor
 
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.row_slices import evaluate_in_chunks
 from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
 # The logistic reward of a sample that certainly is the policy's would be ln(1/0).
 _MIN_FAKE_PROBABILITY = 1e-4
-# Rows evaluated at once when a whole rollout is rewarded: keeps the activations in the cache.
-_REWARD_ROWS = 8192
 
 
 class DiscriminatorNetwork(Protocol):
@@ -80,13 +79,9 @@ class StyleDiscriminator:
 
     def logits(self, amp_obs: Tensor) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
-        with torch.no_grad():
-            rows = amp_obs.reshape(-1, amp_obs.shape[-1])
-            logits = [
-                self._network.eval_disc(self.normalize(chunk)).float()
-                for chunk in rows.split(_REWARD_ROWS)
-            ]
-            return torch.cat(logits).view(*amp_obs.shape[:-1], 1)
+        return evaluate_in_chunks(
+            lambda rows: self._network.eval_disc(self.normalize(rows)), amp_obs
+        )
 
     def reward(self, amp_obs: Tensor) -> Tensor:
         """Return style rewards (..., 1) of raw AMP observations (..., F).

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams, read_amp_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import make_schedule
 from isaacgymenvs_lite.learning.latents import PlayedLatents
@@ -32,22 +32,22 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
 
     hears_latents = True
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
+    _amp: GenAMPParams
 
     def __init__(self, params: dict[str, Any]) -> None:
-        self._gen_amp = read_amp_params(params["config"], GenAMPParams)
         super().__init__(params)
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
 
     def _build_net_config(self) -> dict[str, Any]:
-        return {**super()._build_net_config(), "amp_latent_shape": (self._gen_amp.latent_dim,)}
+        return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
 
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
         num_envs = self.env.num_envs
         if latent in ("random", "interpolate"):
-            schedule = make_schedule(self._gen_amp, num_envs, self.device)
+            schedule = make_schedule(self._amp, num_envs, self.device)
             return PlayedLatents(schedule, interpolate=latent == "interpolate")
-        rows = read_latents(Path(latent), self._gen_amp.latent_dim).to(self.device)
+        rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
         fixed = rows[torch.arange(num_envs, device=self.device) % len(rows)]
         return lambda progress: fixed
 

@@ -6,12 +6,11 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
@@ -35,9 +34,14 @@ class HRLAgent(CommonAgent):
         llc: the low-level controller.
     """
 
+    scalars: ClassVar[dict[str, str]] = {
+        **CommonAgent.scalars,
+        "disc_reward_mean": "info/disc_reward_mean",
+        "disc_reward_std": "info/disc_reward_std",
+    }
+
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
-        self._wanted_precision = config.get("llc_mixed_precision", False)
         self._hrl: HRLParams = read_hrl_params(config)
         self.llc = self._build_llc(self._hrl)
         self._setup_action_space()
@@ -51,26 +55,11 @@ class HRLAgent(CommonAgent):
             params.llc_checkpoint,
             self._build_llc_agent_config(),
             self.ppo_device,
-            self._wanted_precision,
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return what the task tells the low-level controller.
-
-        Raises:
-            ConfigError: the task has no AMP observations.
-        """
-        if "amp_observation_space" not in self.env_info:
-            raise ConfigError(
-                "train.params.algo: a hierarchy needs a task with reference motions"
-                " (amp_observation_space), such as task=HumanoidAMP"
-            )
-        return LowLevelSizes(
-            num_obs=self.obs_shape[0],
-            num_task_obs=self.vec_env.env.get_task_obs_size(),
-            num_amp_obs=self.env_info["amp_observation_space"].shape[0],
-            action_space=self.env_info["action_space"],
-        )
+        """Return what the task tells the low-level controller; see `LowLevelSizes.of_task`."""
+        return LowLevelSizes.of_task(self.vec_env.env)
 
     def _setup_action_space(self) -> None:
         """Make the latent the agent's action; rl_games sized everything by the task's actions."""
@@ -152,7 +141,6 @@ class HRLAgent(CommonAgent):
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
         style = self.experience_buffer.tensor_dict["disc_rewards"]
-        self._rollout_disc_rewards = style
         return self._hrl.task_reward_w * task_rewards + self._hrl.disc_reward_w * style
 
     def _track_episodes(
@@ -165,24 +153,15 @@ class HRLAgent(CommonAgent):
     def mean_policy(self, env: Any) -> Callable[[dict[str, Tensor]], Tensor]:
         """Return what plays `env` one control step after another; see CommonAgent."""
         del env
-        held: dict[str, Any] = {"step": 0}
 
-        def act(obs: dict[str, Tensor]) -> Tensor:
-            tensors: Any = self.obs_to_tensors(obs)
-            if held["step"] % self._hrl.llc_steps == 0:
-                held["latents"] = self._evaluate_policy(tensors, {})["mus"].float()
-            held["step"] += 1
-            return self._compute_llc_action(obs, self.preprocess_actions(held["latents"]))
+        def choose(obs: Tensor) -> Tensor:
+            means = self._evaluate_policy({"obs": obs}, {})["mus"].float()
+            return latents_of_actions(self.preprocess_actions(means))
 
-        return act
+        act = self.llc.policy_under(choose, self._hrl.llc_steps)
+        return lambda obs: act(self._obs_tensor(obs))
 
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
         super()._before_update(batch_dict)
-        style = self._rollout_disc_rewards
+        style = self.experience_buffer.tensor_dict["disc_rewards"]
         self._log_train_info({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
-
-    def _write_train_info(self, frame: int) -> None:
-        super()._write_train_info(frame)
-        means = self.train_info_means()
-        for name in ("disc_reward_mean", "disc_reward_std"):
-            self.writer.add_scalar(f"info/{name}", means[name], frame)

@@ -26,19 +26,17 @@ class HRLPlayer(CommonPlayer):
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._hrl = read_hrl_params(params["config"])
-        self._step = 0
         super().__init__(params)
+        self._policy = self.llc.policy_under(
+            lambda obs: latents_of_actions(self.get_action(obs, self.is_deterministic)),
+            self._hrl.llc_steps,
+        )
 
     def _build_net_config(self) -> dict[str, Any]:
         self.llc = LowLevelPolicy(
             self._hrl.llc_config,
             self._hrl.llc_checkpoint,
-            LowLevelSizes(
-                num_obs=self.obs_shape[0],
-                num_task_obs=self.env.get_task_obs_size(),
-                num_amp_obs=self.env.amp_observation_space.shape[0],
-                action_space=self.action_space,
-            ),
+            LowLevelSizes.of_task(self.env),
             self.device,
         )
         # The high level's actions are latents.
@@ -50,7 +48,4 @@ class HRLPlayer(CommonPlayer):
 
     def _act(self, obs: dict[str, Tensor]) -> Tensor:
         rows: Any = self.obs_to_torch(obs)
-        if self._step % self._hrl.llc_steps == 0:
-            self._latents = latents_of_actions(self.get_action(rows, self.is_deterministic))
-        self._step += 1
-        return self.llc.actions(rows, self._latents)
+        return self._policy(rows)

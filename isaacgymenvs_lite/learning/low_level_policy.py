@@ -5,6 +5,7 @@ The agent that trains a high-level policy and the player that plays one share it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,6 +46,25 @@ class LowLevelSizes:
     num_amp_obs: int
     action_space: gymnasium.spaces.Box
 
+    @classmethod
+    def of_task(cls, env: Any) -> LowLevelSizes:
+        """Return those of a task (`VecTask`).
+
+        Raises:
+            ConfigError: it has no AMP observations.
+        """
+        if not hasattr(env, "amp_observation_space"):
+            raise ConfigError(
+                "train.params.algo: a hierarchy needs a task with reference motions"
+                " (amp_observation_space), such as task=HumanoidAMP"
+            )
+        return cls(
+            num_obs=env.observation_space.shape[0],
+            num_task_obs=env.get_task_obs_size(),
+            num_amp_obs=env.amp_observation_space.shape[0],
+            action_space=env.action_space,
+        )
+
 
 class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
@@ -54,7 +74,6 @@ class LowLevelPolicy:
         llc_checkpoint: its checkpoint.
         sizes: of the task.
         device: where it computes.
-        mixed_precision: as the key of that name.
 
     Attributes:
         latent_dim: numbers in a latent.
@@ -72,7 +91,6 @@ class LowLevelPolicy:
         llc_checkpoint: str,
         sizes: LowLevelSizes,
         device: str | torch.device,
-        mixed_precision: Any = False,
     ) -> None:
         train_params = load_train_file(llc_config)["params"]
         network = train_params.get("network") or {}
@@ -96,7 +114,7 @@ class LowLevelPolicy:
             self._device,
         )
         self._load(llc_checkpoint, llc_config)
-        attach_executor(self.model.a2c_network, self._device, mixed_precision)
+        attach_executor(self.model.a2c_network, self._device, mixed_precision=False)
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
@@ -173,6 +191,26 @@ class LowLevelPolicy:
             normalized = self.model.norm_obs(self.extract_obs(obs))
             mu, _ = self.model.a2c_network.eval_actor(normalized, amp_latents=latents)
         return rescale_actions(self._low, self._high, mu.clamp(-1.0, 1.0))
+
+    def policy_under(
+        self, choose: Callable[[Tensor], Tensor], steps: int
+    ) -> Callable[[Tensor], Tensor]:
+        """Return a policy from raw observations (n, O) to actions (n, A), one step at a time.
+
+        Args:
+            choose: observations (n, O) -> latents (n, Z), unit vectors; asked every `steps` steps.
+            steps: control steps under one latent.
+        """
+        latents, step = torch.empty(0), 0
+
+        def act(obs: Tensor) -> Tensor:
+            nonlocal latents, step
+            if step % steps == 0:
+                latents = choose(obs)
+            step += 1
+            return self.actions(obs, latents)
+
+        return act
 
     def style_reward(self, amp_obs: Tensor) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F)."""

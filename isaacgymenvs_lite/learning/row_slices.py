@@ -4,9 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
+
+# Rows that are evaluated at once: the activations of as many fit into the cache.
+_CHUNK_ROWS = 8192
+
+
+def evaluate_in_chunks(function: Callable[[Tensor], Tensor], rows: Tensor) -> Tensor:
+    """Return float32 function(rows), (..., D), of rows (..., F), without gradients.
+
+    Not all rows at once, so that activations stay in the cache.
+
+    Args:
+        function: (n, F) -> (n, D), each row for itself.
+        rows: of any number of leading dimensions.
+    """
+    with torch.no_grad():
+        chunks = rows.reshape(-1, rows.shape[-1]).split(_CHUNK_ROWS)
+        results = torch.cat([function(chunk).float() for chunk in chunks])
+    return results.view(*rows.shape[:-1], -1)
 
 
 def cut_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:

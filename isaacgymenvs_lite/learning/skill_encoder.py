@@ -13,9 +13,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
-
-# Rows evaluated at once, as the discriminator's.
-_REWARD_ROWS = 8192
+from isaacgymenvs_lite.learning.row_slices import evaluate_in_chunks
 
 
 class EncoderNetwork(Protocol):
@@ -56,13 +54,10 @@ class SkillEncoder:
             amp_obs: x, (..., F), raw.
             latents: z, (..., Z), those that the policy acted under.
         """
-        rows = amp_obs.reshape(-1, amp_obs.shape[-1])
-        with torch.no_grad():
-            found = [
-                self._network.eval_enc(self._normalize(chunk)).float()
-                for chunk in rows.split(_REWARD_ROWS)
-            ]
-            agreement = (torch.cat(found).view_as(latents) * latents).sum(dim=-1, keepdim=True)
+        found = evaluate_in_chunks(
+            lambda rows: self._network.eval_enc(self._normalize(rows)), amp_obs
+        )
+        agreement = (found * latents).sum(dim=-1, keepdim=True)
         return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
     def loss(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from rl_games.algos_torch import torch_ext
 from rl_games.algos_torch.a2c_continuous import A2CAgent
@@ -10,7 +10,13 @@ from torch import Tensor
 
 
 class TrainingLog(A2CAgent):
-    """Statistics of finished episodes, and scalars of an agent's minibatches and epochs."""
+    """Statistics of finished episodes, and scalars of an agent's minibatches and epochs.
+
+    Attributes:
+        scalars: what an agent collects -> its name in TensorBoard.
+    """
+
+    scalars: ClassVar[dict[str, str]] = {"clip_frac": "info/clip_frac"}
 
     writer: Any
     _train_info: dict[str, list[Tensor]]
@@ -60,4 +66,7 @@ class TrainingLog(A2CAgent):
         super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
 
     def _write_train_info(self, frame: int) -> None:
-        self.writer.add_scalar("info/clip_frac", self.train_info_means()["clip_frac"], frame)
+        means = self.train_info_means()
+        for name, tag in self.scalars.items():
+            if name in means:
+                self.writer.add_scalar(tag, means[name], frame)

@@ -10,38 +10,15 @@ import torch.nn.functional as F
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.network_executor import NetworkExecutor
+from tests.learning.test_amp_network_builder import NETWORK as AMP_NETWORK
 
+UNITS = [1024, 1024, 512]
 NETWORK: dict[str, Any] = {
+    **AMP_NETWORK,
     "name": "gen_amp",
-    "separate": True,
-    "space": {
-        "continuous": {
-            "mu_activation": "None",
-            "sigma_activation": "None",
-            "mu_init": {"name": "default"},
-            "sigma_init": {"name": "const_initializer", "val": -2.9},
-            "fixed_sigma": True,
-            "learn_sigma": False,
-        }
-    },
-    "mlp": {
-        "units": [1024, 1024, 512],
-        "activation": "relu",
-        "d2rl": False,
-        "initializer": {"name": "default"},
-        "regularizer": {"name": "None"},
-    },
-    "disc": {
-        "units": [1024, 1024, 512],
-        "activation": "relu",
-        "initializer": {"name": "default"},
-    },
-    "enc": {
-        "units": [1024, 512],
-        "activation": "relu",
-        "separate": False,
-        "initializer": {"name": "default"},
-    },
+    "mlp": {**AMP_NETWORK["mlp"], "units": UNITS},
+    "disc": {**AMP_NETWORK["disc"], "units": UNITS},
+    "enc": {**AMP_NETWORK["disc"], "units": [1024, 512], "separate": False},
 }
 OBS, ACTIONS, AMP_OBS, LATENT = 253, 31, 1400, 64
 

@@ -3,7 +3,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.learning.row_slices import cut_in_proportion, join, sum_of_slices
+from isaacgymenvs_lite.learning.row_slices import (
+    cut_in_proportion,
+    evaluate_in_chunks,
+    join,
+    sum_of_slices,
+)
 
 
 @pytest.mark.parametrize(
@@ -36,3 +41,18 @@ def test_gradients_that_a_slice_does_not_have_count_as_zero():
     assert sum_of_slices((None, None)) is None
     assert torch.equal(sum_of_slices((None, one, 2 * one)), 3 * one)
     assert torch.equal(sum_of_slices((one, None)), one)
+
+
+def test_more_rows_than_a_chunk_come_back_in_order_and_shape():
+    rows = torch.arange(2.0 * 9000 * 3).view(2, 9000, 3).requires_grad_()
+    seen: list[int] = []
+
+    def sums(chunk: torch.Tensor) -> torch.Tensor:
+        seen.append(len(chunk))
+        return chunk.sum(dim=-1, keepdim=True).bfloat16()
+
+    result = evaluate_in_chunks(sums, rows)
+    assert seen == [8192, 8192, 1616]
+    assert result.dtype == torch.float32
+    assert not result.requires_grad
+    assert torch.equal(result, rows.detach().sum(dim=-1, keepdim=True).bfloat16().float())
