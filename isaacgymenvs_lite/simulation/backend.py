@@ -5,9 +5,15 @@ on `device`, in Isaac Gym's layout: quaternions are xyzw, positions and velociti
 axes relative to the environment's own origin, and the positions of a 3-DoF ball joint are its
 rotation vector (exponential map) in the child frame.
 
-The state tensors are preallocated and updated in place by `step` and `write_state`: keep the
-reference, copy what must outlive the next step. A backend may keep each component of all
-environments together in memory (`cpu_batch` does): take `reshape` or `flatten`, not `view`.
+The state tensors are preallocated and updated in place by `step` and by writes: keep the
+reference, copy what must outlive the next step. Only `body_lin_vel` and `body_ang_vel` are computed
+when they are read: read the property again after each step or write. A backend may keep each
+component of all environments together in memory (`cpu_batch` does): take `reshape` or `flatten`,
+not `view`.
+
+Beside the robot a model may have objects: bodies without children that hang in the world by a free
+joint of their own and stand after all bodies of the robot in the file. Body and DOF tensors do not
+contain them.
 """
 
 from __future__ import annotations
@@ -20,10 +26,10 @@ from torch import Tensor
 
 
 class SimulationBackend(Protocol):
-    """N simulations of one model. B bodies (without the world), D degrees of freedom, U actuators.
+    """N simulations of one model: B bodies, D degrees of freedom, U actuators, K objects.
 
-    The D degrees of freedom are those of all joints but the free root joint, in file order; a ball
-    joint counts three.
+    The B bodies are all but the world and the objects. The D degrees of freedom are those of all
+    joints but the free root joint and the objects', in file order; a ball joint counts three.
     """
 
     model: mujoco.MjModel
@@ -38,6 +44,9 @@ class SimulationBackend(Protocol):
 
     dof_names: tuple[str, ...]
     """D names; a ball joint `hip` gives hip_x, hip_y, hip_z."""
+
+    object_names: tuple[str, ...]
+    """K names in the order of the object tensors; none in models without objects."""
 
     num_failures: int
     """How often a simulation diverged since the start, all environments together."""
@@ -94,8 +103,22 @@ class SimulationBackend(Protocol):
         ...
 
     @property
+    def object_states(self) -> Tensor:
+        """(N, K, 13) as `root_states`, of the objects."""
+        ...
+
+    @property
+    def object_contact_forces(self) -> Tensor:
+        """(N, K, 3) net contact force on each object in world axes (N).
+
+        Of the last physics step; zero for objects written since then, and if the model has no
+        `contact_<object>` sensors.
+        """
+        ...
+
+    @property
     def failed(self) -> Tensor:
-        """(N,) bool: the simulation diverged in the last `step()`.
+        """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
 
         It was put back to its default state; the task should end the episode.
         """
@@ -114,14 +137,29 @@ class SimulationBackend(Protocol):
     ) -> None:
         """Put n environments into a new state and recompute their body tensors.
 
-        All memory of the earlier state (warm start, controls, contact forces) is cleared; the
-        other environments are left bit-identical.
+        Their objects go back to their places in the model, at rest. All memory of the earlier state
+        (warm start, controls, contact forces) is cleared; the other environments are left
+        bit-identical.
 
         Args:
-            env_ids: (n,) int64.
+            env_ids: (n,) int64, each once, in any order.
             root_states: (n, 13) as `root_states`.
             dof_pos: (n, D) as `dof_pos`.
             dof_vel: (n, D) as `dof_vel`.
+        """
+        ...
+
+    def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
+        """Put k objects of n environments into new states.
+
+        The rest of these environments, the robot included, and the other environments are left
+        bit-identical. The solver's warm start of these environments is cleared, so that what
+        follows depends on their states and controls alone.
+
+        Args:
+            env_ids: (n,) int64, each once, in any order.
+            object_ids: (k,) int64, places in `object_names`, each once, in any order.
+            states: (n, k, 13) as `object_states`.
         """
         ...
 

@@ -1,6 +1,10 @@
-"""Where a MuJoCo model keeps its root, its degrees of freedom and its bodies.
+"""Where a MuJoCo model keeps its root, its degrees of freedom, its bodies and its objects.
 
 Turns a compiled model into the index arrays that backends and tasks need, once.
+
+An object is a body without children that hangs in the world by a free joint and does not hold the
+first joint of the model, which is the robot's. All objects stand after the robot's bodies, so that
+qpos, qvel and body arrays of MuJoCo begin with the robot's part.
 """
 
 from __future__ import annotations
@@ -19,10 +23,10 @@ CONTACT_SENSOR_PREFIX = "contact_"
 
 @dataclass(frozen=True)
 class ModelLayout:
-    """Names and addresses of one model: B bodies, D degrees of freedom.
+    """Names and addresses of one model: B bodies, D degrees of freedom, K objects.
 
     Attributes:
-        body_names: B names without the world; body tensors use this order.
+        body_names: B names without the world and the objects; body tensors use this order.
         dof_names: D names in joint order, `<joint>_x/_y/_z` for the three of a ball joint.
         dof_body_ids: (G,) body of each joint group, in the order of `body_names`.
         dof_offsets: (G + 1,) first degree of freedom of each group; the last entry is D.
@@ -34,6 +38,8 @@ class ModelLayout:
         contact_columns: (B, 3) columns of sensordata with the net contact force of each body, or
             None when the model has no `contact_<body>` sensors.
         has_free_root: whether the first joint is a free joint.
+        object_names: K names; object tensors use this order.
+        object_contact_columns: (K, 3) as `contact_columns`, of the objects.
     """
 
     body_names: tuple[str, ...]
@@ -47,21 +53,36 @@ class ModelLayout:
     scalar_dofs: np.ndarray
     contact_columns: np.ndarray | None
     has_free_root: bool
+    object_names: tuple[str, ...]
+    object_contact_columns: np.ndarray | None
 
     @property
     def num_dofs(self) -> int:
-        """D, all joints but the free root."""
+        """D, all joints but the free root and the objects."""
         return self.dof_offsets[-1]
+
+    @property
+    def num_qpos(self) -> int:
+        """Q, the first numbers of qpos: all but the objects'."""
+        root = 7 if self.has_free_root else 0
+        return root + self.ball_qpos.size + self.scalar_qpos.size
+
+    @property
+    def num_qvel(self) -> int:
+        """How many first numbers of qvel are not the objects'."""
+        return self.dof_vel_adr + self.num_dofs
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> ModelLayout:
         """Read the layout of a compiled model.
 
         Raises:
-            ConfigError: a free joint that is not the first joint of the model.
+            ConfigError: a free joint that is neither the first joint of the model nor that of an
+                object after all other bodies; contact sensors of some bodies but not of others.
         """
+        num_objects = _count_objects(model)
         has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE
-        joints = range(1 if has_free_root else 0, model.njnt)
+        joints = range(1 if has_free_root else 0, model.njnt - num_objects)
         dof_vel_adr = 6 if has_free_root else 0
         names: list[str] = []
         offsets = [0]
@@ -69,11 +90,6 @@ class ModelLayout:
         for joint in joints:
             kind, qpos, dof = model.jnt_type[joint], model.jnt_qposadr[joint], offsets[-1]
             name = model.joint(joint).name
-            if kind == _FREE:
-                raise ConfigError(
-                    f"joint '{name}' is a free joint but not the first joint of the model;"
-                    " expected one free-floating body at most, named first"
-                )
             if kind == _BALL:
                 ball_qpos.append([qpos + 1, qpos + 2, qpos + 3, qpos])
                 ball_dofs.append([dof, dof + 1, dof + 2])
@@ -83,7 +99,9 @@ class ModelLayout:
                 scalar_dofs.append(dof)
                 names.append(name)
             offsets.append(len(names))
-        body_names = tuple(model.body(i).name for i in range(1, model.nbody))
+        names_of_all = tuple(model.body(i).name for i in range(1, model.nbody))
+        num_bodies = len(names_of_all) - num_objects
+        body_names, object_names = names_of_all[:num_bodies], names_of_all[num_bodies:]
         return cls(
             body_names=body_names,
             dof_names=tuple(names),
@@ -94,12 +112,38 @@ class ModelLayout:
             ball_dofs=np.array(ball_dofs, dtype=np.int64).reshape(-1, 3),
             scalar_qpos=np.array(scalar_qpos, dtype=np.int64),
             scalar_dofs=np.array(scalar_dofs, dtype=np.int64),
-            contact_columns=_contact_columns(model, body_names),
+            contact_columns=_contact_columns(model, body_names, "body", "bodies"),
             has_free_root=has_free_root,
+            object_names=object_names,
+            object_contact_columns=_contact_columns(model, object_names, "object", "objects"),
         )
 
 
-def _contact_columns(model: mujoco.MjModel, body_names: tuple[str, ...]) -> np.ndarray | None:
+def _count_objects(model: mujoco.MjModel) -> int:
+    """Return K; the objects are the last K bodies, and their joints the last K joints."""
+    free_joints = np.flatnonzero(model.jnt_type == _FREE)
+    objects = model.jnt_bodyid[free_joints[free_joints > 0]]
+    for place, body in enumerate(objects):
+        name = model.body(body).name
+        children = np.flatnonzero(model.body_parentid == body)
+        if children.size > 0:
+            raise ConfigError(
+                f"body '{name}' has a free joint and a child, '{model.body(children[0]).name}', but"
+                " its joint is not the first of the model; expected one robot at most, before all"
+                " other joints, and other free bodies without children"
+            )
+        if model.nbody - body != len(objects) - place:
+            others = (i for i in range(body + 1, model.nbody) if i not in objects)
+            raise ConfigError(
+                f"free body '{name}' stands before body '{model.body(next(others)).name}'; expected"
+                " free bodies other than the robot after all other bodies: move it to the end"
+            )
+    return len(objects)
+
+
+def _contact_columns(
+    model: mujoco.MjModel, body_names: tuple[str, ...], one: str, many: str
+) -> np.ndarray | None:
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     wanted = [CONTACT_SENSOR_PREFIX + name for name in body_names]
     if not any(name in sensors for name in wanted):
@@ -107,9 +151,9 @@ def _contact_columns(model: mujoco.MjModel, body_names: tuple[str, ...]) -> np.n
     missing = [name for name in wanted if name not in sensors]
     if missing:
         raise ConfigError(
-            f"the model has contact sensors for some bodies but not '{missing[0]}'; expected one"
+            f"the model has contact sensors for some {many} but not '{missing[0]}'; expected one"
             f' <contact name="{CONTACT_SENSOR_PREFIX}BODY" body1="BODY" reduce="netforce"/>'
-            " for every body or for none"
+            f" for every {one} or for none"
         )
     first = np.array([model.sensor_adr[sensors[name]] for name in wanted], dtype=np.int64)
     return first[:, None] + np.arange(3)

@@ -73,6 +73,13 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     return torch.linalg.cross(*torch.broadcast_tensors(a, b))
 
 
+def cross_components(a: Iterable[_Array], b: Iterable[_Array]) -> tuple[_Array, ...]:
+    """Return the three components of `cross` from those of a and b."""
+    ax, ay, az = a
+    bx, by, bz = b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
 def quat_rotate(q: Tensor, v: Tensor) -> Tensor:
     """Rotate vectors v (..., 3) by quaternions q (..., 4)."""
     return _rotate(q[..., :3], q[..., 3:], v)
@@ -98,13 +105,10 @@ def rotate_components(q: Iterable[_Array], v: Iterable[_Array]) -> tuple[_Array,
     """Return the three components of `quat_apply` from those of q and v."""
     x, y, z, w = q
     vx, vy, vz = v
-    tx, ty, tz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
+    tx, ty, tz = cross_components((x, y, z), (vx, vy, vz))
     tx, ty, tz = tx + tx, ty + ty, tz + tz
-    return (
-        vx + w * tx + (y * tz - z * ty),
-        vy + w * ty + (z * tx - x * tz),
-        vz + w * tz + (x * ty - y * tx),
-    )
+    ux, uy, uz = cross_components((x, y, z), (tx, ty, tz))
+    return vx + w * tx + ux, vy + w * ty + uy, vz + w * tz + uz
 
 
 def normalize_angle(angle: Tensor) -> Tensor:

@@ -7,32 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isaacgymenvs_lite.simulation.forward_kinematics import Floats, ForwardKinematics
-
-# Every type of joint, several on one body, anchors beside the origin, turned bodies, references,
-# bodies without joints below and above bodies with some, two trees.
-MADE_UP = """
-<mujoco><compiler angle="radian"/><worldbody>
-  <body name="drone" pos="1 2 3" quat="0.5 0.5 -0.5 0.5"><freejoint/><geom size="0.1"/>
-    <body name="mast" pos="0.1 0.2 0.3" euler="0.4 -0.2 0.7"><geom size="0.1"/>
-      <body name="arm" pos="0 0.1 0.5" euler="0.1 0.2 0.3">
-        <joint type="slide" axis="1 2 -1" pos="0.3 0 0" ref="0.2"/>
-        <joint type="hinge" axis="0 1 1" pos="0.1 -0.2 0.3" ref="-0.4"/>
-        <joint type="slide" axis="0 0 1"/>
-        <geom size="0.1"/>
-        <body name="hand" pos="0.4 0 0"><joint type="ball" pos="0.05 0.02 -0.1"/><geom size="0.1"/>
-          <body name="finger" pos="0 0 0.2"><geom size="0.1"/></body></body>
-      </body>
-      <body name="tail" pos="0 -0.3 0"><joint type="ball"/><joint type="slide" axis="0 1 0"/>
-        <geom size="0.1"/></body>
-    </body>
-  </body>
-  <body name="post" pos="-1 0 0.5" euler="0 0 1"><geom size="0.1"/>
-    <body name="door" pos="0.2 0 0">
-      <joint type="hinge" axis="1 0 0"/><joint type="hinge" axis="0 0 1" pos="0.1 0.1 0"/>
-      <geom size="0.1"/></body></body>
-</worldbody></mujoco>
-"""
+from isaacgymenvs_lite.simulation.forward_kinematics import ForwardKinematics
+from isaacgymenvs_lite.simulation.kinematic_tree import Floats, KinematicTree
 
 
 def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
@@ -40,13 +16,16 @@ def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(n, model.nq))
 
 
-def _poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[Floats, Floats]:
-    """Our positions (n, B, 3) and rotations (n, B, 4) xyzw."""
-    num_bodies = model.nbody - 1
+def _poses(
+    model: mujoco.MjModel, qpos: np.ndarray, num_bodies: int | None = None
+) -> tuple[Floats, Floats]:
+    """Our positions (n, B, 3) and rotations (n, B, 4) xyzw, of all bodies or the first ones."""
+    tree = KinematicTree(model, num_bodies)
+    num_bodies = len(tree.order)
     positions = np.full((3, num_bodies, len(qpos)), np.nan, dtype=np.float32)
     rotations = np.full((4, num_bodies, len(qpos)), np.nan, dtype=np.float32)
     columns = np.ascontiguousarray(qpos.T, dtype=np.float32)
-    ForwardKinematics(model)(columns, positions, rotations)
+    ForwardKinematics(tree)(columns, positions, rotations)
     return positions.T, rotations.T
 
 
@@ -64,10 +43,18 @@ def _assert_poses_are_mujoco_s(model: mujoco.MjModel, qpos: np.ndarray) -> None:
         np.testing.assert_allclose(turned_by.magnitude(), 0.0, atol=5e-6)
 
 
-def test_a_model_with_all_types_of_joints() -> None:
-    model = mujoco.MjModel.from_xml_string(MADE_UP)
-    assert set(model.jnt_type) == {0, 1, 2, 3}
-    _assert_poses_are_mujoco_s(model, _random_qpos(model, 50))
+def test_a_model_with_all_types_of_joints(made_up_model) -> None:
+    _assert_poses_are_mujoco_s(made_up_model, _random_qpos(made_up_model, 50))
+
+
+def test_the_first_bodies_alone(made_up_model) -> None:
+    # The drone with all that hangs on it, 6 of 8 bodies: the same bytes as among all.
+    qpos = _random_qpos(made_up_model, 5)
+    for some, every in zip(
+        _poses(made_up_model, qpos, 6), _poses(made_up_model, qpos), strict=True
+    ):
+        assert some.shape[1] == 6
+        assert some.tobytes() == every[:, :6].tobytes()
 
 
 def test_the_humanoid(humanoid_model) -> None:

@@ -78,13 +78,76 @@ def test_contact_sensors_of_some_bodies_only_are_refused() -> None:
         _layout(ROBOT % _contact_sensors("base", "upper", "lower", "finger"))
 
 
-def test_a_second_free_body_is_refused() -> None:
-    with pytest.raises(ConfigError, match="'loose' is a free joint but not the first"):
-        _layout(
-            '<mujoco><worldbody><body name="a"><freejoint name="root"/><geom size="0.1"/></body>'
-            '<body name="b"><freejoint name="loose"/><geom size="0.1"/></body>'
-            "</worldbody></mujoco>"
-        )
+# The robot above (5 bodies, qpos 0:13, qvel 0:11), then two objects.
+OBJECTS = """
+<body name="box" pos="1 0 1"><freejoint name="box_joint"/><geom size="0.1"/></body>
+<body name="ball" pos="2 0 1"><joint type="free"/><geom size="0.1"/></body>
+"""
+WITH_OBJECTS = ROBOT.replace("</worldbody>", OBJECTS + "</worldbody>")
+
+
+def test_objects_are_apart_from_the_robot() -> None:
+    layout, alone = _layout(WITH_OBJECTS % ""), _layout(ROBOT % "")
+    assert layout.object_names == ("box", "ball")
+    assert alone.object_names == ()
+    assert layout.body_names == alone.body_names
+    assert layout.dof_names == alone.dof_names
+    assert layout.dof_body_ids == alone.dof_body_ids
+    assert layout.dof_offsets == alone.dof_offsets
+    for each in (layout, alone):
+        assert (each.num_dofs, each.num_qpos, each.num_qvel) == (5, 13, 11)
+
+
+def test_an_object_beside_a_robot_on_a_fixed_base() -> None:
+    layout = _layout(
+        '<mujoco><worldbody><body name="arm"><joint name="j"/><geom size="0.1"/></body>'
+        '<body name="box"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    assert (layout.body_names, layout.object_names) == (("arm",), ("box",))
+    assert (layout.has_free_root, layout.num_qpos, layout.num_qvel) == (False, 1, 1)
+
+
+def test_contact_columns_of_objects() -> None:
+    bodies = ("base", "upper", "lower", "plate", "finger")
+    layout = _layout(WITH_OBJECTS % _contact_sensors(*bodies, "box", "ball"))
+    np.testing.assert_array_equal(layout.contact_columns, np.arange(15).reshape(5, 3))
+    np.testing.assert_array_equal(layout.object_contact_columns, [[15, 16, 17], [18, 19, 20]])
+    # Objects may have sensors where bodies have none, and the other way round.
+    layout = _layout(WITH_OBJECTS % _contact_sensors(*bodies))
+    assert layout.object_contact_columns is None
+    layout = _layout(WITH_OBJECTS % _contact_sensors("box", "ball"))
+    assert layout.contact_columns is None
+    np.testing.assert_array_equal(layout.object_contact_columns, np.arange(6).reshape(2, 3))
+
+
+def test_contact_sensors_of_some_objects_only_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"objects but not 'contact_ball'.*every object or"):
+        _layout(WITH_OBJECTS % _contact_sensors("box"))
+
+
+BOX = '<body name="box"><freejoint/><geom size="0.1"/>%s</body>'
+ARM = '<body name="arm"><joint/><geom size="0.1"/></body>'
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        (ARM + BOX % "" + ARM.replace("arm", "leg"), "'box' stands before body 'leg'.*to the end"),
+        (ARM + BOX % "" + '<body name="wall"/>', "'box' stands before body 'wall'"),
+        (
+            ARM + BOX % "" + BOX.replace("box", "lid") % "" + '<body name="wall"/>',
+            "'box' stands before body 'wall'",
+        ),
+        (ARM + BOX % ARM.replace("arm", "lid"), "'box' has a free joint and a child, 'lid'"),
+        (
+            BOX.replace("box", "robot") % ARM + BOX % '<body name="lid"/>',
+            "'box' has a free joint and a child, 'lid'.*one robot at most",
+        ),
+    ],
+)
+def test_free_bodies_that_are_no_objects_are_refused(bodies: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        _layout(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
 
 
 def test_the_humanoid_in_the_order_of_policies_and_motions(humanoid_model: mujoco.MjModel) -> None:
