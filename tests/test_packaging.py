@@ -9,6 +9,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import mujoco
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -68,6 +69,14 @@ def test_wheel_carries_configuration_and_assets(wheel):
     assert {f"isaacgymenvs_lite/{name}" for name in data} <= names
     assert "isaacgymenvs_lite/train.py" in names
     assert not [name for name in names if name.startswith("tests/")]
+
+
+def test_humanoids_of_the_wheel_compile(wheel, tmp_path):
+    # They include files of their subfolder parts.
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    files = sorted((tmp_path / "isaacgymenvs_lite" / "assets" / "mjcf").glob("*.xml"))
+    assert [file.stem for file in files] == ["amp_humanoid", "amp_humanoid_sword_shield"]
+    assert [mujoco.MjModel.from_xml_path(str(file)).nu for file in files] == [28, 31]
 
 
 def test_wheel_states_version_licence_and_command(wheel):
