@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 
 
@@ -17,7 +16,7 @@ class HRLParams:
     llc_config: str = setting()
     """Train file of the low-level controller."""
     llc_checkpoint: str = setting("")
-    """Its checkpoint."""
+    """Its checkpoint, or the name of a shipped policy."""
     llc_steps: int = setting(minimum=1)
     """Control steps that the low-level controller makes under one latent."""
     task_reward_w: float = setting(1.0)
@@ -34,10 +33,4 @@ def read_hrl_params(config: Mapping[str, Any]) -> HRLParams:
     """
     known = keys_of(HRLParams)
     section = {key: value for key, value in config.items() if key in known}
-    params = read_section(HRLParams, section, "train.params.config")
-    if not params.llc_checkpoint:
-        raise ConfigError(
-            "train.params.config.llc_checkpoint is not given: expected the checkpoint of a"
-            " low-level controller (train one with algo: name: gen_amp)"
-        )
-    return params
+    return read_section(HRLParams, section, "train.params.config")

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.flat_config import complete_params
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
 from isaacgymenvs_lite.learning.low_level_policy import (
@@ -19,6 +20,9 @@ from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelSizes,
     latents_of_actions,
 )
+
+# The train file whose values a flat configuration leaves out.
+_DEFAULTS = "HumanoidASEHRLPPO"
 
 
 class HRLAgent(CommonAgent):
@@ -32,6 +36,15 @@ class HRLAgent(CommonAgent):
 
     Attributes:
         llc: the low-level controller.
+
+    Args:
+        base_name: name for rl_games' bookkeeping.
+        params: the section `params` of a train file, as the Runner hands it over, or a flat
+            configuration; see `flat_config.complete_params`.
+
+    Raises:
+        ConfigError: a value that cannot be used, or a train file of no low-level controller.
+        CheckpointError: no low-level controller, or one that fits neither its file nor the task.
     """
 
     scalars: ClassVar[dict[str, str]] = {
@@ -39,6 +52,14 @@ class HRLAgent(CommonAgent):
         "disc_reward_mean": "info/disc_reward_mean",
         "disc_reward_std": "info/disc_reward_std",
     }
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        super().__init__(base_name, complete_params(params, _DEFAULTS))
+
+    def load_networks(self, params: dict[str, Any]) -> None:
+        """Build the network that the section names, unless the configuration holds one."""
+        if "network" not in self.config:
+            super().load_networks(params)
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -26,8 +27,13 @@ from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.policies.shipped import shipped_policies
+
+SHIPPED_LLC = "locomotion_skills"
+"""The low-level controller that comes with the project."""
 
 _NETWORKS = ("gen_amp", "ase")
+_RL_DEVICES = ("cpu", "cuda:0")
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class LowLevelPolicy:
 
     Args:
         llc_config: the train file that it was trained with; see `load_train_file`.
-        llc_checkpoint: its checkpoint.
+        llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
         device: where it computes.
 
@@ -92,7 +98,9 @@ class LowLevelPolicy:
         sizes: LowLevelSizes,
         device: str | torch.device,
     ) -> None:
-        train_params = load_train_file(llc_config)["params"]
+        file = find_llc_checkpoint(llc_checkpoint)
+        state = checkpoints.load_checkpoint(file)
+        train_params = _train_params(llc_config, state["model"])
         network = train_params.get("network") or {}
         if network.get("name") not in _NETWORKS or "latent_dim" not in train_params["config"]:
             raise ConfigError(
@@ -104,7 +112,6 @@ class LowLevelPolicy:
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes
         self._device = torch.device(device)
-        scale_units(network)
         self.model = self._build_model(network, train_params["config"])
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
@@ -113,7 +120,7 @@ class LowLevelPolicy:
             GenAMPAgent.default_disc_reward,
             self._device,
         )
-        self._load(llc_checkpoint, llc_config)
+        self._load(state, llc_checkpoint, llc_config)
         attach_executor(self.model.a2c_network, self._device, mixed_precision=False)
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
@@ -136,9 +143,8 @@ class LowLevelPolicy:
         use_quick_moments(model)
         return model.to(self._device).eval().requires_grad_(False)
 
-    def _load(self, checkpoint: str, llc_config: str) -> None:
-        state = checkpoints.load_checkpoint(checkpoint)
-        self._check_shapes(state.get("model") or {}, checkpoint, llc_config)
+    def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
+        self._check_shapes(state["model"], checkpoint, llc_config)
         try:
             self.model.load_state_dict(state["model"])
         except RuntimeError as error:
@@ -215,6 +221,42 @@ class LowLevelPolicy:
     def style_reward(self, amp_obs: Tensor) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F)."""
         return self.discriminator.reward(amp_obs)
+
+
+def find_llc_checkpoint(llc_checkpoint: str) -> Path:
+    """Return the file of a low-level controller: a path, or the name of a shipped policy.
+
+    Raises:
+        CheckpointError: none is given, or there is no such file.
+    """
+    shipped = shipped_policies()
+    path = shipped.get(llc_checkpoint) or Path(llc_checkpoint).expanduser()
+    if llc_checkpoint and path.is_file():
+        return path
+    what = f"={llc_checkpoint}: no file {path.absolute()}" if llc_checkpoint else " is not given"
+    ships = f", or llc_checkpoint={SHIPPED_LLC}, which ships" if SHIPPED_LLC in shipped else ""
+    raise CheckpointError(
+        f"train.params.config.llc_checkpoint{what}; expected a low-level controller: the path of a"
+        " checkpoint that python train.py task=HumanoidASE has written to"
+        f" runs/HumanoidASE_<time>/nn{ships}"
+    )
+
+
+def _train_params(llc_config: str, weights: dict[str, Tensor]) -> dict[str, Any]:
+    """Return the section `params` of the file, of the kind of device that the weights come from.
+
+    The networks of a train file may depend on where it learned.
+    """
+    variants = [load_train_file(llc_config, rl_device=device)["params"] for device in _RL_DEVICES]
+    for params in variants:
+        scale_units(params.get("network") or {})
+    return next((params for params in variants if _fits(params, weights)), variants[0])
+
+
+def _fits(params: dict[str, Any], weights: dict[str, Tensor]) -> bool:
+    units = ((params.get("network") or {}).get("mlp") or {}).get("units")
+    first = weights.get("a2c_network.critic_mlp._mlp.0.weight")
+    return first is not None and bool(units) and units[0] == first.shape[0]
 
 
 def latents_of_actions(actions: Tensor) -> Tensor:

@@ -5,8 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
+    HumanoidASE,
+    HumanoidHeading,
+    HumanoidLocation,
+    HumanoidReach,
+    HumanoidStrike,
+)
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
+from isaacgymenvs_lite.tasks.ase.humanoid_perturb import HumanoidPerturb
+from isaacgymenvs_lite.tasks.ase.humanoid_view_motion import HumanoidViewMotion
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 isaacgym_task_map: dict[str, Callable[..., VecTask]] = {
     "HumanoidAMP": HumanoidAMP,
+    "HumanoidASE": HumanoidASE,
+    "HumanoidASEGetup": HumanoidASEGetup,
+    "HumanoidHeading": HumanoidHeading,
+    "HumanoidLocation": HumanoidLocation,
+    "HumanoidPerturb": HumanoidPerturb,
+    "HumanoidReach": HumanoidReach,
+    "HumanoidStrike": HumanoidStrike,
+    "HumanoidViewMotion": HumanoidViewMotion,
 }

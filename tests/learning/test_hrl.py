@@ -209,7 +209,6 @@ def test_a_checkpoint_holds_the_high_level_only_and_plays(llc, make_agent, make_
     ("more", "words"),
     [
         (f"{CONFIG}.llc_steps=0", "llc_steps"),
-        (f"{CONFIG}.llc_checkpoint=''", "llc_checkpoint is not given"),
         (f"{CONFIG}.llc_config=nowhere/none.yaml", "nowhere/none.yaml' does not exist"),
         (f"{CONFIG}.llc_config=HumanoidAMPPPO", "no skill policy"),
     ],
@@ -220,8 +219,9 @@ def test_keys_that_cannot_be_used(more, words, llc, make_agent):
 
 
 def test_checkpoints_that_cannot_be_used(llc, make_agent, tmp_path):
-    with pytest.raises(CheckpointError):
-        make_agent(*overrides(llc, f"{CONFIG}.llc_checkpoint='{tmp_path}/absent.pth'"))
+    for given, words in (("", "is not given"), (f"{tmp_path}/absent.pth", "no file")):
+        with pytest.raises(CheckpointError, match=f"llc_checkpoint.*{words}.*task=HumanoidASE"):
+            make_agent(*overrides(llc, f"{CONFIG}.llc_checkpoint='{given}'"))
     plain = make_agent()
     plain.init_tensors()
     plain.save(str(tmp_path / "amp"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import gymnasium
 import numpy as np
 import torch
@@ -9,10 +11,12 @@ from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.tasks.amp.drawn_ahead import DrawnAhead
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import NUM_ACTIONS, NUM_OBS, HumanoidAMPBase
-from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPBase
+from isaacgymenvs_lite.tasks.base.humanoid_observations import (
+    compute_humanoid_observations,
+    num_humanoid_obs,
+)
 
-NUM_AMP_OBS_PER_STEP = NUM_OBS
 _STARTS_AT_A_TIME = 1024
 
 
@@ -22,14 +26,15 @@ def build_amp_observations(
     dof_vel: Tensor,
     key_body_pos: Tensor,
     local_root_obs: bool,
+    as_ase: bool = False,
 ) -> Tensor:
-    """Return the AMP observation of one control step, (N, 105).
+    """Return the AMP observation of one control step: (N, 105), or (N, 125) with `as_ase`.
 
     In IsaacGymEnvs it is the policy observation of the same state; see
     `compute_humanoid_observations` for arguments and layout.
     """
     return compute_humanoid_observations(
-        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs
+        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs, as_ase
     )
 
 
@@ -48,22 +53,28 @@ class HumanoidAMP(HumanoidAMPBase):
         MotionFileError: a clip that cannot be used.
     """
 
+    # Joint positions of the AMP observation as ASE encodes them.
+    amp_obs_as_ase: ClassVar[bool] = False
+
     def create_sim(self) -> None:
         """As the base, then load the reference motions."""
         super().create_sim()
         self._motion_lib = MotionLib(
             self.env_cfg.motion_file,
-            NUM_ACTIONS,
+            self.num_actions,
             self._key_body_ids.tolist(),
             self.device,
             repair_repeated_frames=self.env_cfg.repair_repeated_frames,
         )
 
     def allocate_buffers(self) -> None:
-        """Add the AMP observation history, (N, numAMPObsSteps, 105), newest first."""
+        """Add the AMP observation history, (N, numAMPObsSteps, ...), newest first."""
         super().allocate_buffers()
         self._amp_obs_buf = torch.zeros(
-            self.num_envs, self.env_cfg.num_amp_obs_steps, NUM_AMP_OBS_PER_STEP, device=self.device
+            self.num_envs,
+            self.env_cfg.num_amp_obs_steps,
+            self._num_amp_obs_per_step(),
+            device=self.device,
         )
         self._starts = DrawnAhead(self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME))
 
@@ -75,7 +86,20 @@ class HumanoidAMP(HumanoidAMPBase):
     @property
     def num_amp_obs(self) -> int:
         """Numbers in one flattened AMP observation, F."""
-        return self.env_cfg.num_amp_obs_steps * NUM_AMP_OBS_PER_STEP
+        return self.env_cfg.num_amp_obs_steps * self._num_amp_obs_per_step()
+
+    def _num_amp_obs_per_step(self) -> int:
+        offsets = self._layout.dof_offsets
+        return num_humanoid_obs(offsets, len(self._key_body_names()), self.amp_obs_as_ase)
+
+    def _amp_features(self, state: CharacterState) -> Tensor:
+        """AMP observations of one step of states as `_features_source` returns them."""
+        return build_amp_observations(*state, self.env_cfg.local_root_obs, self.amp_obs_as_ase)
+
+    def _amp_features_now(self, env_ids: Tensor | None) -> Tensor:
+        """The same of the state of now of all environments or `env_ids` (n,), just observed."""
+        # One step of the AMP observation is the policy observation of the same state.
+        return self.obs_buf if env_ids is None else self.obs_buf.index_select(0, env_ids)
 
     @property
     def motion_lib(self) -> MotionLib:
@@ -88,8 +112,7 @@ class HumanoidAMP(HumanoidAMPBase):
         history = self._amp_obs_buf
         for step in range(history.shape[1] - 1, 0, -1):
             history[:, step] = history[:, step - 1]
-        # One step of the AMP observation is the policy observation of the same state.
-        history[:, 0] = self.obs_buf
+        history[:, 0] = self._amp_features_now(None)
         self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
 
     # --- demonstrations ----------------------------------------------------------------------
@@ -114,15 +137,11 @@ class HumanoidAMP(HumanoidAMPBase):
         return features.flatten(1).to(self.rl_device)
 
     def _reference_features(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> Tensor:
-        """AMP features (n, len(steps), 105) of motions (n,) at times (n,) s, `steps` earlier."""
-        features = build_amp_observations(
-            *self._reference_states(motion_ids, times, steps), self.env_cfg.local_root_obs
-        )
+        """AMP features (n, len(steps), ...) of motions (n,) at times (n,) s, `steps` earlier."""
+        features = self._amp_features(self._reference_states(motion_ids, times, steps))
         return features.view(len(steps), len(motion_ids), -1).transpose(0, 1)
 
-    def _reference_states(
-        self, motion_ids: Tensor, times: Tensor, steps: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _reference_states(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> CharacterState:
         """States of motions (n,) at times (n,) s, `steps` (s,) earlier: s * n, step by step.
 
         Root states (..., 13), DOF positions and velocities (..., D), key bodies (..., K, 3).
@@ -159,7 +178,7 @@ class HumanoidAMP(HumanoidAMPBase):
     def _draw_starts(self, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Draw moments of the clips: their states and the AMP features of the steps before.
 
-        Root states (n, 13), DOF positions and velocities (n, D), features (n, steps - 1, 105).
+        Root states (n, 13), DOF positions and velocities (n, D), features (n, steps - 1, ...).
         """
         lib = self._motion_lib
         motion_ids = lib.sample_motions(n)
@@ -167,14 +186,10 @@ class HumanoidAMP(HumanoidAMPBase):
         if self.env_cfg.state_init != "Start":
             times = lib.sample_time(motion_ids)
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
-        states = self._reference_states(motion_ids, times, steps)
-        root_before, pos_before, vel_before, keys_before = (state[n:] for state in states)
-        before = build_amp_observations(
-            root_before, pos_before, vel_before, keys_before, self.env_cfg.local_root_obs
-        )
-        history = before.view(len(steps) - 1, n, NUM_AMP_OBS_PER_STEP).transpose(0, 1)
-        root_states, dof_pos, dof_vel, _ = (state[:n] for state in states)
-        return root_states, dof_pos, dof_vel, history
+        root, dof_pos, dof_vel, key_pos = self._reference_states(motion_ids, times, steps)
+        before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
+        history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
+        return root[:n], dof_pos[:n], dof_vel[:n], history
 
     def _reset_to_reference(self, env_ids: Tensor) -> None:
         """Put environments into the state of a sampled clip, and remember what came before it."""
@@ -187,8 +202,11 @@ class HumanoidAMP(HumanoidAMPBase):
     @torch.inference_mode()
     def _observe_new_episodes(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with what would have come before."""
-        now = build_amp_observations(*self._features_source(env_ids), self.env_cfg.local_root_obs)
-        self.obs_buf.index_copy_(0, env_ids, now)
+        super()._observe_new_episodes(env_ids)
+        self._start_histories(env_ids)
+
+    def _start_histories(self, env_ids: Tensor) -> None:
+        now = self._amp_features_now(env_ids)
         # Until a reference says otherwise the character has been standing still.
         standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
         self._amp_obs_buf.index_copy_(0, env_ids, standing)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import Any, ClassVar
 
+import mujoco
 import torch
 from torch import Tensor
 
@@ -13,22 +14,23 @@ from isaacgymenvs_lite.simulation.factory import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
     HumanoidAMPConfig,
+    SimConfig,
     read_env_config,
     read_sim_config,
 )
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
+from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, dof_limits, shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     compute_humanoid_reset,
     compute_humanoid_reward,
     dof_to_obs,
+    num_humanoid_obs,
     pd_action_offset_scale,
 )
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 __all__ = [
     "NUM_ACTIONS",
-    "NUM_OBS",
     "HumanoidAMPBase",
     "compute_humanoid_observations",
     "compute_humanoid_reset",
@@ -38,10 +40,12 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 
-NUM_OBS = 13 + 52 + 28 + 12
 NUM_ACTIONS = 28
 KEY_BODY_NAMES = ("right_hand", "left_hand", "right_foot", "left_foot")
 _START_HEIGHT_M = 0.89
+
+CharacterState = tuple[Tensor, Tensor, Tensor, Tensor]
+"""Root states (..., 13), DOF positions and velocities (..., D), key body positions (..., K, 3)."""
 
 
 # On tensors of a few kB the bookkeeping of autograd is a tenth of an operation, and nothing here is
@@ -69,10 +73,13 @@ class HumanoidAMPBase(VecTask):
         virtual_screen_capture: bool = False,
         force_render: bool = False,
     ) -> None:
-        self.env_cfg: HumanoidAMPConfig = read_env_config(cfg["env"])
-        self.sim_cfg = read_sim_config(cfg["sim"])
-        cfg["env"]["numObservations"] = NUM_OBS
-        cfg["env"]["numActions"] = NUM_ACTIONS
+        self.sim_cfg: SimConfig = read_sim_config(cfg["sim"])
+        self.env_cfg: Any = self._read_env_config(cfg["env"])
+        # Sizes are the model's, and the base class wants them first.
+        self._model = self._build_model()
+        self._layout = ModelLayout.from_model(self._model)
+        cfg["env"]["numObservations"] = self._obs_size()
+        cfg["env"]["numActions"] = self._layout.num_dofs
         cfg["env"].setdefault("clipActions", self.env_cfg.clip_actions)
         cfg["env"].setdefault("controlFrequencyInv", self.env_cfg.control_freq_inv)
         super().__init__(
@@ -89,26 +96,56 @@ class HumanoidAMPBase(VecTask):
         self.dt = self.env_cfg.control_freq_inv * self.sim_cfg.dt
         self._failures_reported = 0
 
+    # --- what a kind of humanoid says of itself ---------------------------------------------
+
+    num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
+
+    def _read_env_config(self, env: dict[str, Any]) -> HumanoidAMPConfig:
+        return read_env_config(env)
+
+    def _build_model(self) -> mujoco.MjModel:
+        return build_model(self.env_cfg, self.sim_cfg)
+
+    def _obs_size(self) -> int:
+        return num_humanoid_obs(self._layout.dof_offsets, len(self._key_body_names()))
+
+    def _key_body_names(self) -> tuple[str, ...]:
+        return KEY_BODY_NAMES
+
+    def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
+        """Return offset and scale (D,) of PD targets for joint limits (D,), rad."""
+        return pd_action_offset_scale(lower, upper, self._layout.dof_offsets)
+
+    # --- construction -----------------------------------------------------------------------
+
     def create_sim(self) -> None:
-        """Build the model and its N simulations."""
-        model = build_model(self.env_cfg, self.sim_cfg)
-        layout = ModelLayout.from_model(model)
-        if len(layout.dof_names) != NUM_ACTIONS or model.nu != NUM_ACTIONS:
-            raise ConfigError(
-                f"task.env.asset.assetFileName='{self.env_cfg.asset.asset_file_name}' has"
-                f" {len(layout.dof_names)} degrees of freedom and {model.nu} actuators;"
-                f" HumanoidAMP expects {NUM_ACTIONS} of both (mjcf/amp_humanoid.xml)"
-            )
+        """Make the N simulations of the model."""
+        self._check_asset()
         physx = self.cfg["sim"].get("physx") or {}
         self.simulation = make_simulation(
-            model,
+            self._model,
             self.num_envs,
             substeps=self.sim_cfg.substeps * self.env_cfg.control_freq_inv,
             num_threads=int(physx.get("num_threads", 0)),
         )
         self._contact_body_ids = self._body_ids("contactBodies", self.env_cfg.contact_bodies)
-        self._key_body_ids = self._body_ids("keyBodies", KEY_BODY_NAMES)
-        self._build_action_scaling(layout)
+        self._key_body_ids = self._body_ids("keyBodies", self._key_body_names())
+        self._termination_heights_m = self._termination_heights()
+        self._build_action_scaling()
+
+    def _check_asset(self) -> None:
+        num_dofs, num_actuators = self._layout.num_dofs, self._model.nu
+        if num_dofs not in self.num_dofs_of_assets or num_actuators != num_dofs:
+            expected = " or ".join(str(n) for n in self.num_dofs_of_assets)
+            raise ConfigError(
+                f"task.env.asset.assetFileName='{self.env_cfg.asset.asset_file_name}' has"
+                f" {num_dofs} degrees of freedom and {num_actuators} actuators;"
+                f" {type(self).__name__} expects {expected} of both ({shipped_assets()})"
+            )
+
+    def _termination_heights(self) -> float | Tensor:
+        """Return the height (m) below which a touched body means a fall, one or one per body."""
+        return self.env_cfg.termination_height
 
     def _body_ids(self, key: str, names: tuple[str, ...]) -> Tensor:
         known = self.simulation.body_names
@@ -118,22 +155,16 @@ class HumanoidAMPBase(VecTask):
         ids = [known.index(name) for name in names]
         return torch.tensor(ids, dtype=torch.int64, device=self.device)
 
-    def _build_action_scaling(self, layout: ModelLayout) -> None:
+    def _build_action_scaling(self) -> None:
         """Offset and scale (D,) from actions to controls: PD targets in rad or torques in Nm."""
-        model = self.simulation.model
-        efforts = torch.tensor(model.actuator_forcerange[:, 1], dtype=torch.float32)
+        efforts = torch.tensor(self._model.actuator_forcerange[:, 1], dtype=torch.float32)
         self.motor_efforts = efforts.to(self.device)
         if not self.env_cfg.pd_control:
             self._action_offset = torch.zeros_like(self.motor_efforts)
             self._action_scale = self.motor_efforts * self.env_cfg.power_scale
             return
-        lower, upper = torch.zeros(NUM_ACTIONS), torch.zeros(NUM_ACTIONS)
-        for name in layout.dof_names:
-            dof = layout.dof_names.index(name)
-            if dof in layout.scalar_dofs:
-                low, high = model.joint(name).range
-                lower[dof], upper[dof] = float(low), float(high)
-        offset, scale = pd_action_offset_scale(lower, upper, layout.dof_offsets)
+        limits = torch.from_numpy(dof_limits(self._model, self._layout)).float()
+        offset, scale = self._pd_offset_scale(limits[:, 0], limits[:, 1])
         self._action_offset, self._action_scale = offset.to(self.device), scale.to(self.device)
 
     def allocate_buffers(self) -> None:
@@ -145,6 +176,9 @@ class HumanoidAMPBase(VecTask):
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set PD targets offset + scale * action (rad), or torques (Nm)."""
+        self._set_targets(actions)
+
+    def _set_targets(self, actions: Tensor) -> None:
         controls = torch.addcmul(self._action_offset, self._action_scale, actions)
         self.simulation.set_controls(controls)
 
@@ -152,22 +186,29 @@ class HumanoidAMPBase(VecTask):
         """Count the step; observe; reward; end episodes at falls and at the time limit."""
         self.progress_buf += 1
         self.compute_observations()
-        self.rew_buf.copy_(compute_humanoid_reward(self.obs_buf))
+        self.rew_buf.copy_(self._task_reward())
         self.compute_reset()
         self.extras["terminate"] = self._for_trainer(self._terminate_buf)
+
+    def _task_reward(self) -> Tensor:
+        return compute_humanoid_reward(self.obs_buf)
+
+    def _observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return the observations of all environments, or of `env_ids` (n,)."""
+        return compute_humanoid_observations(
+            *self._features_source(env_ids), self.env_cfg.local_root_obs
+        )
 
     @torch.inference_mode()
     def compute_observations(self, env_ids: Tensor | None = None) -> None:
         """Write the observation of all environments, or of `env_ids` (n,), into `obs_buf`."""
-        features = compute_humanoid_observations(
-            *self._features_source(env_ids), self.env_cfg.local_root_obs
-        )
+        features = self._observe(env_ids)
         if env_ids is None:
             self.obs_buf.copy_(features)
         else:
             self.obs_buf.index_copy_(0, env_ids, features)
 
-    def _features_source(self, env_ids: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _features_source(self, env_ids: Tensor | None) -> CharacterState:
         """Root states, DOF positions and velocities, key body positions of (n,) or all."""
         sim = self.simulation
         # By components first: planes stay planes (see `SimulationBackend`).
@@ -194,7 +235,7 @@ class HumanoidAMPBase(VecTask):
             self.simulation.body_pos,
             self.max_episode_length,
             self.env_cfg.enable_early_termination,
-            self.env_cfg.termination_height,
+            self._termination_heights_m,
         )
         failed = self.simulation.failed
         self.reset_buf.masked_fill_(failed, 1)
@@ -241,5 +282,5 @@ class HumanoidAMPBase(VecTask):
         root_states = torch.zeros(n, 13, device=self.device)
         root_states[:, 2] = _START_HEIGHT_M
         root_states[:, 6] = 1.0
-        dofs = torch.zeros(n, NUM_ACTIONS, device=self.device)
+        dofs = torch.zeros(n, self._layout.num_dofs, device=self.device)
         self.simulation.write_state(env_ids, root_states, dofs, dofs)

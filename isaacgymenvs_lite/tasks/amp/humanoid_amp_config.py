@@ -25,6 +25,8 @@ _BASE_KEYS = (
     "numActions",
     "clipObservations",
 )
+UNREAD_ENV_KEYS = _IGNORED + _BASE_KEYS
+"""Keys of `task.env` that no settings class reads."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def read_env_config(env: dict[str, Any]) -> HumanoidAMPConfig:
     Raises:
         ConfigError: an unknown, ill-typed or impossible value.
     """
-    return read_section(HumanoidAMPConfig, env, "task.env", ignored=_IGNORED + _BASE_KEYS)
+    return read_section(HumanoidAMPConfig, env, "task.env", ignored=UNREAD_ENV_KEYS)
 
 
 def read_sim_config(sim: dict[str, Any]) -> SimConfig:

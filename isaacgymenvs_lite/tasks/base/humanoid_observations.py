@@ -20,11 +20,15 @@ from isaacgymenvs_lite.utils.rotations import (
     tan_norm_components,
 )
 
+# Height, rotation, linear and angular velocity of the root.
+_NUM_ROOT_OBS = 1 + 6 + 3 + 3
 # A body counts as touched above this force (N) in any axis.
 _CONTACT_THRESHOLD_N = 0.1
 # PD targets of hinges reach this share of the range to either side of its middle, so that motors
 # keep their strength near the limits.
 _HINGE_TARGET_SHARE = 0.7
+# The same of ball joints in ASE.
+_BALL_TARGET_SHARE = 1.2
 
 
 @lru_cache(maxsize=8)
@@ -57,6 +61,21 @@ def _dof_obs_layout(
         torch.tensor(hinges, device=device),
         torch.tensor(order, device=device),
     )
+
+
+def num_humanoid_obs(
+    dof_offsets: tuple[int, ...], num_key_bodies: int, as_ase: bool = False
+) -> int:
+    """Return the numbers in an observation of `compute_humanoid_observations`.
+
+    Args:
+        dof_offsets: first degree of freedom of each joint group, and D.
+        num_key_bodies: K.
+        as_ase: joint positions as ASE encodes them.
+    """
+    sizes = [end - first for first, end in itertools.pairwise(dof_offsets)]
+    joints = sum(6 if as_ase or size == 3 else 1 for size in sizes)
+    return _NUM_ROOT_OBS + joints + dof_offsets[-1] + 3 * num_key_bodies
 
 
 def dof_to_obs(dof_pos: Tensor, as_ase: bool = False) -> Tensor:
@@ -165,7 +184,7 @@ def compute_humanoid_reset(
     rigid_body_pos: Tensor,
     max_episode_length: float,
     enable_early_termination: bool,
-    termination_height: float,
+    termination_height: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Decide which episodes end, and which of them by a fall.
 
@@ -182,7 +201,7 @@ def compute_humanoid_reset(
         rigid_body_pos: (N, B, 3) world positions of the body origins (m).
         max_episode_length: control steps.
         enable_early_termination: end episodes at falls.
-        termination_height: m.
+        termination_height: m, one for all bodies or (B,).
 
     Returns:
         reset (N,) and terminated (N,), 0 or 1, dtype of `reset_buf`.
@@ -194,29 +213,36 @@ def compute_humanoid_reset(
     force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
     height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
     touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
-    low = height.amin(dim=0) < termination_height
+    if isinstance(termination_height, Tensor):
+        termination_height = termination_height.unsqueeze(1)
+    low = (height < termination_height).any(dim=0)
     fallen = touched & low & (progress_buf > 1)
     return (fallen | timed_out).to(reset_buf.dtype), fallen.to(reset_buf.dtype)
 
 
 def pd_action_offset_scale(
-    dof_lower: Tensor, dof_upper: Tensor, dof_offsets: tuple[int, ...]
+    dof_lower: Tensor, dof_upper: Tensor, dof_offsets: tuple[int, ...], as_ase: bool = False
 ) -> tuple[Tensor, Tensor]:
     """Return offset and scale (D,) of the PD targets `offset + scale * action`, in rad.
 
-    As IsaacGymEnvs: a 3-DoF joint has offset 0 and scale pi; a hinge is centred in its range and
-    reaches 0.7 of the range to either side.
+    A hinge is centred in its range and reaches 0.7 of it to either side. A 3-DoF joint has offset 0
+    and, as IsaacGymEnvs, scale pi; as ASE, 1.2 times the largest of its limits, pi at most.
 
     Args:
         dof_lower: (D,) limits in rad; swapped where lower > upper.
         dof_upper: (D,) limits in rad.
         dof_offsets: first degree of freedom of each joint group, and D.
+        as_ase: ASE's rule.
     """
     low, high = torch.minimum(dof_lower, dof_upper), torch.maximum(dof_lower, dof_upper)
     offset = 0.5 * (low + high)
     scale = _HINGE_TARGET_SHARE * (high - low)
+    furthest = torch.maximum(low.abs(), high.abs())
     for first, end in itertools.pairwise(dof_offsets):
         if end - first == 3:
             offset[first:end] = 0.0
             scale[first:end] = math.pi
+            if as_ase:
+                reach = _BALL_TARGET_SHARE * furthest[first:end].amax()
+                scale[first:end] = reach.clamp(max=math.pi)
     return offset, scale

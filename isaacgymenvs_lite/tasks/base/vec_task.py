@@ -123,6 +123,7 @@ class VecTask(Env):
 
     simulation: SimulationBackend
     max_episode_length: int
+    progress_buf: Tensor
 
     def __init__(
         self,

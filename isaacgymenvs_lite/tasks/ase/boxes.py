@@ -1,0 +1,60 @@
+"""Free boxes that are added to the model of a character."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
+
+# 1/s, of linear and angular velocities, as the originals ask PhysX for.
+_DAMPING = 0.01
+_RGBA = (0.72, 0.36, 0.30, 1.0)
+_FRICTION = (1.0, 0.05, 0.05)  # as the characters'
+_NET_FORCE = 3  # `reduce` of a contact sensor
+
+
+def add_box(
+    spec: mujoco.MjSpec,
+    name: str,
+    size_m: tuple[float, float, float],
+    density: float,
+    position_m: tuple[float, float, float],
+) -> None:
+    """Add a box that moves freely, with a sensor for the net contact force on it.
+
+    Args:
+        spec: the model that is being made.
+        name: of its body.
+        size_m: its edges.
+        density: kg/m^3.
+        position_m: of its centre in the model's own pose.
+    """
+    body = spec.worldbody.add_body(name=name, pos=position_m)
+    body.add_freejoint(name=name)
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.5 * edge for edge in size_m],
+        density=density,
+        condim=3,
+        friction=_FRICTION,
+        rgba=_RGBA,
+    )
+    spec.add_sensor(
+        name=f"{CONTACT_SENSOR_PREFIX}{name}",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=name,
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
+    )
+
+
+def damp_boxes(model: mujoco.MjModel, names: Iterable[str]) -> None:
+    """Let the boxes `names` of a compiled model lose their velocities slowly."""
+    for name in names:
+        body, joint = model.body(name), model.joint(name)
+        first = int(joint.dofadr[0])
+        model.dof_damping[first : first + 3] = _DAMPING * body.mass
+        model.dof_damping[first + 3 : first + 6] = _DAMPING * body.inertia

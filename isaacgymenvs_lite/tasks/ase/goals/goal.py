@@ -1,0 +1,160 @@
+"""What a character of ASE is asked to do: the seam between the humanoid and its goals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import keys_of, read_section, setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+
+
+@dataclass(frozen=True)
+class GoalSettings:
+    """Keys of `task.env` that every goal reads."""
+
+    enable_task_obs: bool = setting(True, key="enableTaskObs")
+    """Tell the character what it is asked to do."""
+
+
+class Goal:
+    """The goal `none`, and what the others have in common. One object serves N environments.
+
+    Life: made from `task.env`; `add_to_model` before the model is compiled; `attach` when the
+    simulation exists; then `reset` at the start of episodes and, in every control step,
+    `before_step`, the physics, `observe` and `reward`.
+
+    Args:
+        env: `task.env`; a key that is null stands for the goal's default.
+
+    Raises:
+        ConfigError: a value that cannot be used.
+    """
+
+    num_obs: ClassVar[int] = 0
+    """Numbers in the goal's observation."""
+    settings_class: ClassVar[type[GoalSettings]] = GoalSettings
+
+    def __init__(self, env: Mapping[str, Any]) -> None:
+        given = {key: env[key] for key in self.keys() if env.get(key) is not None}
+        self.settings: Any = read_section(self.settings_class, given, "task.env")
+
+    @classmethod
+    def keys(cls) -> frozenset[str]:
+        """Return the keys of `task.env` that the goal reads."""
+        return keys_of(cls.settings_class)
+
+    @property
+    def num_task_obs(self) -> int:
+        """Numbers that the observation of the task ends with: 0 without `enableTaskObs`."""
+        return self.num_obs if self.settings.enable_task_obs else 0
+
+    def add_to_model(self, spec: mujoco.MjSpec) -> None:
+        """Add the objects that the goal needs to the model of the character."""
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """Allocate what N environments need.
+
+        Args:
+            simulation: what is simulated.
+            dt_s: time of a control step in s.
+
+        Raises:
+            ConfigError: the character lacks a body that the goal names.
+        """
+        self._simulation = simulation
+        self._dt_s = dt_s
+        self._prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Draw goals for new episodes of `env_ids` (n,), whose characters stand in their places."""
+
+    def before_step(self, progress: Tensor) -> None:
+        """Hear that a control step begins.
+
+        Args:
+            progress: (N,) control steps of the episodes so far.
+        """
+        self._prev_root_pos_w.copy_(self._simulation.root_states[:, :3])
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return the goal's observation (n, num_obs) of `env_ids` (n,) or all environments."""
+        raise NotImplementedError(f"{type(self).__name__} has nothing to observe")
+
+    def reward(self) -> Tensor:
+        """Return (N,) rewards of the step that was made, constant 1 without a goal."""
+        return torch.ones(self._simulation.num_envs, device=self._simulation.device)
+
+    def failures(self, contact_body_ids: Tensor) -> Tensor | None:
+        """Return (N,) bool, where the goal was missed for good; None: goals that cannot be.
+
+        Args:
+            contact_body_ids: (C,) bodies that may touch something.
+        """
+        del contact_body_ids
+
+    def _rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
+        return values if env_ids is None else values.index_select(0, env_ids)
+
+    def _root_states(self, env_ids: Tensor | None = None) -> Tensor:
+        return self._rows(self._simulation.root_states, env_ids)
+
+
+class TimedGoal(Goal):
+    """A goal that is drawn anew after a random number of control steps."""
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base; timers start at 0, so that the first use draws."""
+        super().attach(simulation, dt_s)
+        self._change_steps = torch.zeros(
+            simulation.num_envs, dtype=torch.int64, device=simulation.device
+        )
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Draw goals, and when they change."""
+        self._redraw(env_ids, torch.zeros_like(env_ids))
+
+    def before_step(self, progress: Tensor) -> None:
+        """As the base, and draw a goal where the time of the last one is over."""
+        super().before_step(progress)
+        over = (progress >= self._change_steps).nonzero().flatten()
+        if len(over) > 0:
+            self._redraw(over, progress.index_select(0, over))
+
+    def _redraw(self, env_ids: Tensor, progress: Tensor) -> None:
+        steps = torch.randint(*self._steps_range(), (len(env_ids),), device=env_ids.device)
+        self._change_steps.index_copy_(0, env_ids, progress + steps)
+        self._draw(env_ids)
+
+    def _steps_range(self) -> tuple[int, int]:
+        """Return from how many to below how many control steps a goal lasts."""
+        raise NotImplementedError
+
+    def _draw(self, env_ids: Tensor) -> None:
+        """Draw goals for `env_ids` (n,)."""
+        raise NotImplementedError
+
+
+def uniform(env_ids: Tensor, low: float, high: float, size: tuple[int, ...] = ()) -> Tensor:
+    """Return (n, *size) random numbers in [low, high) for environments (n,)."""
+    return low + (high - low) * torch.rand(len(env_ids), *size, device=env_ids.device)
+
+
+def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:
+    """Check that a range of `task.env` is one.
+
+    Raises:
+        ConfigError: it is empty.
+    """
+    if low > high or (low == high and not equal):
+        expected = "at most" if equal else "less than"
+        raise ConfigError(
+            f"task.env.{low_key}={low:g} and task.env.{high_key}={high:g}:"
+            f" expected {low_key} to be {expected} {high_key}"
+        )

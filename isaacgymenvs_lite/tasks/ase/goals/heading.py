@@ -1,0 +1,151 @@
+"""Heading: walk in a direction at a speed, and face a direction, as ASE's HumanoidHeading."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
+from isaacgymenvs_lite.tasks.ase.goals.planar import (
+    facing_reward,
+    planar_velocity,
+    xy_in_heading_frame,
+)
+
+_VELOCITY_SCALE = 0.25
+_TANGENT_SHARE = 0.1
+_DIRECTION_WEIGHT, _FACING_WEIGHT = 0.7, 0.3
+
+
+def compute_heading_observations(
+    root_states: Tensor, tar_dir: Tensor, tar_speed: Tensor, tar_face_dir: Tensor
+) -> Tensor:
+    """Describe the goal in the heading frame of the root.
+
+    Args:
+        root_states: (n, 13) world position, rotation xyzw, velocities.
+        tar_dir: (n, 2) unit, where to go, in world axes.
+        tar_speed: (n,) m/s.
+        tar_face_dir: (n, 2) unit, where to face, in world axes.
+
+    Returns:
+        (n, 5): direction, speed, facing direction.
+    """
+    root_rot = root_states[:, 3:7]
+    return torch.cat(
+        (
+            xy_in_heading_frame(root_rot, tar_dir),
+            tar_speed.unsqueeze(-1),
+            xy_in_heading_frame(root_rot, tar_face_dir),
+        ),
+        dim=-1,
+    )
+
+
+def compute_heading_reward(
+    root_pos: Tensor,
+    prev_root_pos: Tensor,
+    root_rot: Tensor,
+    tar_dir: Tensor,
+    tar_speed: Tensor,
+    tar_face_dir: Tensor,
+    dt: float,
+) -> Tensor:
+    """Reward the wanted velocity and facing.
+
+    Args:
+        root_pos: (n, 3) m, after the control step.
+        prev_root_pos: (n, 3) m, before it.
+        root_rot: (n, 4) xyzw, after it.
+        tar_dir: (n, 2) unit, where to go.
+        tar_speed: (n,) m/s.
+        tar_face_dir: (n, 2) unit, where to face.
+        dt: time of the control step in s.
+
+    Returns:
+        (n,) in [0, 1]. As in ASE the error aside is the sum of the components of the velocity
+        across the direction, where its length was probably meant.
+    """
+    velocity = planar_velocity(root_pos, prev_root_pos, dt)
+    along = (tar_dir * velocity).sum(-1)
+    across = (velocity - along.unsqueeze(-1) * tar_dir).sum(-1)
+    error = (tar_speed - along).square() + _TANGENT_SHARE * across.square()
+    direction = torch.exp(-_VELOCITY_SCALE * error).masked_fill(along <= 0.0, 0.0)
+    return _DIRECTION_WEIGHT * direction + _FACING_WEIGHT * facing_reward(root_rot, tar_face_dir)
+
+
+@dataclass(frozen=True)
+class HeadingSettings(GoalSettings):
+    """Keys of `task.env` for the goal `heading`."""
+
+    tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)
+    """m/s; the wanted speed is drawn between this and `tarSpeedMax`."""
+    tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)
+    """m/s."""
+    change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
+    """Control steps after which the goal changes, at the earliest."""
+    change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
+    """The goal changes before so many control steps."""
+    enable_rand_heading: bool = setting(True, key="enableRandHeading")
+    """Draw direction and facing, each by itself; False: along +x."""
+
+
+class Heading(TimedGoal):
+    """The goal `heading`."""
+
+    num_obs = 5
+    settings_class = HeadingSettings
+    settings: HeadingSettings
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base; until goals are drawn they are to go and face along +x at 1 m/s."""
+        cfg = self.settings
+        check_range("tarSpeedMin", cfg.tar_speed_min, "tarSpeedMax", cfg.tar_speed_max, equal=True)
+        check_range(
+            "headingChangeStepsMin",
+            cfg.change_steps_min,
+            "headingChangeStepsMax",
+            cfg.change_steps_max,
+            equal=False,
+        )
+        super().attach(simulation, dt_s)
+        n, device = simulation.num_envs, simulation.device
+        self.tar_speed = torch.ones(n, device=device)
+        self.tar_dir = torch.tensor([1.0, 0.0], device=device).repeat(n, 1)
+        self.tar_face_dir = self.tar_dir.clone()
+
+    def _steps_range(self) -> tuple[int, int]:
+        return self.settings.change_steps_min, self.settings.change_steps_max
+
+    def _draw(self, env_ids: Tensor) -> None:
+        cfg = self.settings
+        reach = math.pi if cfg.enable_rand_heading else 0.0
+        for directions in (self.tar_dir, self.tar_face_dir):
+            angle = uniform(env_ids, -reach, reach)
+            directions.index_copy_(0, env_ids, torch.stack((angle.cos(), angle.sin()), dim=-1))
+        speed = uniform(env_ids, cfg.tar_speed_min, cfg.tar_speed_max)
+        self.tar_speed.index_copy_(0, env_ids, speed)
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, 5); see `compute_heading_observations`."""
+        goal = (self.tar_dir, self.tar_speed, self.tar_face_dir)
+        rows = (self._rows(values, env_ids) for values in goal)
+        return compute_heading_observations(self._root_states(env_ids), *rows)
+
+    def reward(self) -> Tensor:
+        """Return (N,); see `compute_heading_reward`."""
+        root = self._root_states()
+        return compute_heading_reward(
+            root[:, :3],
+            self._prev_root_pos_w,
+            root[:, 3:7],
+            self.tar_dir,
+            self.tar_speed,
+            self.tar_face_dir,
+            self._dt_s,
+        )

@@ -1,0 +1,126 @@
+"""Location: walk to a point on the ground, as ASE's HumanoidLocation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
+from isaacgymenvs_lite.tasks.ase.goals.planar import (
+    facing_reward,
+    planar_velocity,
+    speed_reward,
+    xy_in_heading_frame,
+)
+from isaacgymenvs_lite.utils.rotations import normalize
+
+_POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0
+_POSITION_WEIGHT, _SPEED_WEIGHT, _FACING_WEIGHT = 0.5, 0.4, 0.1
+# Squared distance (m^2) at which the point counts as reached.
+_NEAR_M2 = 0.5
+
+
+def compute_location_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
+    """Return (n, 2) m, where the points `tar_pos` (n, 2) are, in the heading frame of the root.
+
+    Args:
+        root_states: (n, 13) world position, rotation xyzw, velocities.
+        tar_pos: (n, 2) m, world.
+    """
+    return xy_in_heading_frame(root_states[:, 3:7], tar_pos - root_states[:, :2])
+
+
+def compute_location_reward(
+    root_pos: Tensor,
+    prev_root_pos: Tensor,
+    root_rot: Tensor,
+    tar_pos: Tensor,
+    tar_speed: float,
+    dt: float,
+) -> Tensor:
+    """Reward nearness, approach and facing.
+
+    Args:
+        root_pos: (n, 3) m, after the control step.
+        prev_root_pos: (n, 3) m, before it.
+        root_rot: (n, 4) xyzw, after it.
+        tar_pos: (n, 2) m, world.
+        tar_speed: wanted speed of approach in m/s.
+        dt: time of the control step in s.
+
+    Returns:
+        (n,) in [0, 1].
+    """
+    offset = tar_pos - root_pos[:, :2]
+    distance2 = offset.square().sum(-1)
+    direction = normalize(offset, eps=1e-12)
+    speed = (direction * planar_velocity(root_pos, prev_root_pos, dt)).sum(-1)
+    near = distance2 < _NEAR_M2
+    approach = speed_reward(speed, tar_speed, _SPEED_SCALE).masked_fill(near, 1.0)
+    facing = facing_reward(root_rot, direction).masked_fill(near, 1.0)
+    position = torch.exp(-_POSITION_SCALE * distance2)
+    return _POSITION_WEIGHT * position + _SPEED_WEIGHT * approach + _FACING_WEIGHT * facing
+
+
+@dataclass(frozen=True)
+class LocationSettings(GoalSettings):
+    """Keys of `task.env` for the goal `location`."""
+
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
+    """Wanted speed of approach in m/s."""
+    change_steps_min: int = setting(100, key="tarChangeStepsMin", minimum=1)
+    """Control steps after which the goal changes, at the earliest."""
+    change_steps_max: int = setting(200, key="tarChangeStepsMax", minimum=2)
+    """The goal changes before so many control steps."""
+    tar_dist_max: float = setting(10.0, key="tarDistMax", above=0)
+    """m; points are drawn in a square about the character, so far from it along x and y."""
+
+
+class Location(TimedGoal):
+    """The goal `location`."""
+
+    num_obs = 2
+    settings_class = LocationSettings
+    settings: LocationSettings
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base; until goals are drawn they are the origin."""
+        cfg = self.settings
+        check_range(
+            "tarChangeStepsMin",
+            cfg.change_steps_min,
+            "tarChangeStepsMax",
+            cfg.change_steps_max,
+            equal=False,
+        )
+        super().attach(simulation, dt_s)
+        self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
+
+    def _steps_range(self) -> tuple[int, int]:
+        return self.settings.change_steps_min, self.settings.change_steps_max
+
+    def _draw(self, env_ids: Tensor) -> None:
+        reach = self.settings.tar_dist_max
+        offset = uniform(env_ids, -reach, reach, (2,))
+        self.tar_pos.index_copy_(0, env_ids, self._root_states(env_ids)[:, :2] + offset)
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, 2); see `compute_location_observations`."""
+        goal = self._rows(self.tar_pos, env_ids)
+        return compute_location_observations(self._root_states(env_ids), goal)
+
+    def reward(self) -> Tensor:
+        """Return (N,); see `compute_location_reward`."""
+        root = self._root_states()
+        return compute_location_reward(
+            root[:, :3],
+            self._prev_root_pos_w,
+            root[:, 3:7],
+            self.tar_pos,
+            self.settings.tar_speed,
+            self._dt_s,
+        )

@@ -1,0 +1,43 @@
+"""What goals on the ground have in common: headings, directions and speeds in the plane."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
+from isaacgymenvs_lite.utils.rotations import rotate_about_z
+
+
+def facing(root_rot: Tensor) -> Tensor:
+    """Return the unit vectors (n, 2) in the plane along which roots of rotation (n, 4) face."""
+    return torch.stack(heading_cos_sin(*root_rot.unbind(-1)), dim=-1)
+
+
+def in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
+    """Turn world vectors (n, 3) about z so that roots of rotation (n, 4) face +x."""
+    cos, sin = heading_cos_sin(*root_rot.unbind(-1))
+    return rotate_about_z(cos, -sin, vectors_w)
+
+
+def xy_in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
+    """As `in_heading_frame`, of vectors (n, 2) in the plane."""
+    cos, sin = heading_cos_sin(*root_rot.unbind(-1))
+    x, y = vectors_w.unbind(-1)
+    return torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1)
+
+
+def facing_reward(root_rot: Tensor, direction: Tensor) -> Tensor:
+    """Return (n,) the cosine between facing and unit directions (n, 2), 0 if negative."""
+    return (direction * facing(root_rot)).sum(-1).clamp(min=0.0)
+
+
+def planar_velocity(root_pos: Tensor, prev_root_pos: Tensor, dt_s: float) -> Tensor:
+    """Return mean velocities (n, 2) in m/s between positions (n, 3) that are `dt_s` apart."""
+    return (root_pos[:, :2] - prev_root_pos[:, :2]) / dt_s
+
+
+def speed_reward(speed: Tensor, wanted: float, scale: float) -> Tensor:
+    """Return (n,) exp(-scale shortfall^2) of speeds (n,) m/s, 0 where they are not positive."""
+    shortfall = (wanted - speed).clamp(min=0.0)
+    return torch.exp(-scale * shortfall.square()).masked_fill(speed <= 0.0, 0.0)

@@ -1,0 +1,106 @@
+"""Reach: touch a point in space with a body, as ASE's HumanoidReach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
+from isaacgymenvs_lite.tasks.ase.goals.planar import in_heading_frame
+
+_DISTANCE_SCALE = 4.0
+# The bodies to reach with that nobody named, the first that the character has.
+_BODIES = ("sword", "right_hand")
+
+
+def compute_reach_observations(root_states: Tensor, tar_pos: Tensor) -> Tensor:
+    """Return (n, 3) m, points `tar_pos` (n, 3) turned into the heading frame of the root.
+
+    Args:
+        root_states: (n, 13) world position, rotation xyzw, velocities.
+        tar_pos: (n, 3) m; ASE gives world points, without taking the root's place off them.
+    """
+    return in_heading_frame(root_states[:, 3:7], tar_pos)
+
+
+def compute_reach_reward(reach_body_pos: Tensor, tar_pos: Tensor) -> Tensor:
+    """Return (n,) in [0, 1], by the distance of bodies (n, 3) m from points (n, 3) m."""
+    return torch.exp(-_DISTANCE_SCALE * (tar_pos - reach_body_pos).square().sum(-1))
+
+
+@dataclass(frozen=True)
+class ReachSettings(GoalSettings):
+    """Keys of `task.env` for the goal `reach`."""
+
+    tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
+    """Read by nothing; ASE's files have it."""
+    change_steps_min: int = setting(50, key="tarChangeStepsMin", minimum=1)
+    """Control steps after which the goal changes, at the earliest."""
+    change_steps_max: int = setting(100, key="tarChangeStepsMax", minimum=2)
+    """The goal changes before so many control steps."""
+    tar_dist_max: float = setting(1.0, key="tarDistMax", above=0)
+    """m; points are drawn so far from the environment's origin along x and y."""
+    tar_height_min: float = setting(0.2, key="tarHeightMin")
+    """m."""
+    tar_height_max: float = setting(2.0, key="tarHeightMax")
+    """m."""
+    reach_body_name: str = setting("", key="reachBodyName")
+    """The body whose origin shall be there; '': the sword (the tip of its blade), or the right
+    hand of a character that has none."""
+    reach_obs_relative: bool = setting(False, key="reachObsRelative")
+    """This project's: tell the point relative to the root in the plane. ASE tells it in the
+    world, where a character that has walked away from the origin cannot know where the point is."""
+
+
+class Reach(TimedGoal):
+    """The goal `reach`."""
+
+    num_obs = 3
+    settings_class = ReachSettings
+    settings: ReachSettings
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base; until goals are drawn they are the origin."""
+        cfg = self.settings
+        check_range(
+            "tarChangeStepsMin",
+            cfg.change_steps_min,
+            "tarChangeStepsMax",
+            cfg.change_steps_max,
+            equal=False,
+        )
+        check_range(
+            "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True
+        )
+        super().attach(simulation, dt_s)
+        names = simulation.body_names
+        name = cfg.reach_body_name or next(body for body in _BODIES if body in names)
+        if name not in names:
+            raise ConfigError(unknown("task.env.reachBodyName", name, names))
+        self._body = names.index(name)
+        self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
+
+    def _steps_range(self) -> tuple[int, int]:
+        return self.settings.change_steps_min, self.settings.change_steps_max
+
+    def _draw(self, env_ids: Tensor) -> None:
+        cfg = self.settings
+        plane = uniform(env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,))
+        height = uniform(env_ids, cfg.tar_height_min, cfg.tar_height_max, (1,))
+        self.tar_pos.index_copy_(0, env_ids, torch.cat((plane, height), dim=-1))
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, 3); see `compute_reach_observations`."""
+        root, point = self._root_states(env_ids), self._rows(self.tar_pos, env_ids)
+        if self.settings.reach_obs_relative:
+            point = torch.cat((point[:, :2] - root[:, :2], point[:, 2:]), dim=-1)
+        return compute_reach_observations(root, point)
+
+    def reward(self) -> Tensor:
+        """Return (N,); see `compute_reach_reward`."""
+        return compute_reach_reward(self._simulation.body_pos[:, self._body], self.tar_pos)

@@ -1,0 +1,174 @@
+"""Strike: knock a standing box over, as ASE's HumanoidStrike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.ase.boxes import add_box
+from isaacgymenvs_lite.tasks.ase.goals.goal import Goal, GoalSettings, uniform
+from isaacgymenvs_lite.tasks.ase.goals.planar import (
+    in_heading_frame,
+    planar_velocity,
+    speed_reward,
+)
+from isaacgymenvs_lite.utils.rotations import (
+    calc_heading_quat_inv,
+    normalize,
+    quat_mul,
+    quat_to_tan_norm,
+)
+
+TARGET_NAME = "target"
+_TARGET_SIZE_M = (0.4, 0.4, 1.8)
+_TARGET_DENSITY = 30.0  # kg/m^3: 8.64 kg
+_TARGET_HEIGHT_M = 0.5 * _TARGET_SIZE_M[2]
+_DIST_MIN_M, _DIST_MAX_M, _NEAR_DIST_M, _NEAR_PROB = 0.5, 10.0, 1.5, 0.5
+_STRIKE_BODIES = ("sword", "right_hand", "right_lower_arm")
+
+_SPEED_SCALE, _SPEED_M_S = 4.0, 1.0
+_TILT_WEIGHT, _SPEED_WEIGHT = 0.6, 0.4
+# Cosine of the tilt below which the box counts as knocked over.
+_FALLEN_COS = 0.2
+_CONTACT_THRESHOLD_N = 1.0
+
+
+def compute_strike_observations(root_states: Tensor, tar_states: Tensor) -> Tensor:
+    """Describe the box in the heading frame of the root.
+
+    Args:
+        root_states: (n, 13) world position, rotation xyzw, linear and angular velocity.
+        tar_states: (n, 13) of the box.
+
+    Returns:
+        (n, 15): position (its height above the ground, not above the root), rotation (tangent,
+        normal), linear and angular velocity.
+    """
+    root_rot = root_states[:, 3:7]
+    plane = tar_states[:, :2] - root_states[:, :2]
+    position = torch.cat((plane, tar_states[:, 2:3]), dim=-1)
+    rotation = quat_mul(calc_heading_quat_inv(root_rot), tar_states[:, 3:7])
+    return torch.cat(
+        (
+            in_heading_frame(root_rot, position),
+            quat_to_tan_norm(rotation),
+            in_heading_frame(root_rot, tar_states[:, 7:10]),
+            in_heading_frame(root_rot, tar_states[:, 10:13]),
+        ),
+        dim=-1,
+    )
+
+
+def compute_strike_reward(
+    tar_pos: Tensor, tar_rot: Tensor, root_pos: Tensor, prev_root_pos: Tensor, dt: float
+) -> Tensor:
+    """Reward the tilt of the box and the approach to it.
+
+    Args:
+        tar_pos: (n, 3) m, of the box.
+        tar_rot: (n, 4) xyzw, of the box.
+        root_pos: (n, 3) m, of the character after the control step.
+        prev_root_pos: (n, 3) m, before it.
+        dt: time of the control step in s.
+
+    Returns:
+        (n,) in [0, 1], 1 where the box lies.
+    """
+    upright = quat_to_tan_norm(tar_rot)[:, 5]  # height of its z axis
+    direction = normalize(tar_pos[:, :2] - root_pos[:, :2], eps=1e-12)
+    speed = (direction * planar_velocity(root_pos, prev_root_pos, dt)).sum(-1)
+    tilt = (1.0 - upright).clamp(min=0.0)
+    reward = _TILT_WEIGHT * tilt + _SPEED_WEIGHT * speed_reward(speed, _SPEED_M_S, _SPEED_SCALE)
+    return reward.masked_fill(upright < _FALLEN_COS, 1.0)
+
+
+def compute_strike_failures(
+    tar_contact_forces: Tensor, contact_forces: Tensor, allowed_body_ids: Tensor
+) -> Tensor:
+    """Return (n,) bool: the box is touched while a body that must not touch anything does.
+
+    Args:
+        tar_contact_forces: (n, 3) N on the box.
+        contact_forces: (n, B, 3) N on the bodies.
+        allowed_body_ids: bodies that may touch something.
+    """
+    touched = (tar_contact_forces[:, :2].abs() > _CONTACT_THRESHOLD_N).any(dim=-1)
+    forces = contact_forces.abs().amax(dim=-1).index_fill(1, allowed_body_ids, 0.0)
+    return touched & (forces > _CONTACT_THRESHOLD_N).any(dim=-1)
+
+
+@dataclass(frozen=True)
+class StrikeSettings(GoalSettings):
+    """Keys of `task.env` for the goal `strike`."""
+
+    strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
+    """Bodies that may hit the box; []: sword, right hand and lower arm, as far as there are."""
+
+
+class Strike(Goal):
+    """The goal `strike`."""
+
+    num_obs = 15
+    settings_class = StrikeSettings
+    settings: StrikeSettings
+
+    def add_to_model(self, spec: mujoco.MjSpec) -> None:
+        """Add the box."""
+        add_box(spec, TARGET_NAME, _TARGET_SIZE_M, _TARGET_DENSITY, (2.0, 0.0, _TARGET_HEIGHT_M))
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base."""
+        super().attach(simulation, dt_s)
+        names = simulation.body_names
+        wanted = self.settings.strike_body_names
+        for name in wanted:
+            if name not in names:
+                raise ConfigError(unknown("body in task.env.strikeBodyNames:", name, names))
+        ids = [names.index(name) for name in wanted or _STRIKE_BODIES if name in names]
+        self._strike_body_ids = torch.tensor(ids, device=simulation.device)
+        self._target = simulation.object_names.index(TARGET_NAME)
+
+    def reset(self, env_ids: Tensor) -> None:
+        """Put the boxes upright somewhere about the characters."""
+        n, device = len(env_ids), env_ids.device
+        near = torch.rand(n, device=device) < _NEAR_PROB
+        furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
+        distance = _DIST_MIN_M + torch.rand(n, device=device) * (furthest - _DIST_MIN_M)
+        bearing, half_turn = uniform(env_ids, 0.0, math.tau), uniform(env_ids, 0.0, math.pi)
+        states = torch.zeros(n, 13, device=device)
+        states[:, :2] = self._root_states(env_ids)[:, :2]
+        states[:, 0] += distance * bearing.cos()
+        states[:, 1] += distance * bearing.sin()
+        states[:, 2] = _TARGET_HEIGHT_M
+        states[:, 5], states[:, 6] = half_turn.sin(), half_turn.cos()
+        object_ids = torch.tensor([self._target], device=device)
+        self._simulation.write_object_states(env_ids, object_ids, states.unsqueeze(1))
+
+    def _target_states(self, env_ids: Tensor | None = None) -> Tensor:
+        return self._rows(self._simulation.object_states[:, self._target], env_ids)
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, 15); see `compute_strike_observations`."""
+        return compute_strike_observations(self._root_states(env_ids), self._target_states(env_ids))
+
+    def reward(self) -> Tensor:
+        """Return (N,); see `compute_strike_reward`."""
+        target, root = self._target_states(), self._root_states()
+        return compute_strike_reward(
+            target[:, :3], target[:, 3:7], root[:, :3], self._prev_root_pos_w, self._dt_s
+        )
+
+    def failures(self, contact_body_ids: Tensor) -> Tensor:
+        """Return (N,) bool; see `compute_strike_failures`."""
+        return compute_strike_failures(
+            self._simulation.object_contact_forces[:, self._target],
+            self._simulation.contact_forces,
+            torch.cat((contact_body_ids, self._strike_body_ids)),
+        )

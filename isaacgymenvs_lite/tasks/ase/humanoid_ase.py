@@ -1,0 +1,177 @@
+"""HumanoidASE: the humanoid of ASE, which learns skills from many clips and uses them for goals."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
+from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, copy_drives
+from isaacgymenvs_lite.tasks.ase.boxes import damp_boxes
+from isaacgymenvs_lite.tasks.ase.goals import GOALS, Goal
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import HumanoidASEConfig, read_ase_config
+from isaacgymenvs_lite.tasks.base.all_body_observations import (
+    all_body_obs_size,
+    compute_all_body_observations,
+)
+from isaacgymenvs_lite.tasks.base.humanoid_observations import pd_action_offset_scale
+
+# The file whose drives are ASE's; `amp_humanoid.xml` has those of IsaacGymEnvs.
+_ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
+# Heights (m) below which these bodies count as down already.
+_HIGH_BODIES = {"head": 0.3}
+_HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
+
+
+class HumanoidASE(HumanoidAMP):
+    """HumanoidAMP with the conventions of the ASE release, and a goal.
+
+    Beside the defaults of cfg/task/HumanoidASE.yaml these differ from HumanoidAMP: the policy
+    observes all bodies, and at the end what its goal is; the AMP observation encodes hinges as
+    rotations; drives are stiffer; targets of ball joints reach 1.2 times their limits; the head
+    counts as fallen at 0.3 m. The humanoid with sword and shield (31 degrees of freedom) is
+    another asset.
+
+    Attributes:
+        goal: what the character is asked to do.
+
+    Raises:
+        ConfigError: a key or value that cannot be used.
+        MotionFileError: a clip that cannot be used.
+    """
+
+    amp_obs_as_ase = True
+    num_dofs_of_assets = (28, 31)
+    config_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
+    goal_name: ClassVar[str] = ""
+    """The goal of a task that has a fixed one."""
+
+    env_cfg: HumanoidASEConfig
+
+    # --- what kind of humanoid ---------------------------------------------------------------
+
+    def _read_env_config(self, env: dict[str, Any]) -> HumanoidASEConfig:
+        config = read_ase_config(env, self.config_class)
+        if self.goal_name and env.get("goal", self.goal_name) != self.goal_name:
+            raise ConfigError(
+                f"task.env.goal={config.goal}: {type(self).__name__} has the goal"
+                f" '{self.goal_name}'; task=HumanoidASE takes any"
+            )
+        self.goal: Goal = GOALS[self.goal_name or config.goal](env)
+        return config
+
+    def _build_model(self) -> mujoco.MjModel:
+        model = build_model(self.env_cfg, self.sim_cfg, self._change_model)
+        damp_boxes(model, ModelLayout.from_model(model).object_names)
+        return model
+
+    def _change_model(self, spec: mujoco.MjSpec) -> None:
+        """Give the character ASE's drives and add what belongs to the task."""
+        copy_drives(mujoco.MjSpec.from_file(str(assets_dir() / _ASSET_OF_DRIVES)), spec)
+        self.goal.add_to_model(spec)
+
+    def _obs_size(self) -> int:
+        return all_body_obs_size(len(self._layout.body_names)) + self.get_task_obs_size()
+
+    def get_task_obs_size(self) -> int:
+        """Return how many of the last entries of an observation describe the goal."""
+        return self.goal.num_task_obs
+
+    def _key_body_names(self) -> tuple[str, ...]:
+        return self.env_cfg.key_bodies
+
+    def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
+        return pd_action_offset_scale(lower, upper, self._layout.dof_offsets, as_ase=True)
+
+    def _termination_heights(self) -> Tensor:
+        names = self.simulation.body_names
+        high = _HIGH_BODIES | (_HIGH_BODIES_WITH_SHIELD if "shield" in names else {})
+        lowest = self.env_cfg.termination_height
+        heights = [max(lowest, high.get(name, lowest)) for name in names]
+        return torch.tensor(heights, device=self.device)
+
+    def allocate_buffers(self) -> None:
+        """As the base, and make the goal's."""
+        super().allocate_buffers()
+        self.goal.attach(self.simulation, self.env_cfg.control_freq_inv * self.sim_cfg.dt)
+
+    # --- step --------------------------------------------------------------------------------
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """As the base; goals whose time is over are drawn anew."""
+        super().pre_physics_step(actions)
+        self.goal.before_step(self.progress_buf)
+
+    def _observe(self, env_ids: Tensor | None) -> Tensor:
+        sim = self.simulation
+        bodies = [sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel]
+        if env_ids is not None:
+            bodies = [values.index_select(0, env_ids) for values in bodies]
+        pos, rot, lin_vel, ang_vel = bodies
+        character = compute_all_body_observations(
+            pos, rot, lin_vel, ang_vel, self.env_cfg.local_root_obs, self.env_cfg.root_height_obs
+        )
+        if self.goal.num_task_obs == 0:
+            return character
+        return torch.cat((character, self.goal.observe(env_ids)), dim=-1)
+
+    def _amp_features(self, state: CharacterState) -> Tensor:
+        features = super()._amp_features(state)
+        if not self.env_cfg.root_height_obs:
+            features[:, 0] = 0.0
+        return features
+
+    def _amp_features_now(self, env_ids: Tensor | None) -> Tensor:
+        return self._amp_features(self._features_source(env_ids))
+
+    def _task_reward(self) -> Tensor:
+        return self.goal.reward()
+
+    @torch.inference_mode()
+    def compute_reset(self) -> None:
+        """As the base; a goal that was missed for good ends the episode as a failure."""
+        super().compute_reset()
+        missed = self.goal.failures(self._contact_body_ids)
+        if missed is not None and self.env_cfg.enable_early_termination:
+            # Contact forces may be stale in the first step.
+            missed &= self.progress_buf > 1
+            self.reset_buf.masked_fill_(missed, 1)
+            self._terminate_buf.masked_fill_(missed, 1)
+
+    # --- reset -------------------------------------------------------------------------------
+
+    def _reset_actors(self, env_ids: Tensor) -> None:
+        super()._reset_actors(env_ids)
+        # Before the first observation: it shall show the goal of its own episode.
+        self.goal.reset(env_ids)
+
+
+class HumanoidHeading(HumanoidASE):
+    """HumanoidASE with the goal `heading`, by its name in ASE."""
+
+    goal_name = "heading"
+
+
+class HumanoidLocation(HumanoidASE):
+    """HumanoidASE with the goal `location`, by its name in ASE."""
+
+    goal_name = "location"
+
+
+class HumanoidReach(HumanoidASE):
+    """HumanoidASE with the goal `reach`, by its name in ASE."""
+
+    goal_name = "reach"
+
+
+class HumanoidStrike(HumanoidASE):
+    """HumanoidASE with the goal `strike`, by its name in ASE."""
+
+    goal_name = "strike"

@@ -1,0 +1,100 @@
+"""HumanoidASEGetup: skills that include getting up, as ASE's HumanoidAMPGetup."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import GetupConfig
+
+_FALL_ACTION = 0.5
+# Time (s) after which a dropped character lies still.
+_FALL_S = 2.5
+
+
+class HumanoidASEGetup(HumanoidASE):
+    """HumanoidASE in which some episodes begin on the ground.
+
+    After some of the falls the character goes on from where it lies, and some other episodes start
+    from a fallen pose; for `recoverySteps` control steps neither falls nor the time limit end them.
+    """
+
+    config_class = GetupConfig
+    env_cfg: GetupConfig
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._fallen_root_states, self._fallen_dof_pos = self._let_fall()
+
+    def allocate_buffers(self) -> None:
+        """Add the control steps that each character has left to get up, (N,)."""
+        super().allocate_buffers()
+        self._recovery_counter = torch.zeros_like(self.progress_buf)
+
+    @torch.inference_mode()
+    def _let_fall(self) -> tuple[Tensor, Tensor]:
+        """Drop all characters in random attitudes; root states (N, 13) and joints (N, D) at rest.
+
+        The characters stay lying there: their first episodes may begin so.
+        """
+        n, sim = self.num_envs, self.simulation
+        env_ids = torch.arange(n, device=self.device)
+        self._write_default_pose(env_ids)
+        root_states = sim.root_states.clone()
+        root_states[:, 3:7] = torch.nn.functional.normalize(torch.randn(n, 4, device=self.device))
+        sim.write_state(env_ids, root_states, sim.dof_pos.clone(), sim.dof_vel.clone())
+        actions = torch.empty(n, self.num_actions, device=self.device)
+        self._set_targets(actions.uniform_(-_FALL_ACTION, _FALL_ACTION))
+        for _ in range(round(_FALL_S / self.dt)):
+            sim.step()
+        root_states, dof_pos = sim.root_states.clone(), sim.dof_pos.clone()
+        root_states[:, 7:] = 0.0
+        return root_states, dof_pos
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """As the base, and count the time to get up."""
+        super().pre_physics_step(actions)
+        self._recovery_counter.sub_(1).clamp_(min=0)
+
+    def compute_reset(self) -> None:
+        """As the base, but for characters that have time left to get up."""
+        super().compute_reset()
+        getting_up = self._recovery_counter > 0
+        # A simulation that diverged has lost the pose that it was to get up from.
+        getting_up &= ~self.simulation.failed
+        self.reset_buf.masked_fill_(getting_up, 0)
+        self._terminate_buf.masked_fill_(getting_up, 0)
+
+    def _reset_actors(self, env_ids: Tensor) -> None:
+        """Let some go on lying, lay some down, and start the others as HumanoidASE."""
+        cfg = self.env_cfg
+        fell = self._terminate_buf.index_select(0, env_ids) == 1
+        recovers = fell & self._drawn(env_ids, cfg.recovery_episode_prob)
+        lies = ~recovers & self._drawn(env_ids, cfg.fall_init_prob)
+        self._going_on_ids = env_ids[recovers]
+        lying_ids, others = env_ids[lies], env_ids[~recovers & ~lies]
+        super()._reset_actors(others)
+        self._lay_down(lying_ids)
+        self.goal.reset(torch.cat((self._going_on_ids, lying_ids)))
+        self._recovery_counter.index_fill_(0, others, 0)
+        down = torch.cat((self._going_on_ids, lying_ids))
+        self._recovery_counter.index_fill_(0, down, cfg.recovery_steps)
+
+    def _drawn(self, env_ids: Tensor, probability: float) -> Tensor:
+        return torch.rand(len(env_ids), device=self.device) < probability
+
+    def _lay_down(self, env_ids: Tensor) -> None:
+        if len(env_ids) == 0:
+            return
+        poses = torch.randint(self.num_envs, (len(env_ids),), device=self.device)
+        dof_pos = self._fallen_dof_pos.index_select(0, poses)
+        root_states = self._fallen_root_states.index_select(0, poses)
+        self.simulation.write_state(env_ids, root_states, dof_pos, torch.zeros_like(dof_pos))
+
+    def _start_histories(self, env_ids: Tensor) -> None:
+        """As the base; the motion of those who go on is continuous."""
+        starts_anew = ~torch.isin(env_ids, self._going_on_ids)
+        super()._start_histories(env_ids[starts_anew])

@@ -1,0 +1,99 @@
+"""HumanoidPerturb: boxes are thrown at a trained character, as ASE's task of that name."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.ase.boxes import add_box
+from isaacgymenvs_lite.tasks.ase.goals.goal import uniform
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
+from isaacgymenvs_lite.utils.rotations import normalize
+
+# Edge (m) and density (kg/m^3).
+_SMALL, _LARGE = (0.2, 200.0), (0.5, 100.0)
+# Kind of box, and control steps since the throw before.
+_THROWS = (
+    (_SMALL, 60),
+    (_SMALL, 7),
+    (_SMALL, 10),
+    (_SMALL, 35),
+    (_SMALL, 2),
+    (_SMALL, 2),
+    (_SMALL, 3),
+    (_SMALL, 2),
+    (_SMALL, 2),
+    (_SMALL, 3),
+    (_SMALL, 2),
+    (_LARGE, 60),
+    (_SMALL, 300),
+)
+_PARKED_AT_M = (200.0, 0.0, 1.0)
+_DISTANCE_M, _HEIGHT_M, _SPEED_M_S = (4.0, 5.0), (0.25, 2.0), (30.0, 40.0)
+_AIM_NOISE_M = 0.1
+_AIMED_AT = "torso"
+
+
+def throw_steps() -> tuple[int, ...]:
+    """Return the control steps at which the boxes are thrown, in their order."""
+    steps, now = [], 0
+    for _, wait in _THROWS:
+        now += wait
+        steps.append(now)
+    return tuple(steps)
+
+
+class HumanoidPerturb(HumanoidASE):
+    """A test of robustness, not for training: episodes end at the time limit only.
+
+    Thirteen boxes, 1.6 kg and one of 12.5 kg, come from random sides at 30 to 40 m/s. The clock is
+    that of the first environment.
+    """
+
+    def _change_model(self, spec: mujoco.MjSpec) -> None:
+        super()._change_model(spec)
+        x, y, z = _PARKED_AT_M
+        for i, ((edge, density), _) in enumerate(_THROWS):
+            add_box(spec, f"box_{i}", (edge, edge, edge), density, (x + i, y, z))
+
+    def create_sim(self) -> None:
+        """As the base."""
+        super().create_sim()
+        self._aim_body = self.simulation.body_names.index(_AIMED_AT)
+        names = self.simulation.object_names
+        self._box_at_step = {step: names.index(f"box_{i}") for i, step in enumerate(throw_steps())}
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """As the base, and throw the box whose time has come."""
+        super().pre_physics_step(actions)
+        clock = int(self.progress_buf[0]) % (throw_steps()[-1] + 1)
+        if clock in self._box_at_step:
+            self._throw(self._box_at_step[clock])
+
+    def _throw(self, box: int) -> None:
+        env_ids = torch.arange(self.num_envs, device=self.device)
+        sim = self.simulation
+        torso, root = sim.body_pos[:, self._aim_body], sim.root_states[:, :3]
+        bearing, distance = uniform(env_ids, 0.0, math.tau), uniform(env_ids, *_DISTANCE_M)
+        states = torch.zeros(self.num_envs, 13, device=self.device)
+        states[:, 0] = root[:, 0] + distance * bearing.cos()
+        states[:, 1] = root[:, 1] - distance * bearing.sin()
+        states[:, 2] = uniform(env_ids, *_HEIGHT_M)
+        states[:, 6] = 1.0
+        aim = torso - states[:, :3] + _AIM_NOISE_M * torch.randn_like(torso)
+        states[:, 7:10] = uniform(env_ids, *_SPEED_M_S).unsqueeze(-1) * normalize(aim)
+        states[:, 7:9] += sim.body_lin_vel[:, self._aim_body, :2]
+        sim.write_object_states(
+            env_ids, torch.tensor([box], device=self.device), states.unsqueeze(1)
+        )
+
+    def compute_reset(self) -> None:
+        """End episodes at the time limit, and where a simulation diverged."""
+        timed_out = self.progress_buf >= self.max_episode_length - 1
+        failed = self.simulation.failed
+        self.reset_buf.copy_(timed_out | failed)
+        self._terminate_buf.copy_(failed)
+        self._report_failures()
