@@ -1,4 +1,4 @@
-"""Reads clips in DeepMimic's text format (JSON), own files or those of the package pybullet_data.
+"""Reads clips in DeepMimic's text format (JSON).
 
 A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 numbers}: duration (s), root position,
 root rotation, and the rotations of 12 joints whose tree is that of our humanoid. Its axes are x
@@ -6,11 +6,13 @@ forward, y up, z to the right; ours are x forward, y to the left, z up.
 
 A "wrap" clip is meant to be continued by its own first frame, displaced and turned by one cycle.
 Here it is a plain clip that ends with its last frame.
+
+The format moves no hands: they keep their zero pose, in which a sword is at a right angle to the
+forearm. Sword and shield are not kept above the ground.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError, unknown
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.reading import read_json
@@ -27,11 +29,6 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
 _log = logging.getLogger(__name__)
-
-PREFIX = "deepmimic:"
-_PACKAGE = "pybullet_data"
-_PACKAGE_FOLDERS = {"": "humanoid3d_*.txt", "walker": "*.txt"}
-_SHORT_FOR = "humanoid3d_"
 
 _NUM_COLUMNS = 44
 _DURATION, _ROOT_POSITION, _ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
@@ -51,34 +48,6 @@ _HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "lef
 _DURATION_TOLERANCE = 1e-3
 # Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
 _LENGTH_TOLERANCE = 0.5
-
-
-def find_in_package(name: str) -> tuple[str, Path]:
-    """Return the full name and the file of a clip of pybullet_data, given its name.
-
-    `walk` is short for `humanoid3d_walk`; the clips of its folder walker are `walker/turn_left0`.
-
-    The package is looked up, not imported: importing pybullet is not needed.
-
-    Raises:
-        MotionFileError: the package is not installed, or has no such clip.
-    """
-    spec = importlib.util.find_spec(_PACKAGE)
-    if spec is None or not spec.submodule_search_locations:
-        raise MotionFileError(
-            f"'{PREFIX}{name}' is a clip of the package {_PACKAGE}, which is not installed; "
-            'pip install "isaacgymenvs-lite[motions]"'
-        )
-    folder = Path(spec.submodule_search_locations[0]) / "data" / "motions"
-    clips = {
-        path.relative_to(folder).with_suffix("").as_posix(): path
-        for sub, pattern in _PACKAGE_FOLDERS.items()
-        for path in (folder / sub).glob(pattern)
-    }
-    for full_name in (name, _SHORT_FOR + name):
-        if full_name in clips:
-            return full_name, clips[full_name]
-    raise MotionFileError(unknown("DeepMimic clip", name, clips))
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:

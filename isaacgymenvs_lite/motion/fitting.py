@@ -10,7 +10,7 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
@@ -29,19 +29,30 @@ def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     Raises:
         MotionFileError: the clip lacks bodies, has others, or connects them in another way.
     """
-    missing = [name for name in skeleton.body_names if name not in clip.body_names]
-    extra = [name for name in clip.body_names if name not in skeleton.body_names]
-    if missing or extra:
-        found = [f"lacks {', '.join(missing)}"] if missing else []
-        found += [f"also has {', '.join(extra)}"] if extra else []
-        raise MotionFileError(
-            f"{clip.name}: its skeleton {' and '.join(found)}; expected the "
-            f"{skeleton.num_bodies} bodies of the humanoid: {', '.join(skeleton.body_names)}"
-        )
+    _refuse_other_bodies(clip, skeleton)
     clip = _reorder(clip, skeleton)
     _warn_of_other_offsets(clip, skeleton)
     _warn_of_hinge_violation(clip, skeleton)
     return clip
+
+
+def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
+    missing = [name for name in skeleton.body_names if name not in clip.body_names]
+    extra = [name for name in clip.body_names if name not in skeleton.body_names]
+    if not missing and not extra:
+        return
+    found = [f"lacks {', '.join(missing)}"] if missing else []
+    found += [f"also has {', '.join(extra)}"] if extra else []
+    other = shipped_humanoid_with(clip.body_names)
+    raise MotionFileError(
+        f"{clip.name}: its skeleton {' and '.join(found)}; expected the {skeleton.num_bodies} "
+        f"bodies of the humanoid: {', '.join(skeleton.body_names)}; "
+        + (
+            f"it is a clip of {other}: use task.env.asset.assetFileName={other} or another clip"
+            if other
+            else "use a clip of this humanoid"
+        )
+    )
 
 
 def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:

@@ -10,6 +10,8 @@ from isaacgymenvs_lite.errors import MotionFileError, suggest
 from isaacgymenvs_lite.motion import deepmimic
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dataset import read_dataset
+from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, find_in_package, is_package_name
+from isaacgymenvs_lite.motion.fitting import fit_to_skeleton
 from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
 from isaacgymenvs_lite.motion.reading import read_json
@@ -39,28 +41,34 @@ def load_clips(
 
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
-            clip, or `deepmimic:<name>`. `.yaml` is a data set, all others are one clip with
-            weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and `.json` of DeepMimic.
-        skeleton: the body for formats that do not hold one (DeepMimic); by default the humanoid
-            with 28 degrees of freedom.
+            clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
+            others are one clip with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
+            `.json` of DeepMimic.
+        skeleton: the humanoid, in whose order the bodies of the clips are brought; by default the
+            one with 28 degrees of freedom.
 
     Raises:
-        MotionFileError: a file is missing, or is none of these formats, or is not valid.
+        MotionFileError: a file is missing, is none of these formats, is not valid, or is of
+            another humanoid.
     """
     skeleton = skeleton or skeleton_for_num_dofs(28)
+    if is_package_name(motion_file):
+        return _load_from_package(str(motion_file), skeleton)
     shipped = shipped_motions_dir()
-    if str(motion_file).startswith(deepmimic.PREFIX):
-        return [(_load_clip(motion_file, (), skeleton), 1.0)]
     path = resolve_motion_file(motion_file, (Path(), shipped))
     if path.suffix not in _DATASET_SUFFIXES:
-        return [(_load_clip(path, (), skeleton), 1.0)]
+        return [(_load_file(path, skeleton), 1.0)]
     clips = []
     for i, entry in enumerate(read_dataset(path)):
         try:
-            clip = _load_clip(entry.file, (path.parent, shipped), skeleton)
+            if is_package_name(entry.file):
+                found = _load_from_package(entry.file, skeleton)
+            else:
+                file = resolve_motion_file(entry.file, (path.parent, shipped))
+                found = [(_load_file(file, skeleton), 1.0)]
         except MotionFileError as error:
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
-        clips.append((clip, entry.weight))
+        clips.extend((clip, entry.weight * weight) for clip, weight in found)
     return clips
 
 
@@ -85,17 +93,20 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
     shipped = shipped_motions()
     raise MotionFileError(
         f"motion file '{name}' not found{where}{suggest(Path(name).stem, shipped)}; "
-        f"shipped clips: {', '.join(shipped) or 'none'}; {deepmimic.PREFIX}<name> for DeepMimic's"
+        f"shipped clips: {', '.join(shipped) or 'none'}; {PREFIX}<name> for DeepMimic's"
     )
 
 
-def _load_clip(name: str | Path, search_dirs: Sequence[Path], skeleton: Skeleton) -> MotionClip:
-    """Read one clip by the prefix of its name or the suffix of its file."""
-    text = str(name)
-    if text.startswith(deepmimic.PREFIX):
-        full_name, path = deepmimic.find_in_package(text.removeprefix(deepmimic.PREFIX))
-        return deepmimic.load_deepmimic(path, skeleton, deepmimic.PREFIX + full_name)
-    path = resolve_motion_file(name, search_dirs) if search_dirs else Path(name)
+def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
+    """Read the clip or the data set `deepmimic:<name>`."""
+    return [
+        (deepmimic.load_deepmimic(clip.path, skeleton, clip.name), clip.weight)
+        for clip in find_in_package(name)
+    ]
+
+
+def _load_file(path: Path, skeleton: Skeleton) -> MotionClip:
+    """Read one clip by the suffix of its file."""
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
         ".npy": load_poselib_npy,
@@ -108,9 +119,10 @@ def _load_clip(name: str | Path, search_dirs: Sequence[Path], skeleton: Skeleton
             f"found '{path.suffix}'"
         )
     try:
-        return readers[path.suffix](path)
+        clip = readers[path.suffix](path)
     except OSError as error:
         raise MotionFileError(f"{path}: cannot be read ({error})") from error
+    return fit_to_skeleton(clip, skeleton)
 
 
 def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:

@@ -19,7 +19,6 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.fitting import fit_to_skeleton
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.utils import rotations
@@ -96,8 +95,7 @@ class MotionLib:
         self._num_keys = len(key_ids)
         clips_and_weights = load_clips(motion_file, self.skeleton)
         self._clips = [
-            _without_copies(fit_to_skeleton(clip, self.skeleton), repair_repeated_frames)
-            for clip, _ in clips_and_weights
+            _without_copies(clip, repair_repeated_frames) for clip, _ in clips_and_weights
         ]
         self._build_motion_table([weight for _, weight in clips_and_weights])
         self._build_frame_tables(key_ids)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
 
 # The model file, relative to the assets folder, of the humanoid with a number of DOFs.
-_HUMANOIDS = {28: "mjcf/amp_humanoid.xml"}
+_HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
 _DOFS_OF_JOINT = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_HINGE: 1}
 
 
@@ -103,6 +104,17 @@ def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
             "pass skeleton=Skeleton.from_mjcf(path) for a model of your own"
         )
     return Skeleton.from_mjcf(paths.assets_dir() / _HUMANOIDS[num_dofs])
+
+
+def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
+    """Return the model file, relative to the assets folder, of the humanoid with these bodies.
+
+    Their order does not count. None: no shipped humanoid has exactly these.
+    """
+    for num_dofs, file in _HUMANOIDS.items():
+        if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
+            return file
+    return None
 
 
 def _joint_groups(

@@ -25,7 +25,7 @@ from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.motion import deepmimic
+from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
 from isaacgymenvs_lite.policies.shipped import shipped_policies_dir
 
@@ -259,11 +259,11 @@ def _shipped_clip(clip: str) -> str:
         ConfigError: it is a file of this machine.
     """
     file = Path(clip)
-    if clip.startswith(deepmimic.PREFIX):
+    if is_package_name(clip):
         return clip
     ours = file.parent in (Path(), shipped_motions_dir())
     if not ours or file.stem not in shipped_motions():
-        choices = f"{', '.join(shipped_motions())}, {deepmimic.PREFIX}<name>"
+        choices = f"{', '.join(shipped_motions())}, {PREFIX}<name>"
         raise ConfigError(
             f"the policy imitates {clip}, which does not ship with the project; name the clip that"
             f" it shall be shown beside with clip=NAME: {choices}"

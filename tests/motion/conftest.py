@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import OrderedDict
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,12 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 @pytest.fixture
 def humanoid() -> Skeleton:
     return skeleton_for_num_dofs(28)
+
+
+@pytest.fixture
+def armed() -> Skeleton:
+    """The humanoid with sword and shield."""
+    return skeleton_for_num_dofs(31)
 
 
 @pytest.fixture
@@ -67,10 +75,11 @@ def tiny_clip(tiny: Skeleton) -> MotionClip:
 
 @pytest.fixture
 def make_humanoid_clip(humanoid: Skeleton) -> Callable[..., MotionClip]:
-    """Return a maker of clips of the humanoid in its zero pose, walking at 1 m/s; 30 fps."""
+    """Return a maker of clips of a humanoid in its zero pose, walking at 1 m/s; 30 fps."""
 
-    def make(num_frames: int = 10, **changes: Any) -> MotionClip:
-        rotation = np.zeros((num_frames, 15, 4))
+    def make(num_frames: int = 10, skeleton: Skeleton = humanoid, **changes: Any) -> MotionClip:
+        num_bodies = skeleton.num_bodies
+        rotation = np.zeros((num_frames, num_bodies, 4))
         rotation[..., 3] = 1.0
         root = np.zeros((num_frames, 3))
         root[:, 0] = np.arange(num_frames) / 30.0
@@ -78,17 +87,57 @@ def make_humanoid_clip(humanoid: Skeleton) -> Callable[..., MotionClip]:
         clip = MotionClip(
             "walk.npz",
             30.0,
-            humanoid.body_names,
-            humanoid.parent_indices,
-            humanoid.local_translation,
+            skeleton.body_names,
+            skeleton.parent_indices,
+            skeleton.local_translation,
             rotation,
             root,
-            np.tile([1.0, 0.0, 0.0], (num_frames, 15, 1)),
-            np.zeros((num_frames, 15, 3)),
+            np.tile([1.0, 0.0, 0.0], (num_frames, num_bodies, 1)),
+            np.zeros((num_frames, num_bodies, 3)),
         )
         return dataclasses.replace(clip, **changes)
 
     return make
+
+
+@pytest.fixture
+def as_poselib() -> Callable[[MotionClip], dict[str, Any]]:
+    """Return `as_poselib(clip)`, the clip as poselib stores it, in float32 with a whole fps."""
+
+    def tagged(array: Any, dtype: str = "float32") -> dict[str, Any]:
+        return {"arr": np.asarray(array).astype(dtype), "context": {"dtype": dtype}}
+
+    def store(clip: MotionClip) -> dict[str, Any]:
+        tree = OrderedDict(
+            node_names=list(clip.body_names),
+            parent_indices=tagged(clip.parent_indices, "int64"),
+            local_translation=tagged(clip.local_translation),
+        )
+        return OrderedDict(
+            rotation=tagged(clip.local_rotation),
+            root_translation=tagged(clip.root_translation),
+            global_velocity=tagged(clip.linear_velocity_w),
+            global_angular_velocity=tagged(clip.angular_velocity_w),
+            skeleton_tree=tree,
+            is_local=True,
+            fps=int(clip.fps),
+            __name__="SkeletonMotion",
+        )
+
+    return store
+
+
+@pytest.fixture
+def save_object_npy() -> Callable[[Path, Any], Path]:
+    """Return `save_object_npy(path, data)`, which writes data as a pickle, as poselib does."""
+
+    def save(path: Path, data: Any) -> Path:
+        array = np.empty((), dtype=object)
+        array[()] = data
+        np.save(path, array, allow_pickle=True)
+        return path
+
+    return save
 
 
 def _about(axis: str, angles_rad: Any) -> np.ndarray:

@@ -75,6 +75,19 @@ def test_joint_rotations_change_axes(humanoid: Skeleton) -> None:
     np.testing.assert_allclose(knee - hip, swing, atol=1e-6)
 
 
+def test_hands_and_what_they_hold_keep_their_zero_pose(humanoid: Skeleton, armed: Skeleton) -> None:
+    plain = deepmimic.clip_from_deepmimic(walk(), humanoid, "walk")
+    clip = deepmimic.clip_from_deepmimic(walk(), armed, "walk")
+    assert clip.body_names == armed.body_names
+    for body, name in enumerate(armed.body_names):
+        if name in humanoid.body_names:
+            of_plain = plain.local_rotation[:, humanoid.body_names.index(name)]
+            np.testing.assert_array_equal(clip.local_rotation[:, body], of_plain, err_msg=name)
+        else:
+            assert name in ("sword", "shield")
+            assert (clip.local_rotation[:, body] == [0.0, 0.0, 0.0, 1.0]).all(), name
+
+
 def test_clip_below_the_ground_is_lifted_by_a_constant(humanoid: Skeleton, caplog) -> None:
     data = {"Frames": [frame(height=0.85), frame(height=0.80), frame(height=0.95)]}
     with caplog.at_level(logging.INFO):
@@ -140,45 +153,6 @@ def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> 
 def test_body_without_the_joints_is_refused(tiny: Skeleton) -> None:
     with pytest.raises(MotionFileError, match=r"bodies that this humanoid has not: .*torso"):
         deepmimic.clip_from_deepmimic(walk(), tiny, "walk")
-
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A stand-in for pybullet_data with the clips walk and walker/turn."""
-    motions = tmp_path / "pybullet_data" / "data" / "motions"
-    (motions / "walker").mkdir(parents=True)
-    (tmp_path / "pybullet_data" / "__init__.py").write_text("raise RuntimeError('imported')")
-    for name in ("humanoid3d_walk.txt", "walker/turn.txt", "laikago_walk.txt"):
-        (motions / name).write_text(json.dumps(walk()))
-    monkeypatch.syspath_prepend(tmp_path)
-    return motions
-
-
-@pytest.mark.usefixtures("package")
-@pytest.mark.parametrize(
-    ("name", "full_name"),
-    [
-        ("humanoid3d_walk", "humanoid3d_walk"),
-        ("walk", "humanoid3d_walk"),
-        ("walker/turn", "walker/turn"),
-    ],
-)
-def test_clips_of_the_package_are_found_without_importing_it(name: str, full_name: str) -> None:
-    (clip, weight), *others = load_clips(f"deepmimic:{name}")
-    assert (clip.name, weight, others) == (f"deepmimic:{full_name}", 1.0, [])
-
-
-@pytest.mark.usefixtures("package")
-def test_unknown_clip_lists_the_choices() -> None:
-    choices = "choices: humanoid3d_walk, walker/turn$"
-    with pytest.raises(MotionFileError, match=f"unknown DeepMimic clip 'wlk'.*{choices}"):
-        load_clips("deepmimic:wlk")
-
-
-def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MotionFileError, match=r'pip install "isaacgymenvs-lite\[motions\]"'):
-        load_clips("deepmimic:walk")
 
 
 @pytest.mark.skipif(

@@ -52,9 +52,30 @@ def test_bodies_are_brought_into_order(humanoid: Skeleton, make_humanoid_clip, a
 def test_other_bodies_are_named(humanoid: Skeleton, make_humanoid_clip) -> None:
     names = tuple("sword" if name == "head" else name for name in humanoid.body_names)
     clip = make_humanoid_clip(body_names=names)
-    message = "walk.npz: its skeleton lacks head and also has sword; expected the 15 bodies"
+    message = (
+        "walk.npz: its skeleton lacks head and also has sword; expected the 15 bodies of the "
+        "humanoid: pelvis, .*, left_foot; use a clip of this humanoid$"
+    )
     with pytest.raises(MotionFileError, match=message):
         fit_to_skeleton(clip, humanoid)
+
+
+def test_clip_of_the_other_humanoid_names_that_one(
+    humanoid: Skeleton, armed: Skeleton, make_humanoid_clip
+) -> None:
+    for clip, skeleton, what, file in (
+        (make_humanoid_clip(), armed, "lacks sword, shield;", "amp_humanoid"),
+        (
+            make_humanoid_clip(skeleton=armed),
+            humanoid,
+            "also has sword, shield;",
+            "amp_humanoid_sword_shield",
+        ),
+    ):
+        with pytest.raises(MotionFileError, match=rf"walk\.npz: its skeleton {what}") as raised:
+            fit_to_skeleton(clip, skeleton)
+        todo = f"use task.env.asset.assetFileName=mjcf/{file}.xml or another clip"
+        assert str(raised.value).endswith(todo)
 
 
 def test_other_tree_is_refused(humanoid: Skeleton, make_humanoid_clip) -> None:

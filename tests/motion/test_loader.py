@@ -9,13 +9,14 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.loader import load_clips, resolve_motion_file, shipped_motions
 from isaacgymenvs_lite.motion.npz import save_npz
-from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
 
 @pytest.fixture
 def shipped(tmp_path: Path, make_humanoid_clip, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An assets folder that ships the clip march; the working directory is beside it."""
-    skeleton_for_num_dofs(28)  # cached before the model's folder moves away
+    for num_dofs in (28, 31):
+        skeleton_for_num_dofs(num_dofs)  # cached before the models' folder moves away
     folder = tmp_path / "assets" / "amp" / "motions"
     folder.mkdir(parents=True)
     save_npz(folder / "march.npz", make_humanoid_clip())
@@ -101,6 +102,19 @@ def test_data_set_errors_name_the_set_and_the_entry(shipped: Path, entry, messag
     path.write_text(f"motions: [{{file: march, weight: 1}}, {{file: {entry}, weight: 1}}]")
     with pytest.raises(MotionFileError, match=rf"^set.yaml: motions\[1\]: .*{message}"):
         load_clips(path)
+
+
+def test_clip_of_another_humanoid_is_refused_with_its_place_in_the_set(
+    shipped: Path, armed: Skeleton, make_humanoid_clip
+) -> None:
+    save_npz("armed.npz", make_humanoid_clip(skeleton=armed))
+    Path("set.yaml").write_text("motions: [{file: march, weight: 1}, {file: armed.npz, weight: 1}]")
+    for skeleton, message in (
+        (None, r"motions\[1\]: armed\.npz: its skeleton also has sword, shield"),
+        (armed, r"motions\[0\]: .*march\.npz: its skeleton lacks sword, shield"),
+    ):
+        with pytest.raises(MotionFileError, match=rf"^set\.yaml: {message}"):
+            load_clips("set.yaml", skeleton)
 
 
 def test_suffixes_are_tried_in_order(tmp_path: Path) -> None:

@@ -1,5 +1,4 @@
 import json
-from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,39 +12,15 @@ from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
 
 
 @pytest.fixture
-def data(tiny_clip: MotionClip) -> dict[str, Any]:
-    """The tiny clip as poselib stores it, in float32."""
-
-    def tagged(array: Any, dtype: str = "float32") -> dict[str, Any]:
-        return {"arr": np.asarray(array).astype(dtype), "context": {"dtype": dtype}}
-
-    tree = OrderedDict(
-        node_names=list(tiny_clip.body_names),
-        parent_indices=tagged(tiny_clip.parent_indices, "int64"),
-        local_translation=tagged(tiny_clip.local_translation),
-    )
-    return OrderedDict(
-        rotation=tagged(tiny_clip.local_rotation),
-        root_translation=tagged(tiny_clip.root_translation),
-        global_velocity=tagged(tiny_clip.linear_velocity_w),
-        global_angular_velocity=tagged(tiny_clip.angular_velocity_w),
-        skeleton_tree=tree,
-        is_local=True,
-        fps=10,
-        __name__="SkeletonMotion",
-    )
-
-
-def _save(path: Path, data: Any) -> Path:
-    array = np.empty((), dtype=object)
-    array[()] = data
-    np.save(path, array, allow_pickle=True)
-    return path
+def data(tiny_clip: MotionClip, as_poselib) -> dict[str, Any]:
+    return as_poselib(tiny_clip)
 
 
 @pytest.mark.parametrize("fps", [10, 10.0, np.float64(10.0), np.array(10, dtype=np.int32)])
-def test_npy_clip_is_read(tmp_path: Path, data, tiny_clip: MotionClip, fps) -> None:
-    path = _save(tmp_path / "clip.npy", data | {"fps": fps})
+def test_npy_clip_is_read(
+    tmp_path: Path, save_object_npy, data, tiny_clip: MotionClip, fps
+) -> None:
+    path = save_object_npy(tmp_path / "clip.npy", data | {"fps": fps})
     clip = load_poselib_npy(path)
     assert (clip.name, clip.fps) == (str(path), 10.0)
     assert clip.body_names == tiny_clip.body_names
@@ -57,9 +32,11 @@ def test_npy_clip_is_read(tmp_path: Path, data, tiny_clip: MotionClip, fps) -> N
     np.testing.assert_array_equal(clip.angular_velocity_w, tiny_clip.angular_velocity_w)
 
 
-def test_names_may_be_an_array(tmp_path: Path, data, tiny_clip: MotionClip) -> None:
+def test_names_may_be_an_array(
+    tmp_path: Path, save_object_npy, data, tiny_clip: MotionClip
+) -> None:
     data["skeleton_tree"]["node_names"] = np.array(tiny_clip.body_names)
-    clip = load_poselib_npy(_save(tmp_path / "clip.npy", data))
+    clip = load_poselib_npy(save_object_npy(tmp_path / "clip.npy", data))
     assert clip.body_names == tiny_clip.body_names
     assert all(type(name) is str for name in clip.body_names)
 
@@ -113,8 +90,10 @@ _NUMBERS = {"context": {"dtype": "float32"}}
         (_change(fps=0), "fps is 0.0, expected a number above 0"),
     ],
 )
-def test_bad_content_is_refused(tmp_path: Path, data, change, message: str) -> None:
-    path = _save(tmp_path / "bad.npy", change(data))
+def test_bad_content_is_refused(
+    tmp_path: Path, save_object_npy, data, change, message: str
+) -> None:
+    path = save_object_npy(tmp_path / "bad.npy", change(data))
     with pytest.raises(MotionFileError, match=message) as raised:
         load_poselib_npy(path)
     assert str(raised.value).startswith(str(path))

@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.skeleton import (
+    Skeleton,
+    shipped_humanoid_with,
+    skeleton_for_num_dofs,
+)
 
 
 def test_humanoid_has_the_published_body_plan(humanoid: Skeleton) -> None:
@@ -38,9 +42,36 @@ def test_foot_corners_are_those_of_the_foot_boxes(humanoid: Skeleton) -> None:
     np.testing.assert_allclose(humanoid.foot_corners[:8].max(axis=0), (0.1335, 0.045, 0.005))
 
 
+def test_humanoid_with_sword_and_shield_has_the_published_body_plan(
+    humanoid: Skeleton, armed: Skeleton
+) -> None:
+    assert armed.body_names == (
+        *humanoid.body_names[:6],
+        "sword",
+        "left_upper_arm",
+        "left_lower_arm",
+        "shield",
+        "left_hand",
+        *humanoid.body_names[9:],
+    )
+    assert armed.parent_indices == (-1, 0, 1, 1, 3, 4, 5, 1, 7, 8, 8, 0, 11, 12, 0, 14, 15)
+    assert armed.dof_body_ids == (1, 2, 3, 4, 5, 7, 8, 11, 12, 13, 14, 15, 16)
+    assert armed.dof_offsets == (0, 3, 6, 9, 10, 13, 16, 17, 20, 21, 24, 27, 28, 31)
+    assert armed.hinge_body_ids == (4, 8, 12, 15)
+    assert (armed.num_bodies, armed.num_dofs) == (17, 31)
+    assert armed.foot_body_ids == (13,) * 8 + (16,) * 8
+
+
 def test_unknown_number_of_dofs_lists_the_choices() -> None:
-    with pytest.raises(ConfigError, match=r"no humanoid with 31 .* choices: 28"):
-        skeleton_for_num_dofs(31)
+    with pytest.raises(ConfigError, match=r"no humanoid with 30 .* choices: 28, 31;"):
+        skeleton_for_num_dofs(30)
+
+
+def test_a_humanoid_is_known_by_its_bodies(humanoid: Skeleton, armed: Skeleton) -> None:
+    assert shipped_humanoid_with(humanoid.body_names) == "mjcf/amp_humanoid.xml"
+    names = armed.body_names[::-1]
+    assert shipped_humanoid_with(names) == "mjcf/amp_humanoid_sword_shield.xml"
+    assert shipped_humanoid_with(names[1:]) is None
 
 
 @pytest.mark.parametrize(
