@@ -12,7 +12,7 @@ import logging
 import os
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +185,9 @@ def _modernize(state: dict[str, Any]) -> dict[str, Any]:
 # --- finding -----------------------------------------------------------------------------------
 
 
-def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -> str:
+def resolve_checkpoint(
+    checkpoint: str, train_dir: str | Path, task_name: str, network_name: str = ""
+) -> str:
     """Return the path that the key `checkpoint` means.
 
     Args:
@@ -193,6 +195,8 @@ def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -
             name of a shipped policy.
         train_dir: folder of the run folders.
         task_name: the task whose runs `last` looks at.
+        network_name: of these, those with networks of this name; '': all. Several levels of a
+            hierarchy are trained on one task.
 
     Raises:
         CheckpointError: there is no such file.
@@ -200,7 +204,7 @@ def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -
     if not checkpoint:
         return ""
     if checkpoint == "last":
-        return str(_newest(Path(train_dir), task_name))
+        return str(_newest(Path(train_dir), task_name, network_name))
     policies = shipped_policies()
     path = policies.get(checkpoint) or Path(checkpoint).expanduser()
     if not path.is_file():
@@ -213,8 +217,10 @@ def resolve_checkpoint(checkpoint: str, train_dir: str | Path, task_name: str) -
     return str(path.absolute())
 
 
-def _newest(train_dir: Path, task_name: str) -> Path:
-    runs = [run for run in train_dir.glob("*") if _task_of_run(run) == task_name]
+def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
+    wanted = {"task.name": task_name, "train.params.network.name": network_name}
+    wanted = {key: value for key, value in wanted.items() if value}
+    runs = [run for run in train_dir.glob("*") if _settings_of_run(run, wanted) == wanted]
     files = [file for run in runs for file in run.glob("nn/*.pth")]
     if not files:
         raise CheckpointError(
@@ -224,12 +230,13 @@ def _newest(train_dir: Path, task_name: str) -> Path:
     return max(files, key=lambda file: file.stat().st_mtime).absolute()
 
 
-def _task_of_run(run: Path) -> str | None:
+def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
     from yaml import YAMLError
 
     try:
-        return OmegaConf.select(OmegaConf.load(run / "config.yaml"), "task.name")
+        cfg = OmegaConf.load(run / "config.yaml")
+        return {key: OmegaConf.select(cfg, key) for key in keys}
     except (OSError, ValueError, YAMLError, OmegaConfBaseException):
         return None  # no run folder of ours, or a damaged one: the others count

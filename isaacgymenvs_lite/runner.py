@@ -76,7 +76,10 @@ class Session:
         self._run_name = settings.full_experiment_name or _new_run_name(train_dir, self._name)
         self._folder = RunFolder(train_dir, self._run_name)
         self._checkpoint = checkpoints.resolve_checkpoint(
-            settings.checkpoint, train_dir, str(cfg.task.name)
+            settings.checkpoint,
+            train_dir,
+            str(cfg.task.name),
+            str(OmegaConf.select(cfg, "train.params.network.name") or ""),
         )
         self._stop = StopRequest()
         self._envs: list[VecTask] = []

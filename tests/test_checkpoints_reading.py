@@ -218,6 +218,18 @@ def test_last_is_the_newest_of_the_same_task(runs, tmp_path):
     assert Path(found).is_absolute()
 
 
+def test_last_is_of_the_same_kind_of_network(runs, tmp_path):
+    """The levels of a hierarchy are trained on one task."""
+    for run, network, age in (("low", "gen_amp", 300.0), ("high", "hrl", 100.0)):
+        folder = runs(run, "HumanoidASE", {f"{run}.pth": age})
+        with (folder / "config.yaml").open("a") as file:
+            file.write(f"train:\n  params:\n    network:\n      name: {network}\n")
+        found = checkpoints.resolve_checkpoint("last", folder.parent, "HumanoidASE", network)
+        assert found == str(folder / "nn" / f"{run}.pth")
+    found = checkpoints.resolve_checkpoint("last", tmp_path / "runs", "HumanoidASE", "gen_amp")
+    assert found.endswith("low.pth")
+
+
 def test_last_overlooks_what_is_no_checkpoint(runs, tmp_path):
     run = runs("run", "Ant", {"Ant.pth": 300.0, ".Ant.pth.17.partial": 10.0, "notes.txt": 10.0})
     (tmp_path / "runs" / "file").write_text("not a run")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,6 +17,10 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import make_schedule
 from isaacgymenvs_lite.learning.latents import PlayedLatents
+from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
+from isaacgymenvs_lite.learning.skill_probe import SkillProbe, SkillResult
+
+log = logging.getLogger(__name__)
 
 
 class GenAMPPlayerContinuous(AMPPlayerContinuous):
@@ -25,6 +30,9 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     `latent=`: `random` (by default: new ones at resets and after a random number of steps),
     `interpolate` (moves from one to the next) or a .npy file (K, latent_dim): environment i acts
     under row i mod K for ever.
+
+    Attributes:
+        skills: what `run` saw of the skills; None before, or if all episodes were too short.
 
     Raises:
         ConfigError: a latent that is none of these, or of another width.
@@ -38,6 +46,9 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         super().__init__(params)
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
+        encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
+        self._probe = SkillProbe(self.env, encoder)
+        self.skills: SkillResult | None = None
 
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
@@ -52,8 +63,19 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         return lambda progress: fixed
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        progress = self.env.progress_buf.to(self.device)
-        return {**super()._policy_inputs(), "amp_latents": self._latents(progress)}
+        self._latents_now = self._latents(self.env.progress_buf.to(self.device))
+        return {**super()._policy_inputs(), "amp_latents": self._latents_now}
+
+    def run(self) -> None:
+        """As AMP's; the log says which skills there are."""
+        super().run()
+        self.skills = self._probe.result()
+        if self.skills is not None:
+            log.info("skills: %s", self.skills)
+
+    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        super()._on_step(dones, infos)
+        self._probe.step(self._latents_now, infos["amp_obs"].to(self.device))
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:

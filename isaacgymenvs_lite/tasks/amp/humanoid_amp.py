@@ -136,6 +136,23 @@ class HumanoidAMP(HumanoidAMPBase):
         features = self._reference_features(motion_ids, times, steps)
         return features.flatten(1).to(self.rl_device)
 
+    def windows_of_clips(self) -> list[Tensor]:
+        """Return the AMP observations (W, F) of each clip, one for each control step.
+
+        As `fetch_amp_obs_demo`, but all of them; a clip shorter than the history gives one.
+        """
+        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
+        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
+        windows = []
+        for motion_id in range(self._motion_lib.num_motions()):
+            left_s = float(self._motion_lib.get_motion_length([motion_id])) - history_s
+            count = 1 + max(0, int(left_s / self.dt))
+            times = history_s + self.dt * torch.arange(count, device=self.device)
+            ids = torch.full((count,), motion_id, device=self.device)
+            features = self._reference_features(ids, times, steps)
+            windows.append(features.flatten(1).to(self.rl_device))
+        return windows
+
     def _reference_features(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> Tensor:
         """AMP features (n, len(steps), ...) of motions (n,) at times (n,) s, `steps` earlier."""
         features = self._amp_features(self._reference_states(motion_ids, times, steps))

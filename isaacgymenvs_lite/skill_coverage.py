@@ -1,0 +1,88 @@
+"""Whether a skill policy shows all clips of its data set: which clip each of its moments is like.
+
+As the nearest-neighbour analysis of Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill
+Embeddings" (arXiv 2205.01906): every window of generated motion goes to the clip that holds the
+most similar window, and a clip counts as covered when it gets a fair share of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+COVERED_SHARE = 0.01
+"""Share of the generated windows from which on a clip counts as covered."""
+
+_CHUNK_ROWS = 1024
+# Features that hardly vary in the clips are not blown up: their smallest scale, in units of the
+# feature (m, m/s, rad/s, or parts of a unit vector).
+_LEAST_SCALE = 0.01
+
+
+@dataclass(frozen=True)
+class ClipShares:
+    """Of which clips generated motion reminds.
+
+    Attributes:
+        shares: clip -> share of the windows, 0 to 1, all clips, the largest first.
+        num_windows: that were judged.
+    """
+
+    shares: dict[str, float]
+    num_windows: int
+
+    @property
+    def coverage(self) -> float:
+        """Share of the clips that are nearest to at least `COVERED_SHARE` of the windows."""
+        covered = sum(share >= COVERED_SHARE for share in self.shares.values())
+        return covered / len(self.shares)
+
+    def __str__(self) -> str:
+        """Return one line for users."""
+        clips = ", ".join(f"{name} {100 * share:.0f}%" for name, share in self.shares.items())
+        return f"coverage {self.coverage:.2f} of {len(self.shares)} clips ({clips})"
+
+
+class ClipMatcher:
+    """Finds the clip that a window of motion is nearest to.
+
+    Features are scaled by their spread over the clips, each clip counting the same; the distance is
+    Euclidean.
+
+    Args:
+        windows: for each clip the windows (W, F) that it holds, W >= 1.
+        names: of the clips.
+
+    Raises:
+        ValueError: no clip, or a clip without a window.
+    """
+
+    def __init__(self, windows: Sequence[Tensor], names: Sequence[str]) -> None:
+        if not windows or any(len(rows) == 0 for rows in windows):
+            raise ValueError("expected at least one clip, and at least one window of each")
+        self._names = list(names)
+        means = torch.stack([rows.mean(0) for rows in windows])
+        squares = torch.stack([rows.square().mean(0) for rows in windows])
+        variance = (squares.mean(0) - means.mean(0).square()).clamp(min=0.0)
+        self._scale = variance.sqrt().clamp(min=_LEAST_SCALE)
+        self._rows = torch.cat(list(windows)) / self._scale
+        ids = [torch.full((len(rows),), i) for i, rows in enumerate(windows)]
+        self._clip_ids = torch.cat(ids).to(self._rows.device)
+
+    def nearest_clips(self, windows: Tensor) -> Tensor:
+        """Return the clips' places in `names`, (n,) int64, for windows (n, F)."""
+        found = [
+            self._clip_ids[torch.cdist(rows / self._scale, self._rows).argmin(dim=1)]
+            for rows in windows.split(_CHUNK_ROWS)
+        ]
+        return torch.cat(found) if found else torch.empty(0, dtype=torch.int64)
+
+    def shares(self, windows: Tensor) -> ClipShares:
+        """Return which clips windows (n, F) are nearest to, n >= 1."""
+        counts = self.nearest_clips(windows).bincount(minlength=len(self._names)).tolist()
+        order = sorted(range(len(counts)), key=lambda i: -counts[i])
+        shares = {self._names[i]: counts[i] / len(windows) for i in order}
+        return ClipShares(shares, len(windows))
