@@ -52,24 +52,21 @@ class StatePlanes:
     def __init__(self, layout: ModelLayout, num_envs: int) -> None:
         num_dofs, num_bodies = layout.num_dofs, len(layout.body_names)
         num_objects = len(layout.object_names)
-        sizes = {
-            "root_states": STATE_SIZE,
-            "dof_vel": num_dofs,
-            "dof_pos": num_dofs,
-            "qpos": layout.num_qpos,
-            "bodies": 10 * num_bodies,
-            "objects": (STATE_SIZE + 3) * num_objects,
-        }
-        ends = np.cumsum(list(sizes.values()))
+        first_dof_pos = STATE_SIZE + num_dofs
+        first_qpos = first_dof_pos + num_dofs
+        first_body = first_qpos + layout.num_qpos
+        first_object = first_body + 10 * num_bodies
+        num_rows = first_object + (STATE_SIZE + 3) * num_objects
         # One piece of memory, so that environments are replaced in one operation.
-        self._all = np.zeros((ends[-1], num_envs), dtype=np.float32)
-        parts = dict(zip(sizes, np.split(self._all, ends[:-1]), strict=True))
-        self.root_states, self.dof_vel = parts["root_states"], parts["dof_vel"]
-        self.dof_pos, self.qpos = parts["dof_pos"], parts["qpos"]
-        self.velocities = self._all[7 : STATE_SIZE + num_dofs]
-        bodies = parts["bodies"].reshape(10, num_bodies, num_envs)
+        self._all = np.zeros((num_rows, num_envs), dtype=np.float32)
+        self.root_states = self._all[:STATE_SIZE]
+        self.dof_vel = self._all[STATE_SIZE:first_dof_pos]
+        self.velocities = self._all[7:first_dof_pos]
+        self.dof_pos = self._all[first_dof_pos:first_qpos]
+        self.qpos = self._all[first_qpos:first_body]
+        bodies = self._all[first_body:first_object].reshape(10, num_bodies, num_envs)
         self.body_pos, self.body_rot, self.contact_forces = bodies[:3], bodies[3:7], bodies[7:]
-        objects = parts["objects"].reshape(STATE_SIZE + 3, num_objects, num_envs)
+        objects = self._all[first_object:].reshape(STATE_SIZE + 3, num_objects, num_envs)
         self.object_states, self.object_contact_forces = objects[:STATE_SIZE], objects[STATE_SIZE:]
         self._body_velocities = np.zeros((6, num_bodies, num_envs), dtype=np.float32)
         self.body_lin_vel, self.body_ang_vel = self._body_velocities[:3], self._body_velocities[3:]

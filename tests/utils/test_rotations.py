@@ -399,6 +399,7 @@ def test_components_as_arrays_give_the_same() -> None:
     a, b, v = _random_quaternions(20, 0), _random_quaternions(20, 1), _random_vectors(20, 2)
     results = {
         "quat_mul": (R.quat_mul_components(a.numpy().T, b.numpy().T), R.quat_mul(a, b)),
+        "cross": (R.cross_components(v.numpy().T, b[:, :3].numpy().T), R.cross(v, b[:, :3])),
         "quat_apply": (R.rotate_components(a.numpy().T, v.numpy().T), R.quat_apply(a, v)),
         "quat_to_tan_norm": (R.tan_norm_components(a.numpy().T), R.quat_to_tan_norm(a)),
     }
