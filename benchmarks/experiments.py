@@ -54,6 +54,7 @@ def find_experiment(
     entry = entries["experiments"][clip_name]
     clip = entry["motion_file"] or _given_clip(clip_name, motion_file)
     settings = [
+        override("task", entry.get("task", "HumanoidAMP")),
         *entries["common"],
         override(_MOTION_KEY, clip),
         *entry.get("settings", []),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -21,6 +22,8 @@ from isaacgymenvs_lite.making import seed_everything
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.runner import Session
+
+T = TypeVar("T")
 
 EPISODES = 32
 EPISODE_STEPS = 300
@@ -91,7 +94,7 @@ def clip_speed_m_s(motion_lib: MotionLib, dt_s: float) -> float:
 def evaluate_checkpoint(
     checkpoint: Path, seed: int = SEED, num_threads: int = 1, overrides: tuple[str, ...] = ()
 ) -> Outcome:
-    """Play a checkpoint by the protocol, with the settings of the run that it lies in.
+    """Measure the imitation of a checkpoint by the protocol, with the settings of its run.
 
     Args:
         checkpoint: a file in the folder nn/ of a run folder.
@@ -102,13 +105,43 @@ def evaluate_checkpoint(
     Raises:
         UserError: the checkpoint or the run's settings cannot be used.
     """
-    cfg = _protocol_config(checkpoint, num_threads, overrides)
-    session = _Evaluation(cfg, seed)
+    return play_checkpoint(
+        checkpoint, _measure_imitation, {}, seed, num_threads=num_threads, overrides=overrides
+    )
+
+
+def play_checkpoint(
+    checkpoint: Path,
+    measure: Callable[[Any, Any], T],
+    fixed: Mapping[str, Any],
+    seed: int = SEED,
+    *,
+    num_threads: int = 1,
+    overrides: tuple[str, ...] = (),
+) -> T:
+    """Play a checkpoint with the settings of the run that it lies in, and the protocol's.
+
+    Args:
+        checkpoint: a file in the folder nn/ of a run folder.
+        measure: plays; gets the player and the task, and returns what it measured.
+        fixed: settings of this kind of measurement, path in the tree -> value.
+        seed: of the starts.
+        num_threads: for physics and networks.
+        overrides: settings that replace all others.
+
+    Raises:
+        UserError: the checkpoint or the run's settings cannot be used.
+    """
+    session = _Evaluation(
+        _protocol_config(checkpoint, num_threads, fixed, overrides), seed, measure
+    )
     session.run()
-    return session.outcome
+    return session.measured[0]
 
 
-def _protocol_config(checkpoint: Path, num_threads: int, overrides: tuple[str, ...]) -> DictConfig:
+def _protocol_config(
+    checkpoint: Path, num_threads: int, fixed: Mapping[str, Any], overrides: tuple[str, ...]
+) -> DictConfig:
     register_resolvers()
     file = checkpoint.absolute().parent.parent / "config.yaml"
     if not file.is_file():
@@ -117,7 +150,7 @@ def _protocol_config(checkpoint: Path, num_threads: int, overrides: tuple[str, .
             " of the run folder that train.py made"
         )
     cfg = _with_launch_keys(read_yaml(file))
-    fixed = {
+    protocol = {
         "test": True,
         "checkpoint": str(checkpoint),
         "num_envs": EPISODES,
@@ -129,8 +162,9 @@ def _protocol_config(checkpoint: Path, num_threads: int, overrides: tuple[str, .
         "task.env.stateInit": "Random",
         "task.env.enableEarlyTermination": True,
         "train.params.torch_threads": num_threads,
+        **fixed,
     }
-    for key, value in fixed.items():
+    for key, value in protocol.items():
         OmegaConf.update(cfg, key, value, force_add=True)
     cfg.merge_with_dotlist(list(overrides))
     return cfg
@@ -149,11 +183,11 @@ def _with_launch_keys(cfg: DictConfig) -> DictConfig:
 class _Evaluation(Session):
     """A session that plays by the protocol in place of the player's own loop."""
 
-    outcome: Outcome
-
-    def __init__(self, cfg: DictConfig, seed: int) -> None:
+    def __init__(self, cfg: DictConfig, seed: int, measure: Callable[[Any, Any], Any]) -> None:
         seed_everything(seed)
         super().__init__(cfg, check_config(cfg), seed)
+        self._measure = measure
+        self.measured: list[Any] = []
 
     def _play(self) -> None:
         env: Any = self._task
@@ -162,17 +196,17 @@ class _Evaluation(Session):
                 f"task={env.cfg['name']}: only tasks with reference motions can be measured"
             )
         player = self.make_player()
-        speed = SpeedProbe(env.num_envs, env.dt)
         seed_everything(self._seed)  # whatever making the player drew
-        result = evaluate(
-            env,
-            lambda obs: player.get_action(player.obs_to_torch(obs), True),
-            EPISODES,
-            on_step=lambda dones, _: speed.step(
-                env.simulation.root_states[:, :3].cpu(), dones.cpu()
-            ),
-        )
-        assert result.imitation is not None  # the task has reference motions
-        self.outcome = Outcome(
-            result.imitation, speed.mean_m_s(), clip_speed_m_s(env.motion_lib, env.dt)
-        )
+        self.measured.append(self._measure(player, env))
+
+
+def _measure_imitation(player: Any, env: Any) -> Outcome:
+    speed = SpeedProbe(env.num_envs, env.dt)
+    result = evaluate(
+        env,
+        lambda obs: player.get_action(player.obs_to_torch(obs), True),
+        EPISODES,
+        on_step=lambda dones, _: speed.step(env.simulation.root_states[:, :3].cpu(), dones.cpu()),
+    )
+    assert result.imitation is not None  # the task has reference motions
+    return Outcome(result.imitation, speed.mean_m_s(), clip_speed_m_s(env.motion_lib, env.dt))

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rl_games.algos_torch import model_builder
-from rl_games.algos_torch.players import PpoPlayerContinuous
 from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
@@ -36,11 +35,12 @@ from isaacgymenvs_lite.learning.hrl_models import ModelHRLContinuous
 from isaacgymenvs_lite.learning.hrl_network_builder import HRLBuilder
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
 from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
+from isaacgymenvs_lite.learning.ppo_players import PPOPlayer
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 _ALGORITHMS: dict[str, tuple[type, type]] = {
-    "a2c_continuous": (PPOAgent, PpoPlayerContinuous),
+    "a2c_continuous": (PPOAgent, PPOPlayer),
     "amp_agent": (LeastSquaresAMPAgent, LeastSquaresAMPPlayer),
     "amp_continuous": (AMPAgent, AMPPlayerContinuous),
     "amp": (AMPAgent, AMPPlayerContinuous),

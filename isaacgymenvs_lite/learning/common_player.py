@@ -17,7 +17,7 @@ from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
 
 log = logging.getLogger(__name__)
 
-_DEFAULT_EPISODES = 32
+DEFAULT_EPISODES = 32
 
 
 class CommonPlayer(PpoPlayerContinuous):
@@ -49,7 +49,7 @@ class CommonPlayer(PpoPlayerContinuous):
                 " make such); remove it"
             )
         # rl_games' default means "until the window is closed"; without a window a play ends.
-        self.games_num = int(self.player_config.get("games_num", _DEFAULT_EPISODES))
+        self.games_num = int(self.player_config.get("games_num", DEFAULT_EPISODES))
         self.has_batch_dimension = True
         self.network = self.config["network"]
         self.actions_num = self.action_space.shape[0]
@@ -77,7 +77,7 @@ class CommonPlayer(PpoPlayerContinuous):
         """Play `games_num` episodes and log reward, episode length and imitation."""
         self.result = evaluate(
             self.env,
-            self._act,
+            self.act,
             self.games_num,
             style_reward=self._style_reward_function(),
             on_step=self._on_step,
@@ -105,7 +105,8 @@ class CommonPlayer(PpoPlayerContinuous):
         """Return inputs of the policy beside the observation, (N, ...); once for each step."""
         return {}
 
-    def _act(self, obs: dict[str, Tensor]) -> Tensor:
+    def act(self, obs: dict[str, Tensor]) -> Tensor:
+        """Return the task's actions (N, A) for what the task observes."""
         return self.get_action(self.obs_to_torch(obs), self.is_deterministic)
 
     def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:

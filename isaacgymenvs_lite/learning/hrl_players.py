@@ -46,6 +46,12 @@ class HRLPlayer(CommonPlayer):
         self.actions_high = torch.from_numpy(box.high.copy()).to(self.device)
         return super()._build_net_config()
 
-    def _act(self, obs: dict[str, Tensor]) -> Tensor:
+    @property
+    def llc_steps(self) -> int:
+        """Control steps under one latent."""
+        return self._hrl.llc_steps
+
+    def act(self, obs: dict[str, Tensor]) -> Tensor:
+        """Return the task's actions (N, A); the latent changes every `llc_steps` calls."""
         rows: Any = self.obs_to_torch(obs)
         return self._policy(rows)

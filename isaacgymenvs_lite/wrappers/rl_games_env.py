@@ -14,6 +14,10 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 class RLGPUEnv(IVecEnv):
     """Hands rl_games the task that the registered creator makes.
 
+    Agents of the AMP family ask for resets (`reset_done`) before they act. Others, rl_games' own,
+    never do: for them an episode that ended starts anew within `step`, which then returns the first
+    observation of the next one.
+
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
         num_actors: rl_games' number of environments; the task's own counts.
@@ -26,10 +30,14 @@ class RLGPUEnv(IVecEnv):
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
         del num_actors
         self.env: VecTask = env_configurations.configurations[config_name]["env_creator"](**kwargs)
+        self._is_asked_for_resets = False
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
-        """Advance by one control step; see `VecTask.step`."""
-        return self.env.step(actions)
+        """Advance by one control step; see `VecTask.step` and the class docstring."""
+        obs, rewards, dones, infos = self.env.step(actions)
+        if self.env.resets_on_request and not self._is_asked_for_resets:
+            obs, _ = self.env.reset_done()
+        return obs, rewards, dones, infos
 
     def reset(self) -> dict[str, Tensor]:
         """See `VecTask.reset`."""
@@ -37,6 +45,7 @@ class RLGPUEnv(IVecEnv):
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
         """See `VecTask.reset_done`."""
+        self._is_asked_for_resets = True
         return self.env.reset_done()
 
     def get_number_of_agents(self) -> int:

@@ -24,8 +24,9 @@ def compose_experiment(name: str, clip: Path) -> DictConfig:
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_composes(name, walk_clip):
     cfg = compose_experiment(name, walk_clip)
-    assert cfg.task.name == "HumanoidAMP"
-    expected = str(walk_clip) if needs_motion_file(name) else _TABLE.experiments[name].motion_file
+    entry = _TABLE.experiments[name]
+    assert cfg.task.name == entry.get("task", "HumanoidAMP")
+    expected = str(walk_clip) if needs_motion_file(name) else entry.motion_file
     assert cfg.task.env.motion_file == expected
 
 

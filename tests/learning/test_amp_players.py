@@ -57,13 +57,13 @@ def test_the_player_takes_means_unless_told_otherwise(deterministic, equal, make
     runner = make_runner(f"+{CONFIG}.player.deterministic={deterministic}")
     player = runner.create_player()
     obs = {"obs": random_obs(8)}
-    assert torch.equal(player._act(obs), player._act(obs)) is equal
+    assert torch.equal(player.act(obs), player.act(obs)) is equal
 
 
 def test_means_are_the_default(make_runner):
     player = make_runner().create_player()
     obs = {"obs": random_obs(8)}
-    assert torch.equal(player._act(obs), player._act(obs))
+    assert torch.equal(player.act(obs), player.act(obs))
 
 
 def test_a_play_measures_and_reports(checkpoint, make_runner, caplog):

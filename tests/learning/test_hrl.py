@@ -197,7 +197,7 @@ def test_a_checkpoint_holds_the_high_level_only_and_plays(llc, make_agent, make_
     obs = {"obs": torch.randn(8, 105, generator=torch.Generator().manual_seed(0))}
     policy = agent.mean_policy(env)
     for _ in range(STEPS + 1):
-        torch.testing.assert_close(player._act(obs), policy(obs), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(player.act(obs), policy(obs), rtol=1e-4, atol=1e-5)
         obs = {"obs": obs["obs"].roll(1, 0)}
     player.run()
     assert player.result is not None

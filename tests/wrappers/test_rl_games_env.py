@@ -16,6 +16,7 @@ class StubTask:
 
     num_agents = 2
     num_states = 0
+    resets_on_request = False
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -93,6 +94,25 @@ def test_calls_pass_through_unchanged(make_env):
     assert env.env.calls[-1] == ("set_env_state", {"level": 4})
     env.close()
     assert env.env.calls[-1] == ("close", None)
+
+
+class StubRequestTask(StubTask):
+    resets_on_request = True
+
+
+def test_who_never_asks_gets_resets_within_the_step(make_env):
+    env = make_env(StubRequestTask)
+    obs, *_ = env.step(torch.ones(2, 3))
+    assert [name for name, _ in env.env.calls] == ["step", "reset_done"]
+    assert torch.equal(obs["obs"], torch.zeros(2, 5))  # the next episode's
+
+
+def test_who_asks_for_resets_sees_how_episodes_end(make_env):
+    env = make_env(StubRequestTask)
+    env.reset_done()
+    obs, *_ = env.step(torch.ones(2, 3))
+    assert [name for name, _ in env.env.calls] == ["reset_done", "step"]
+    assert torch.equal(obs["obs"], torch.full((2, 3), 2.0))
 
 
 def test_spaces_of_a_plain_task(make_env):

@@ -96,6 +96,8 @@ class HumanoidAMPBase(VecTask):
         self.dt = self.env_cfg.control_freq_inv * self.sim_cfg.dt
         self._failures_reported = 0
 
+    resets_on_request = True
+
     # --- what a kind of humanoid says of itself ---------------------------------------------
 
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -124,6 +124,8 @@ class VecTask(Env):
     simulation: SimulationBackend
     max_episode_length: int
     progress_buf: Tensor
+    resets_on_request: ClassVar[bool] = False
+    """Whether episodes start when somebody calls `reset_done`, and not by themselves in `step`."""
 
     def __init__(
         self,

@@ -1,0 +1,211 @@
+"""Measures the levels of a hierarchy by the fixed protocol.
+
+    python -m benchmarks.hierarchy skills TARGET [TARGET ...] [key=value ...]
+    python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
+        [--runs-dir runs/benchmarks] [--random-latents] [--write]
+
+`skills` plays low-level controllers under random latents: which clips of the data set their motion
+is nearest to, what the encoder makes of it, how many episodes end without a fall. `goal` plays
+policies on a task: the task's return, 1 for the full reward in every step. Targets are those of
+`benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose, the same goals for all
+policies; mean actions. `--random-latents` plays a hierarchy's low level without its high level.
+`--write` adds the numbers to benchmarks/results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.evaluate import RESULTS_DIR
+from benchmarks.machine import describe_machine
+from benchmarks.protocol import EPISODE_STEPS, SEED, play_checkpoint
+from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs
+from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
+from isaacgymenvs_lite.learning.evaluation import evaluate
+from isaacgymenvs_lite.learning.latents import sample_latents
+
+EPISODES = 128
+_FIXED = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skills:
+    """What a low-level controller can do.
+
+    Attributes:
+        coverage: share of the clips that are the nearest to at least 1 % of the windows.
+        clip_shares: clip -> share of the windows.
+        encoder_reward: mean over the windows.
+        shuffled_reward: the same for latents of other episodes and times.
+        no_fall_share: of the episodes.
+    """
+
+    coverage: float
+    clip_shares: dict[str, float]
+    encoder_reward: float
+    shuffled_reward: float
+    no_fall_share: float
+
+    def __str__(self) -> str:
+        return (
+            f"coverage {self.coverage:.2f}, encoder reward {self.encoder_reward:.3f}"
+            f" ({self.shuffled_reward:.3f} shuffled), without a fall {self.no_fall_share:.2f}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalReached:
+    """How well a policy does what it is asked to.
+
+    Attributes:
+        task_return: sum of the task's rewards of an episode over the number of its steps when
+            nothing ends it early, mean over the episodes.
+        no_fall_share: of the episodes.
+    """
+
+    task_return: float
+    no_fall_share: float
+
+    def __str__(self) -> str:
+        return f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f}"
+
+
+def measure_skills(player: Any, env: Any) -> Skills:
+    """Play a low-level controller; see the module docstring.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not hasattr(player, "skills"):
+        raise ConfigError("skills: expected a policy of algo: name: gen_amp or ase")
+    del env
+    player.games_num = EPISODES
+    player.run()
+    found, imitation = player.skills, player.result.imitation
+    return Skills(
+        coverage=found.clips.coverage if found else 0.0,
+        clip_shares=found.clips.shares if found else {},
+        encoder_reward=found.encoder_reward if found else 0.0,
+        shuffled_reward=found.shuffled_reward if found else 0.0,
+        no_fall_share=imitation.no_fall_share,
+    )
+
+
+def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalReached:
+    """Play a policy on the task of its run; see the module docstring.
+
+    Raises:
+        ConfigError: random latents for a policy without a low level.
+    """
+    result = evaluate(env, _policy(player, random_latents), EPISODES)
+    assert result.imitation is not None  # the task has reference motions
+    # The step that ends an episode at the time limit is the one before the last.
+    full = env.max_episode_length - 1
+    return GoalReached(
+        task_return=result.reward / full, no_fall_share=result.imitation.no_fall_share
+    )
+
+
+def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tensor]], torch.Tensor]:
+    if not random_latents:
+        return player.act
+    llc = getattr(player, "llc", None)
+    if llc is None:
+        raise ConfigError("--random-latents: expected a policy of algo: name: hrl")
+    act = llc.policy_under(
+        lambda obs: sample_latents(len(obs), llc.latent_dim, obs.device), player.llc_steps
+    )
+    return lambda obs: act(player.obs_to_torch(obs))
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("kind", choices=["skills", "goal"])
+    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--random-latents", action="store_true")
+    parser.add_argument("--evaluation-seed", type=int, default=SEED)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--write", action="store_true", help="add the numbers to benchmarks/results"
+    )
+    args = parser.parse_intermixed_args()
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    measure = measure_skills
+    if args.kind == "goal":
+        measure = partial(measure_goal, random_latents=args.random_latents)
+    elif args.random_latents:
+        sys.exit("error: --random-latents belongs to goal")
+    try:
+        for run, checkpoint in _targets(args.what, args.runs_dir):
+            found = play_checkpoint(
+                checkpoint,
+                measure,
+                _FIXED,
+                args.evaluation_seed,
+                num_threads=args.threads,
+                overrides=tuple(word for word in args.what if "=" in word),
+            )
+            print(f"{run.label}: {found}", flush=True)
+            if args.write:
+                name = f"{run.experiment}{'+random_latents' if args.random_latents else ''}"
+                _write(name, run, checkpoint, asdict(found), args.evaluation_seed)
+    except UserError as error:
+        sys.exit(f"error: {error}")
+
+
+def _targets(words: Sequence[str], runs_dir: Path) -> list[tuple[Run, Path]]:
+    """Return runs and checkpoints for the words that are no overrides."""
+    found = []
+    for word in words:
+        if "=" in word:
+            continue
+        if word.endswith(".pth"):
+            found.append((Run.at(Path(word).absolute().parent.parent), Path(word)))
+            continue
+        for run in find_runs(word, runs_dir):
+            checkpoint = run.newest_checkpoint()
+            if checkpoint is None:
+                raise CheckpointError(f"{run.folder}: no checkpoint in nn/")
+            found.append((run, checkpoint))
+    if not found:
+        raise ConfigError("give a checkpoint, a run folder or an experiment")
+    return found
+
+
+def _write(
+    name: str, run: Run, checkpoint: Path, found: dict[str, Any], evaluation_seed: int
+) -> None:
+    """Add a line to the results of an experiment."""
+    starts = run.starts()
+    row = {
+        "experiment": name,
+        "seed": run.seed,
+        "checkpoint": checkpoint.name,
+        "frames": int(load_checkpoint(checkpoint).get("frame", 0)),
+        **found,
+        "evaluation_seed": evaluation_seed,
+        "num_episodes": EPISODES,
+        "episode_steps": EPISODE_STEPS,
+        "machine": starts[-1].machine if starts else describe_machine(),
+        "commit": ", ".join(dict.fromkeys(start.commit for start in starts)) or None,
+        "settings": starts[-1].settings if starts else None,
+    }
+    with (RESULTS_DIR / f"{name}.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row, allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()
