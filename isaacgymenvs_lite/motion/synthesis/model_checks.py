@@ -74,10 +74,10 @@ def outside(point: FloatArray, corners: FloatArray) -> float:
     start, way, length = start[length > 0.0], way[length > 0.0], length[length > 0.0]
     side = _cross(way[:, None], away[None] - start[:, None])
     own = _cross(way, -start)
-    apart = ((side >= -_FLAT).all(axis=1) & (own < 0.0)) | (
-        (side <= _FLAT).all(axis=1) & (own > 0.0)
-    )
-    if not apart.any():
+    beyond = (side >= -_FLAT).all(axis=1) & (own < 0.0)
+    beyond |= (side <= _FLAT).all(axis=1) & (own > 0.0)
+    is_line = bool((np.abs(side) <= _FLAT).all())
+    if not (is_line or beyond.any()):
         return 0.0
     share = np.clip(-(start * way).sum(axis=1) / length**2, 0.0, 1.0)
     return float(np.linalg.norm(start + share[:, None] * way, axis=1).min())

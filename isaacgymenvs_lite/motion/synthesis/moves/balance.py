@@ -49,7 +49,10 @@ def plan_com(
     """
     force = np.maximum(GRAVITY + acceleration, 0.0)
     stiffness = (force / height_m)[1:-1]
-    demand = pressure * force[:, None] + (0.0 if shift is None else shift)
+    demand = pressure * force[:, None]
+    if shift is not None:
+        # Nothing but the ground can turn the body: what is asked for in flight is left out.
+        demand = demand + shift * np.minimum(force / GRAVITY, 1.0)[:, None]
     # (x[i-1] - 2 x[i] + x[i+1]) / step^2 - k x[i] = -demand / z, x = p at both ends.
     n = len(pressure)
     bands = np.zeros((3, n))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from dataclasses import dataclass
@@ -9,10 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.synthesis.com_plan import GRAVITY
+from isaacgymenvs_lite.motion.synthesis.cycle import hermite
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
 from isaacgymenvs_lite.motion.synthesis.moves.move import Hop, Move, Steps
 from isaacgymenvs_lite.motion.synthesis.moves.path import Path
 
+Place = tuple[float, float, float]
+"""x and y in m, yaw in rad."""
 SIDES = (("right", -1.0), ("left", 1.0))
 _SETTLE_S = 0.3  # the pressure goes over a sole that stands for long in this time
 _FIRST_UNLOAD_S = 0.5  # taking the weight off a foot to begin to walk
@@ -33,7 +38,7 @@ class Contact:
 
     touch_down_s: float
     lift_off_s: float
-    place: tuple[float, float, float]
+    place: Place
     strike_rad: float
     lift_rad: float
     flat_s: float
@@ -44,8 +49,13 @@ class Contact:
     def pitch(self, times_s: FloatArray) -> FloatArray:
         """Return the pitch (n) in rad at times (n) of the contact."""
         down = smoothstep((times_s - self.touch_down_s) / self.flat_s)
-        roll = smoothstep((times_s - self.lift_off_s + self.roll_s) / self.roll_s)
-        return self.strike_rad * (1.0 - down) + self.lift_rad * roll
+        roll = np.clip((times_s - self.lift_off_s) / self.roll_s + 1.0, 0.0, 1.0)
+        return self.strike_rad * (1.0 - down) + self.lift_rad * roll * roll
+
+    @property
+    def lift_rate(self) -> float:
+        """The rate of the pitch at lift-off in rad/s."""
+        return 2.0 * self.lift_rad / self.roll_s
 
     def load(self, times_s: FloatArray) -> FloatArray:
         """Return the share (n) of its full weight that the foot carries at times (n)."""
@@ -69,11 +79,19 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class FootTrack:
-    """All contacts of one foot in the order of time, the first and the last without end."""
+    """All contacts of one foot in the order of time, the first and the last without end.
+
+    Attributes:
+        contacts: in the order of time.
+        leg: its dimensions.
+        clearance_m: how high the sole's lowest edge swings, without jolt at the ends.
+        rise_m: how high it flies besides, when the whole body is thrown up.
+    """
 
     contacts: tuple[Contact, ...]
     leg: Leg
     clearance_m: float
+    rise_m: float = 0.0
 
     def poses(self, times_s: FloatArray) -> FloatArray:
         """Return x, y, z (m) of the ankle, yaw and pitch (rad), (n, 5), at times (n)."""
@@ -84,12 +102,15 @@ class FootTrack:
             flat[here], pitch[here] = contact.place, contact.pitch(times_s[here])
         for before, after in itertools.pairwise(self.contacts):
             here = (times_s > before.lift_off_s) & (times_s < after.touch_down_s)
-            u = (times_s[here] - before.lift_off_s) / (after.touch_down_s - before.lift_off_s)
-            start, way = np.array(before.place), np.subtract(after.place, before.place)
-            flat[here] = start + minimum_jerk(u)[:, None] * way
-            pitch[here] = before.lift_rad + smoothstep(u) * (after.strike_rad - before.lift_rad)
+            span_s = after.touch_down_s - before.lift_off_s
+            u = (times_s[here] - before.lift_off_s) / span_s
+            flat[here] = arc(before.place, after.place, minimum_jerk(u))
+            leave = np.array([before.lift_rad]), np.array([before.lift_rate])
+            arrive = np.array([after.strike_rad]), np.zeros(1)
+            pitch[here] = hermite(leave, arrive, span_s, u)[:, 0]
             bump = np.sin(np.pi * u) ** 2
-            lift[here], rounding[here] = self.clearance_m * bump, _ROUNDING_M * bump
+            lift[here] = self.clearance_m * bump + 4.0 * self.rise_m * u * (1.0 - u)
+            rounding[here] = _ROUNDING_M * bump
         ahead, up = self.leg.rolled(pitch, rounding).T
         ahead = ahead - self._middle_m
         x, y = flat[:, 0] + ahead * np.cos(flat[:, 2]), flat[:, 1] + ahead * np.sin(flat[:, 2])
@@ -126,11 +147,26 @@ def minimum_jerk(u: FloatArray) -> FloatArray:
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
 
 
+def arc(start: Place, end: Place, u: FloatArray) -> FloatArray:
+    """Return x, y, yaw (n, 3) on the way from `start` (u = 0) to `end` (u = 1), u (n).
+
+    The yaw grows evenly and the direction of travel turns with it, so that a foot passes the other
+    one on a curve as it does straight ahead.
+    """
+    (x, y, yaw), (end_x, end_y, end_yaw) = start, end
+    chord = complex(end_x - x, end_y - y)
+    # On a circle the tangents at both ends differ from the chord by half of the turn.
+    tangents = [chord * cmath.exp(0.5j * sign * (end_yaw - yaw)) for sign in (-1.0, 1.0)]
+    rates = [np.array((tangent.real, tangent.imag, end_yaw - yaw)) for tangent in tangents]
+    return hermite((np.array(start), rates[0]), (np.array(end), rates[1]), 1.0, u)
+
+
 def plan_feet(move: Move, path: Path, leg: Leg) -> tuple[FootTrack, FootTrack]:
     """Return the tracks of right and left foot."""
     if move.hop is not None:
         right, left = (_hop_contacts(move.hop, move.steps, side) for _, side in SIDES)
-        return FootTrack(right, leg, move.hop.tuck_m), FootTrack(left, leg, move.hop.tuck_m)
+        tuck_m, rise_m = move.hop.tuck_m, GRAVITY * move.hop.flight_s**2 / 8.0
+        return FootTrack(right, leg, tuck_m, rise_m), FootTrack(left, leg, tuck_m, rise_m)
     right, left = (_step_contacts(move.steps, path, name, side) for name, side in SIDES)
     clearance_m = move.steps.clearance_m
     return FootTrack(right, leg, clearance_m), FootTrack(left, leg, clearance_m)
@@ -192,7 +228,7 @@ def _hop_contacts(hop: Hop, steps: Steps, side: float) -> tuple[Contact, ...]:
     )
 
 
-def _place(steps: Steps, path: Path, side: float, time_s: float) -> tuple[float, float, float]:
+def _place(steps: Steps, path: Path, side: float, time_s: float) -> Place:
     """Return x, y, yaw of a foot put beside the path as it is at a time."""
     x, y, yaw = (float(value) for value in path(time_s))
     aside = 0.5 * side * steps.width_m
@@ -200,7 +236,7 @@ def _place(steps: Steps, path: Path, side: float, time_s: float) -> tuple[float,
     return x - aside * math.sin(yaw), y + aside * math.cos(yaw), yaw + toe_out
 
 
-def _way_forward(start: tuple[float, float, float], end: tuple[float, float, float]) -> float:
+def _way_forward(start: Place, end: Place) -> float:
     """Return how far in m a foot goes along the direction that it points to halfway."""
     yaw = 0.5 * (start[2] + end[2])
     return (end[0] - start[0]) * math.cos(yaw) + (end[1] - start[1]) * math.sin(yaw)

@@ -97,8 +97,9 @@ class MovePlan:
             return smooth_below(com[:, 2] + room, 1.0 / _PLAN_RATE)
         standing_m = float(com[0, 2] + room[0])
         ends_s = (hop.take_off_s, hop.take_off_s + hop.flight_s)
-        bounds = np.interp(ends_s, self.times_s, com[:, 2] + room)
-        return hop_height(hop, standing_m, float(bounds.min()), self.times_s)
+        take_off_m, landing_m = np.interp(ends_s, self.times_s, com[:, 2] + room)
+        landing_m = min(take_off_m, landing_m) - hop.give_m
+        return hop_height(hop, standing_m, float(take_off_m), float(landing_m), self.times_s)
 
 
 def generate_move(move: Move) -> MotionClip:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -46,7 +48,9 @@ def smooth_below(bound: FloatArray, step_s: float) -> FloatArray:
     return np.convolve(lowest, weights / weights.sum(), mode="valid")
 
 
-def hop_height(hop: Hop, standing_m: float, take_off_m: float, times_s: FloatArray) -> FloatArray:
+def hop_height(
+    hop: Hop, standing_m: float, take_off_m: float, landing_m: float, times_s: FloatArray
+) -> FloatArray:
     """Return the height (n) of the centre of mass in a jump, at times (n).
 
     Polynomials of degree 5 join standing, lowest point, and the free fall between take-off and
@@ -55,16 +59,17 @@ def hop_height(hop: Hop, standing_m: float, take_off_m: float, times_s: FloatArr
     Args:
         hop: the jump.
         standing_m: height in standing.
-        take_off_m: height as the feet leave and meet the ground.
+        take_off_m: height as the feet leave the ground.
+        landing_m: height as they meet it.
         times_s: (n).
     """
     landing_s = hop.take_off_s + hop.flight_s
-    speed = 0.5 * GRAVITY * hop.flight_s
+    speed = (landing_m - take_off_m) / hop.flight_s + 0.5 * GRAVITY * hop.flight_s
     knots = (
         (hop.stand_s[0], standing_m, 0.0, 0.0),
         (hop.crouch_s, standing_m - hop.crouch_m, 0.0, _turning(hop.crouch_m, hop, -1)),
         (hop.take_off_s, take_off_m, speed, -GRAVITY),
-        (landing_s, take_off_m, -speed, -GRAVITY),
+        (landing_s, landing_m, speed - GRAVITY * hop.flight_s, -GRAVITY),
         (hop.absorb_s, standing_m - hop.absorb_m, 0.0, _turning(hop.absorb_m, hop, 1)),
         (hop.stand_s[1], standing_m, 0.0, 0.0),
     )
@@ -79,7 +84,7 @@ def quintic(
     Between two knots the one polynomial of degree 5 that meets both; constant outside.
     """
     values = np.where(times_s < knots[0][0], knots[0][1], knots[-1][1]).astype(np.float64)
-    for (t0, *start), (t1, *end) in zip(knots, knots[1:], strict=False):
+    for (t0, *start), (t1, *end) in itertools.pairwise(knots):
         here = (times_s >= t0) & (times_s <= t1)
         span = t1 - t0
         u = (times_s[here] - t0) / span

@@ -41,7 +41,7 @@ class Steps:
     clearance_m: float = 0.04
     strike_deg_per_m: float = 18.0
     lift_deg: float = -12.0
-    lift_deg_per_m: float = -22.0
+    lift_deg_per_m: float = -26.0
     flat_s: float = 0.10
     roll_s: float = 0.22
 
@@ -60,6 +60,7 @@ class Hop:
         lift_deg, strike_deg: pitch of the feet as they leave and meet the ground.
         roll_s, flat_s: as for steps.
         tuck_m: how much further the feet are drawn up in mid-flight than they fall freely.
+        give_m: how much lower the body is at landing than stretched legs would hold it.
     """
 
     take_off_s: float
@@ -75,6 +76,7 @@ class Hop:
     roll_s: float
     flat_s: float
     tuck_m: float
+    give_m: float
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ _START = Move(
     name="start_walking",
     window_s=(0.3, 3.3),
     path=((0.8, 0, 0, 0), (2.0, 1.1, 0, 0)),
-    steps=Steps(count=10, first_lift_s=1.0, step_s=0.48),
+    steps=Steps(count=10, first_lift_s=1.0, step_s=0.45),
 )
 
 _STOP = Move(
     name="stop_walking",
     window_s=(2.6, 5.6),
     path=((0.8, 0, 0, 0), (2.0, 1.1, 0, 0), (3.6, 1.1, 0, 0), (4.8, 0, 0, 0)),
-    steps=Steps(count=8, first_lift_s=1.0, step_s=0.48),
+    steps=Steps(count=8, first_lift_s=1.0, step_s=0.45),
 )
 
 _WALK_LEFT = Move(
@@ -76,8 +76,8 @@ _JUMP = Move(
     carriage=Carriage(
         lean=((0.4, 2), (0.95, 32), (1.25, 4), (1.5, 8), (1.8, 26), (2.4, 2)),
         pelvis_tilt=((0.4, 2), (0.95, 22), (1.25, 2), (1.5, 6), (1.8, 18), (2.4, 2)),
-        shoulder=((0.4, -4), (0.95, -50), (1.35, 85), (1.95, 10), (2.5, -4)),
-        elbow=((0.4, 22), (0.95, 20), (1.35, 50), (1.95, 35), (2.5, 22)),
+        shoulder=((0.4, -4), (0.95, -50), (1.35, 70), (1.95, 10), (2.5, -4)),
+        elbow=((0.4, 22), (0.95, 25), (1.35, 50), (1.95, 35), (2.5, 22)),
         abduction_deg=12.0,
     ),
     hop=Hop(
@@ -85,7 +85,7 @@ _JUMP = Move(
         flight_s=0.34,
         forward_m=0.5,
         crouch_s=0.95,
-        crouch_m=0.24,
+        crouch_m=0.2,
         absorb_s=1.78,
         absorb_m=0.2,
         stand_s=(0.45, 2.4),
@@ -93,7 +93,8 @@ _JUMP = Move(
         strike_deg=-12.0,
         roll_s=0.15,
         flat_s=0.08,
-        tuck_m=0.06,
+        tuck_m=0.03,
+        give_m=0.03,
     ),
 )
 
