@@ -11,7 +11,7 @@ from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis import checks, dynamics
 
-_LEAST_FORCE = 0.1  # body weights; below it the centre of pressure is arbitrary
+_LEAST_FORCE = 0.25  # body weights; below it the centre of pressure is arbitrary
 _FLAT = 1e-12  # m^2: corners in one line, up to rounding
 
 

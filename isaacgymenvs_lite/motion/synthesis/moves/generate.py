@@ -14,6 +14,7 @@ from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis import dynamics
 from isaacgymenvs_lite.motion.synthesis.assemble import clip_from_poses, foot_frames
+from isaacgymenvs_lite.motion.synthesis.generate import MODEL
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
 from isaacgymenvs_lite.motion.synthesis.moves.balance import plan_com, pressure_path
 from isaacgymenvs_lite.motion.synthesis.moves.contacts import SIDES, FootTrack, plan_feet
@@ -25,7 +26,6 @@ from isaacgymenvs_lite.motion.synthesis.posture import set_leg
 from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
 
 FPS = 30
-MODEL = "mjcf/amp_humanoid.xml"
 _PLAN_RATE = 240  # of the plan, per second; a multiple of FPS
 _PASSES = 4
 _HEIGHT_STEPS = 4
@@ -124,24 +124,20 @@ def solve_move(move: Move, skeleton: Skeleton) -> FloatArray:
     feet = [track.poses(times_s) for track in plan.tracks]
     frames = [foot_frames(foot[:, :3], foot[:, 3], foot[:, 4]) for foot in feet]
     posture = target_rotations(move.carriage, skeleton, plan.tracks, plan.path, times_s)
+    solver = PoseSolver(model, tuple(f"{name}_foot" for name, _ in SIDES))
     poses = qpos_from_poses(skeleton, np.zeros((len(times_s), 3)), posture)
     shift = np.zeros((len(times_s), 2))
-    solver = PoseSolver(model, tuple(f"{name}_foot" for name, _ in SIDES))
     # Where the hips are depends on the poses, and the poses on where the hips are planned.
     for _ in range(_PASSES):
         com, hips = dynamics.com_and_hips(model, poses)
         offset = hips - com[:, None]
-        com = plan.com(_spread(offset, times_s, plan), _spread(shift, times_s, plan))
-        com = _spread(com, plan.times_s, times_s)
+        planned = plan.com(*(_resample(x, times_s, plan.times_s) for x in (offset, shift)))
+        com = _resample(planned, plan.times_s, times_s)
         for i, (name, _) in enumerate(SIDES):
             aim_leg(posture, skeleton, name, plan.leg, com + offset[:, i], feet[i])
         targets = qpos_from_poses(skeleton, com, posture)
-        poses = np.stack(
-            [
-                solver.solve(targets[i], com[i], [frame[i] for frame in frames])
-                for i in range(len(times_s))
-            ]
-        )
+        rows = zip(targets, com, *frames, strict=True)
+        poses = np.stack([solver.solve(row, place, [*ends]) for row, place, *ends in rows])
         shift = _momentum_shift(model, poses)
     return poses
 
@@ -175,9 +171,7 @@ def _momentum_shift(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
     return np.stack((smooth[1], -smooth[0]), axis=-1) / float(model.body_subtreemass[1])
 
 
-def _spread(values: FloatArray, from_s: FloatArray, to: FloatArray | MovePlan) -> FloatArray:
+def _resample(values: FloatArray, from_s: FloatArray, to_s: FloatArray) -> FloatArray:
     """Interpolate values (m, ...) at times (m) to other times (n); constant outside."""
-    to_s = to.times_s if isinstance(to, MovePlan) else to
-    flat = values.reshape(len(values), -1)
-    columns = [np.interp(to_s, from_s, column) for column in flat.T]
+    columns = [np.interp(to_s, from_s, column) for column in values.reshape(len(values), -1).T]
     return np.stack(columns, axis=-1).reshape(len(to_s), *values.shape[1:])

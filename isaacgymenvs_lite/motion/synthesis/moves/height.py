@@ -64,13 +64,16 @@ def hop_height(
         times_s: (n).
     """
     landing_s = hop.take_off_s + hop.flight_s
+    # Upward at the lowest points, as much as an even sweep to and from there takes.
+    push = 2.0 * hop.crouch_m / (hop.take_off_s - hop.crouch_s) ** 2
+    catch = 2.0 * hop.absorb_m / (hop.absorb_s - landing_s) ** 2
     speed = (landing_m - take_off_m) / hop.flight_s + 0.5 * GRAVITY * hop.flight_s
     knots = (
         (hop.stand_s[0], standing_m, 0.0, 0.0),
-        (hop.crouch_s, standing_m - hop.crouch_m, 0.0, _turning(hop.crouch_m, hop, -1)),
+        (hop.crouch_s, standing_m - hop.crouch_m, 0.0, push),
         (hop.take_off_s, take_off_m, speed, -GRAVITY),
         (landing_s, landing_m, speed - GRAVITY * hop.flight_s, -GRAVITY),
-        (hop.absorb_s, standing_m - hop.absorb_m, 0.0, _turning(hop.absorb_m, hop, 1)),
+        (hop.absorb_s, standing_m - hop.absorb_m, 0.0, catch),
         (hop.stand_s[1], standing_m, 0.0, 0.0),
     )
     return quintic(knots, times_s)
@@ -95,13 +98,3 @@ def quintic(
         high = np.linalg.solve([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]], rest)
         values[here] = np.polyval([*high[::-1], *low[::-1]], u)
     return values
-
-
-def _turning(depth_m: float, hop: Hop, direction: int) -> float:
-    """Return the upward acceleration m/s^2 at the lowest point, that of an even sweep back."""
-    span = (
-        hop.take_off_s - hop.crouch_s
-        if direction < 0
-        else hop.absorb_s - hop.take_off_s - hop.flight_s
-    )
-    return 2.0 * depth_m / span**2

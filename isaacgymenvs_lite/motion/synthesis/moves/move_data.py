@@ -15,14 +15,14 @@ _STAND = Move(
 _START = Move(
     name="start_walking",
     window_s=(0.3, 3.3),
-    path=((0.8, 0, 0, 0), (2.0, 1.1, 0, 0)),
+    path=((0.8, 0, 0, 0), (2.0, 1.05, 0, 0)),
     steps=Steps(count=10, first_lift_s=1.0, step_s=0.45),
 )
 
 _STOP = Move(
     name="stop_walking",
     window_s=(2.6, 5.6),
-    path=((0.8, 0, 0, 0), (2.0, 1.1, 0, 0), (3.6, 1.1, 0, 0), (4.8, 0, 0, 0)),
+    path=((0.8, 0, 0, 0), (2.0, 1.05, 0, 0), (3.6, 1.05, 0, 0), (4.8, 0, 0, 0)),
     steps=Steps(count=8, first_lift_s=1.0, step_s=0.45),
 )
 

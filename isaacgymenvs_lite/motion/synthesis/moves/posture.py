@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
@@ -75,7 +77,7 @@ def _uneven_load(tracks: tuple[FootTrack, FootTrack], times_s: FloatArray) -> Fl
     return (left - right) / np.maximum(left + right, 1.0)
 
 
-def _calm(signal, times_s: FloatArray) -> FloatArray:
+def _calm(signal: Callable[[FloatArray], FloatArray], times_s: FloatArray) -> FloatArray:
     """Return the mean of a function of time around times (n), weighted like a bell."""
     weights = np.hanning(_CALM_SAMPLES + 2)[1:-1]
     shifts = np.linspace(-_CALM_S, _CALM_S, _CALM_SAMPLES)
