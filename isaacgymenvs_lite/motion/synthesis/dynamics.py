@@ -50,4 +50,4 @@ def moments(model: mujoco.MjModel, poses: FloatArray, fps: float) -> FloatArray:
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
         momentum[i] = data.subtree_angmom[1]
-    return np.gradient(momentum, axis=0) * fps
+    return np.asarray(np.gradient(momentum, axis=0)) * fps

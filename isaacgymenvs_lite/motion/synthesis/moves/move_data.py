@@ -42,14 +42,14 @@ _WALK_BACKWARD = Move(
 
 _SIDESTEP_LEFT = Move(
     name="sidestep_left",
-    window_s=(0.4, 4.4),
+    window_s=(0.5, 4.2),
     path=((0.8, 0, 0, 0), (1.2, 0, 0.26, 0), (3.4, 0, 0.26, 0), (3.8, 0, 0, 0)),
     steps=Steps(count=6, first_lift_s=1.0, step_s=0.45, width_m=0.24),
 )
 
 _TURN_LEFT = Move(
     name="turn_left",
-    window_s=(0.4, 4.4),
+    window_s=(0.5, 4.2),
     path=((0.8, 0, 0, 0), (1.2, 0, 0, 55), (3.4, 0, 0, 55), (3.8, 0, 0, 0)),
     steps=Steps(count=6, first_lift_s=1.0, step_s=0.45, width_m=0.2),
 )
