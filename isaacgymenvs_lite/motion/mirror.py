@@ -17,8 +17,18 @@ _TURN = np.array([-1.0, 1.0, -1.0, 1.0])
 
 
 def partners(body_names: Sequence[str]) -> list[int]:
-    """Return for each body the index of its mirror image: left_x for right_x, itself for others."""
-    return [body_names.index(_other_side(name)) for name in body_names]
+    """Return for each body the index of its mirror image: left_x for right_x, itself for others.
+
+    Raises:
+        ValueError: a body has no mirror image.
+    """
+    images = [_other_side(name) for name in body_names]
+    for name, image in zip(body_names, images, strict=True):
+        if image not in body_names:
+            raise ValueError(
+                f"'{name}' has no mirror image '{image}' among {', '.join(body_names)}"
+            )
+    return [body_names.index(image) for image in images]
 
 
 def mirror_rotations(body_names: Sequence[str], rotation: FloatArray) -> FloatArray:
@@ -30,7 +40,7 @@ def mirror_rotations(body_names: Sequence[str], rotation: FloatArray) -> FloatAr
 
 
 def mirror_clip(clip: MotionClip, name: str) -> MotionClip:
-    """Return the mirror image of a clip, called `name`; raises ValueError if a side is missing."""
+    """Return the mirror image of a clip, called `name`; raises as `partners`."""
     order = partners(clip.body_names)
     vector, turn_vector = (v.astype(clip.root_translation.dtype) for v in (_VECTOR, _TURN_VECTOR))
     return dataclasses.replace(

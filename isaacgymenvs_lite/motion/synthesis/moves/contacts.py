@@ -21,6 +21,7 @@ Place = tuple[float, float, float]
 SIDES = (("right", -1.0), ("left", 1.0))
 _SETTLE_S = 0.3  # the pressure goes over a sole that stands for long in this time
 _FIRST_UNLOAD_S = 0.5  # taking the weight off a foot to begin to walk
+_FEET_LAG = 0.5  # share of the body's speed that flying feet lack at take-off and landing
 _ROUNDING_M = 0.03  # of the sole's edges in mid-swing, see `Leg.rolled`
 
 
@@ -109,7 +110,9 @@ class FootTrack:
             arrive = np.array([after.strike_rad]), np.zeros(1)
             pitch[here] = hermite(leave, arrive, span_s, u)[:, 0]
             bump = np.sin(np.pi * u) ** 2
-            lift[here] = self.clearance_m * bump + 4.0 * self.rise_m * u * (1.0 - u)
+            # Feet leave and meet the ground slower than the body that they push and catch.
+            late = u - _FEET_LAG * np.sin(2.0 * np.pi * u) / (2.0 * np.pi)
+            lift[here] = self.clearance_m * bump + 4.0 * self.rise_m * late * (1.0 - late)
             rounding[here] = _ROUNDING_M * bump
         ahead, up = self.leg.rolled(pitch, rounding).T
         ahead = ahead - self._middle_m

@@ -98,7 +98,8 @@ class MovePlan:
         standing_m = float(com[0, 2] + room[0])
         ends_s = (hop.take_off_s, hop.take_off_s + hop.flight_s)
         take_off_m, landing_m = np.interp(ends_s, self.times_s, com[:, 2] + room)
-        landing_m = min(take_off_m, landing_m) - hop.give_m
+        take_off_m -= hop.give_m
+        landing_m = min(take_off_m, landing_m - hop.give_m)
         return hop_height(hop, standing_m, float(take_off_m), float(landing_m), self.times_s)
 
 

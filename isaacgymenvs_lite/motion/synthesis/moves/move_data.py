@@ -94,7 +94,7 @@ _JUMP = Move(
         roll_s=0.15,
         flat_s=0.08,
         tuck_m=0.03,
-        give_m=0.03,
+        give_m=0.035,
     ),
 )
 
