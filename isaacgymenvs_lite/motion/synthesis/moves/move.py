@@ -60,7 +60,7 @@ class Hop:
         lift_deg, strike_deg: pitch of the feet as they leave and meet the ground.
         roll_s, flat_s: as for steps.
         tuck_m: how much further the feet are drawn up in mid-flight than they fall freely.
-        give_m: how much lower the body is at take-off and landing than stretched legs would hold it.
+        give_m: how much lower the body is at take-off and landing than with stretched legs.
     """
 
     take_off_s: float

@@ -74,9 +74,11 @@ _JUMP = Move(
     window_s=(0.2, 2.9),
     steps=Steps(width_m=0.2),
     carriage=Carriage(
-        lean=((0.4, 2), (0.95, 32), (1.25, 4), (1.5, 8), (1.8, 26), (2.4, 2)),
-        pelvis_tilt=((0.4, 2), (0.95, 22), (1.25, 2), (1.5, 6), (1.8, 18), (2.4, 2)),
-        shoulder=((0.4, -4), (0.95, -50), (1.35, 70), (1.95, 10), (2.5, -4)),
+        # Timed so that the legs, drawn up in flight, do not ask for angular momentum: the trunk
+        # stretches before take-off and bends with the legs, the arms swing before.
+        lean=((0.4, 2), (0.92, 32), (1.18, 8), (1.4, 22), (1.56, 16), (1.8, 28), (2.4, 2)),
+        pelvis_tilt=((0.4, 2), (0.92, 22), (1.18, 4), (1.4, 16), (1.56, 10), (1.8, 20), (2.4, 2)),
+        shoulder=((0.4, -4), (0.88, -50), (1.22, 75), (1.95, 10), (2.5, -4)),
         elbow=((0.4, 22), (0.95, 25), (1.35, 50), (1.95, 35), (2.5, 22)),
         abduction_deg=12.0,
     ),
