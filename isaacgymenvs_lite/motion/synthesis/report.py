@@ -11,6 +11,20 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis import checks, model_checks
 from isaacgymenvs_lite.utils import rotations
 
+# The columns of the overview: what is measured, and the heading that has room there.
+_OVERVIEW = {
+    "frames, length": "frames, length",
+    "mean speed of the root": "speed",
+    "turn": "turn",
+    "height of the root": "height of the root",
+    "way of a touching corner, at most": "skating",
+    "clearance of a swinging foot": "clearance",
+    "vertical ground force": "ground force",
+    "centre of pressure outside of the soles": "pressure outside of the soles",
+    "nearest joint limit": "joint limit",
+    "fastest joint": "fastest joint",
+}
+
 
 def figures(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> dict[str, str]:
     """Measure any clip: what is measured, and the figure with its unit."""
@@ -24,7 +38,7 @@ def figures(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> dict
     return {
         "frames, length": f"{clip.num_frames} at {clip.fps:g} fps, {clip.length_s:.2f} s",
         "mean speed of the root": f"{way / clip.length_s:.2f} m/s",
-        "turn": f"{np.degrees(turn_rad(clip)):+.0f} deg",
+        "turn": f"{round(np.degrees(turn_rad(clip)))} deg",
         "height of the root": f"{height.min():.3f} to {height.max():.3f} m",
         "way of a touching corner, at most": f"{1e3 * feet.worst_slip_m:.1f} mm",
         "below the ground, at most": f"{1e3 * feet.deepest_m:.2f} mm",
@@ -32,7 +46,7 @@ def figures(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) -> dict
         "clearance of a swinging foot": "-" if np.isnan(clearance) else f"{1e3 * clearance:.0f} mm",
         "both feet on the ground": f"{100 * feet.double_support_share:.0f} % of the time",
         "no foot on the ground": f"{100 * feet.flight_share:.0f} % of the time",
-        "vertical ground force": f"{abs(force.min()):.2f} to {force.max():.2f} body weights",
+        "vertical ground force": f"{force.min():z.2f} to {force.max():.2f} body weights",
         "centre of pressure outside of the soles": (
             f"{1e3 * np.nanmean(outside):.0f} mm, at most {1e3 * np.nanmax(outside):.0f} mm"
         ),
@@ -62,14 +76,14 @@ def describe(rows: dict[str, str]) -> str:
 
 
 def overview(clips: dict[str, dict[str, str]]) -> str:
-    """Return figures of several clips as a Markdown table, one row per clip.
+    """Return the main figures of several clips as a Markdown table, one row per clip.
 
     Args:
-        clips: for each name the figures of the clip, with the same keys for all.
+        clips: for each name what `figures` found.
     """
-    keys = list(next(iter(clips.values()), {}))
-    lines = [f"| clip | {' | '.join(keys)} |", "|---" * (len(keys) + 1) + "|"]
-    lines += [f"| `{name}` | {' | '.join(rows.values())} |" for name, rows in clips.items()]
+    lines = [f"| clip | {' | '.join(_OVERVIEW.values())} |", "|---" * (len(_OVERVIEW) + 1) + "|"]
+    for name, rows in clips.items():
+        lines.append(f"| `{name}` | {' | '.join(rows[key] for key in _OVERVIEW)} |")
     return "\n".join(lines)
 
 
