@@ -1,4 +1,4 @@
-"""The walk and the run that ship, measured: the figures that docs/shipped_clips.md promises."""
+"""The walks and the run that ship, measured: the figures that docs/shipped_clips.md promises."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from isaacgymenvs_lite.motion.synthesis import checks, model_checks
 from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS, Gait
 
 
-@pytest.fixture(params=["walk", "run"])
+@pytest.fixture(params=["walk", "run", "walk_slow", "walk_fast"])
 def gait(request: pytest.FixtureRequest) -> Gait:
     return GAITS[request.param]
 

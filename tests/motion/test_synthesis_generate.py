@@ -14,14 +14,15 @@ from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.synthesis import __main__ as command
 from isaacgymenvs_lite.motion.synthesis import solve
+from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, make_clip
 from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS
 from isaacgymenvs_lite.motion.synthesis.generate import generate
 
 
-@pytest.mark.parametrize("name", sorted(GAITS))
+@pytest.mark.parametrize("name", [*GAIT_CLIPS, "jump", "walk_right"])
 def test_shipped_clips_are_what_the_generator_makes(name: str) -> None:
     pytest.importorskip("mink")
-    made, shipped = generate(GAITS[name], command.NUM_CYCLES[name]), load_clips(name)[0][0]
+    made, shipped = make_clip(name), load_clips(name)[0][0]
     assert made.fps == shipped.fps
     assert made.body_names == shipped.body_names
     # The search stops at steps of 1e-8 rad; other versions of the solver end elsewhere in there.
@@ -32,10 +33,15 @@ def test_shipped_clips_are_what_the_generator_makes(name: str) -> None:
 
 
 def test_command_writes_the_chosen_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "generate", lambda gait, cycles: load_clips(gait.name)[0][0])
+    monkeypatch.setattr(command, "make_clip", lambda name: load_clips(name)[0][0])
     assert command.main(["--out", str(tmp_path / "clips"), "--clips", "walk"]) == 0
     assert [path.name for path in (tmp_path / "clips").iterdir()] == ["walk.npz"]
     assert load_npz(tmp_path / "clips" / "walk.npz").name.endswith("walk.npz")
+
+
+def test_unknown_clip_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"unknown clip 'jumq' \(did you mean 'jump'\?\)"):
+        make_clip("jumq")
 
 
 def test_missing_mink_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,1 @@
-"""A generator of walking and running clips from published gait data (see docs/shipped_clips.md)."""
+"""Generators of the shipped clips: gaits from published data, planned moves (docs/shipped_clips.md)."""

@@ -14,13 +14,11 @@ from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.motion.loader import shipped_motions_dir
 from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS
-from isaacgymenvs_lite.motion.synthesis.generate import FPS, MODEL, generate
-from isaacgymenvs_lite.motion.synthesis.report import describe
+from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, clip_names, make_clip
+from isaacgymenvs_lite.motion.synthesis.generate import MODEL
+from isaacgymenvs_lite.motion.synthesis.report import cycle_figures, describe, figures, overview
 
 _log = logging.getLogger(__name__)
-
-NUM_CYCLES = {"walk": 4, "run": 5}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -31,12 +29,12 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(
         prog="python -m isaacgymenvs_lite.motion.synthesis",
-        description="Makes walking and running clips from published gait data.",
+        description="Makes the clips that ship and measures them.",
     )
     parser.add_argument(
         "--out", type=Path, help="folder for the clips (default: assets/amp/motions)"
     )
-    parser.add_argument("--clips", nargs="+", choices=list(GAITS), default=list(GAITS))
+    parser.add_argument("--clips", nargs="+", choices=clip_names(), default=clip_names())
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     folder = options.out or shipped_motions_dir()
@@ -45,11 +43,16 @@ def main(arguments: list[str] | None = None) -> int:
     model = mujoco.MjModel.from_xml_path(model_path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        rows = {}
         for name in options.clips:
-            clip = generate(GAITS[name], NUM_CYCLES[name])
+            clip = make_clip(name)
             path = save_npz(folder / f"{name}.npz", clip)
-            frames_per_cycle = round(GAITS[name].period_s * FPS)
-            _log.info("%s\n%s", path, describe(clip, frames_per_cycle, skeleton, model))
+            rows[name] = figures(clip, skeleton, model)
+            more = {}
+            if name in GAIT_CLIPS:
+                more = cycle_figures(clip, GAIT_CLIPS[name].frames_per_cycle)
+            _log.info("%s\n%s", path, describe(rows[name] | more))
+        _log.info("%s", overview(rows))
     except (UserError, OSError) as error:
         parser.exit(2, f"{parser.prog}: {error}\n")
     return 0

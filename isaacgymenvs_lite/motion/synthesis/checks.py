@@ -15,6 +15,7 @@ import torch
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.mirror import mirror_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
@@ -141,21 +142,12 @@ def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, floa
         The largest differences of rotations (rad) and of the root's height and side (m).
     """
     half = frames_per_cycle // 2
-    names = clip.body_names
-    partner = [names.index(_other_side(name)) for name in names]
     turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
-    # The mirror image in the plane y = 0 keeps the turn about y and reverses the others.
-    mirrored = turns[:, partner] * torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64)
+    mirrored = torch.from_numpy(mirror_rotations(clip.body_names, turns.numpy()))
     angle = rotations.quat_diff_rad(turns[half:], mirrored[:-half])
     place = clip.root_translation[:, 1:].astype(np.float64)
     moved = place[half:] - place[:-half] * (-1.0, 1.0)
     return float(angle.abs().max()), float(np.abs(moved).max())
-
-
-def _other_side(name: str) -> str:
-    swap = {"right": "left", "left": "right"}
-    side, _, part = name.partition("_")
-    return f"{swap[side]}_{part}" if side in swap else name
 
 
 def _longest_way(points: FloatArray, touching: npt.NDArray[np.bool_]) -> float:

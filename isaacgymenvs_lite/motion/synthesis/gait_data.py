@@ -12,6 +12,7 @@ in standing; for running, published that way, this was subtracted from pelvis ti
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 Table = tuple[float, ...]
@@ -213,4 +214,55 @@ RUN = Gait(
     shoulder_rotation_deg=20.0,
 )
 
-GAITS: dict[str, Gait] = {gait.name: gait for gait in (WALK, RUN)}
+
+def _scaled(table: Table, factor: float, centre_deg: float = 0.0) -> Table:
+    """Return a table whose values are `factor` times as far from a centre, in whole degrees."""
+    return tuple(round(centre_deg + factor * (value - centre_deg)) for value in table)
+
+
+# Slower and faster than natural: the same curves with smaller and larger swings, as publications
+# have it (Winter 1991: slow and fast cadence; Murray 1967: free and fast walking). The factors are
+# ours, chosen for the stride of this humanoid.
+_SPEED_SOURCE = (
+    "as walk, with the amplitudes of hip, arms, pelvis and thorax scaled by factors of our own",
+)
+WALK_SLOW = dataclasses.replace(
+    WALK,
+    name="walk_slow",
+    sources=_WALK_SOURCES + _SPEED_SOURCE,
+    period_s=36 / 30,
+    stride_m=0.90,
+    duty=0.60,
+    heel_off=0.42,
+    strike_pitch_deg=14.0,
+    toe_off_pitch_deg=-38.0,
+    force_shape=0.2,
+    step_width_m=0.14,
+    swing_knee_deg=9.0,
+    retraction_deg=120.0,
+    straightest_knee_deg=10.0,
+    pelvis_rotation=_scaled(WALK.pelvis_rotation, 0.7),
+    thorax_rotation=_scaled(WALK.thorax_rotation, 0.7),
+    hip_flexion=_scaled(WALK.hip_flexion, 0.78, 5.0),
+    shoulder_flexion=_scaled(WALK.shoulder_flexion, 0.55, -6.0),
+    elbow_flexion=_scaled(WALK.elbow_flexion, 0.5, 22.0),
+)
+WALK_FAST = dataclasses.replace(
+    WALK,
+    name="walk_fast",
+    sources=_WALK_SOURCES + _SPEED_SOURCE,
+    period_s=24 / 30,
+    stride_m=1.30,
+    duty=0.56,
+    strike_pitch_deg=22.0,
+    toe_off_pitch_deg=-50.0,
+    force_shape=0.6,
+    thorax_lean_deg=4.0,
+    pelvis_rotation=_scaled(WALK.pelvis_rotation, 1.3),
+    thorax_rotation=_scaled(WALK.thorax_rotation, 1.3),
+    hip_flexion=_scaled(WALK.hip_flexion, 1.12, 5.0),
+    shoulder_flexion=_scaled(WALK.shoulder_flexion, 1.3, -6.0),
+    elbow_flexion=_scaled(WALK.elbow_flexion, 1.2, 20.0),
+)
+
+GAITS: dict[str, Gait] = {gait.name: gait for gait in (WALK, RUN, WALK_SLOW, WALK_FAST)}

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import torch
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.synthesis.assemble import clip_from_poses, foot_frames
 from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
 from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
@@ -21,7 +20,6 @@ from isaacgymenvs_lite.motion.synthesis.plan import plan_gait, right_hip_from_co
 from isaacgymenvs_lite.motion.synthesis.posture import set_leg, target_rotations
 from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
 from isaacgymenvs_lite.motion.synthesis.stance import Stance
-from isaacgymenvs_lite.utils import rotations
 
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"
@@ -67,21 +65,7 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
     cycle = solve_cycle(gait, skeleton, fps)
     count = num_cycles * len(cycle.root_translation) + 1
     root, local = cycle.frames(-_PAD, count + 2 * _PAD)
-    positions, turns = kinematics.forward_kinematics(
-        skeleton.parent_indices, skeleton.local_translation, local, root
-    )
-    inside = slice(_PAD, -_PAD)
-    return MotionClip(
-        name=gait.name,
-        fps=float(fps),
-        body_names=skeleton.body_names,
-        parent_indices=skeleton.parent_indices,
-        local_translation=skeleton.local_translation.astype(np.float32),
-        local_rotation=local[inside].astype(np.float32),
-        root_translation=root[inside].astype(np.float32),
-        linear_velocity_w=(np.gradient(positions, axis=0) * fps)[inside].astype(np.float32),
-        angular_velocity_w=_angular_velocities(turns, fps)[inside].astype(np.float32),
-    )
+    return clip_from_poses(gait.name, fps, skeleton, root, local, _PAD)
 
 
 def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
@@ -115,19 +99,7 @@ def solve_cycle(gait: Gait, skeleton: Skeleton, fps: int) -> Cycle:
 
 
 def _foot_frames(feet: FootPlan, phase: FloatArray, side: float) -> FloatArray:
-    """Return the planned quaternions wxyz and positions of a foot, (n, 7), at phases (n)."""
+    """Return the planned frames (n, 7) of a foot at phases (n), see `foot_frames`."""
     poses = feet.poses(phase, side)
-    pitch = torch.from_numpy(-poses[:, 3])  # about +y the toes go down
-    yaw = torch.full_like(pitch, -side * feet.stance.yaw)
-    turn = rotations.quat_from_euler_xyz(torch.zeros_like(pitch), pitch, yaw)
-    return np.concatenate((rotations.wxyz_from_xyzw(turn).numpy(), poses[:, :3]), axis=1)
-
-
-def _angular_velocities(turns: FloatArray, fps: float) -> FloatArray:
-    """Return world angular velocities (T, J, 3) rad/s by central differences, one-sided at ends."""
-    q = torch.from_numpy(turns)
-    padded = torch.cat((q[:1], q, q[-1:]))
-    steps = rotations.quat_mul(padded[2:], rotations.quat_conjugate(padded[:-2]))
-    spans = np.full((len(turns), 1, 1), 2.0)
-    spans[[0, -1]] = 1.0
-    return rotations.quat_log(steps).numpy() / spans * fps
+    yaw = np.full(len(phase), -side * feet.stance.yaw)
+    return foot_frames(poses[:, :3], yaw, poses[:, 3])

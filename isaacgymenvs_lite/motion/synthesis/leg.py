@@ -68,3 +68,24 @@ class Leg:
     def reach(self, knee: float) -> float:
         """Return the distance in m from the hip to the ankle with the knee flexed by `knee` rad."""
         return float(np.hypot(*self.ankle(np.zeros(1), np.array([knee]))).item())
+
+    def rolled(self, pitch: FloatArray, rounding_m: FloatArray | float = 0.0) -> FloatArray:
+        """Return where the ankle is (n, 2) m when the foot turns about an edge of its sole.
+
+        With the toes up the foot stands on the back edge, with the heel up on the front one.
+
+        Args:
+            pitch: (n) rad, angle of the foot to the ground, toes up positive.
+            rounding_m: 0 for the sharp edges of the sole. A swinging foot passes from one edge to
+                the other without a jolt if it is rolled as if they were rounded by some cm.
+
+        Returns:
+            How far the ankle is ahead of its place with the sole flat, and its height.
+        """
+        pivot = np.where(pitch > 0.0, -self.heel_m, self.toe_m)
+        cos, sin = np.cos(pitch), np.sin(pitch)
+        ahead = pivot - pivot * cos - self.ankle_height_m * sin
+        # The lower edge is below the ankle by the larger of -toe sin and heel sin.
+        mean, half = 0.5 * (self.heel_m - self.toe_m) * sin, 0.5 * (self.heel_m + self.toe_m) * sin
+        up = mean + np.hypot(half, rounding_m) + self.ankle_height_m * cos
+        return np.stack((ahead, up), axis=-1)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.synthesis import dynamics
 from isaacgymenvs_lite.motion.synthesis.com_plan import ComPlan, plan_com
 from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
 from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
@@ -55,11 +56,5 @@ def plan_gait(stance: Stance, hip_from_com: FloatArray) -> GaitPlan:
 
 def right_hip_from_com(model: mujoco.MjModel, poses: FloatArray) -> FloatArray:
     """Return the vectors (N, 3) m from centre of mass to right hip in poses qpos (N, nq)."""
-    data = mujoco.MjData(model)
-    offsets = np.empty((len(poses), 3))
-    for i, pose in enumerate(poses):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        offsets[i] = data.body("right_thigh").xpos - data.subtree_com[1]
-    return offsets
+    com, hips = dynamics.com_and_hips(model, poses)
+    return hips[:, 0] - com

@@ -21,15 +21,15 @@ def target_rotations(gait: Gait, skeleton: Skeleton, phase: FloatArray) -> Float
     The head stays upright and looks ahead, as people keep it (Pozzo, Berthoz and Lefort, Exp.
     Brain Res. 82 (1990) 97-106).
     """
-    turns = {name: _turn("x", np.zeros_like(phase)) for name in skeleton.body_names}
-    pelvis = _compose(
-        _turn("z", PeriodicCurve.odd(gait.pelvis_rotation)(phase)),
-        _turn("y", PeriodicCurve.even(gait.pelvis_tilt)(phase)),
-        _turn("x", -PeriodicCurve.odd(gait.pelvis_obliquity)(phase)),
+    turns = {name: turn("x", np.zeros_like(phase)) for name in skeleton.body_names}
+    pelvis = compose(
+        turn("z", PeriodicCurve.odd(gait.pelvis_rotation)(phase)),
+        turn("y", PeriodicCurve.even(gait.pelvis_tilt)(phase)),
+        turn("x", -PeriodicCurve.odd(gait.pelvis_obliquity)(phase)),
     )
-    thorax = _compose(
-        _turn("z", PeriodicCurve.odd(gait.thorax_rotation)(phase)),
-        _turn("y", np.full_like(phase, np.radians(gait.thorax_lean_deg))),
+    thorax = compose(
+        turn("z", PeriodicCurve.odd(gait.thorax_rotation)(phase)),
+        turn("y", np.full_like(phase, np.radians(gait.thorax_lean_deg))),
     )
     turns["pelvis"] = pelvis
     turns["torso"] = rotations.quat_mul(rotations.quat_conjugate(pelvis), thorax)
@@ -44,6 +44,7 @@ def set_leg(
     skeleton: Skeleton,
     side: str,
     angles: tuple[FloatArray, FloatArray, FloatArray],
+    yaw: FloatArray | None = None,
 ) -> None:
     """Write one leg's joints into rotations (n, J, 4) xyzw.
 
@@ -52,16 +53,18 @@ def set_leg(
         skeleton: names of the J bodies.
         side: `right` or `left`.
         angles: thigh to the vertical, knee, foot to the ground, each (n) in rad.
+        yaw: (n) rad, direction of the leg's plane about z; by default +x.
     """
     thigh, knee, pitch = angles
     pelvis = torch.from_numpy(local_rotation[:, 0])
+    plane = turn("z", np.zeros_like(thigh) if yaw is None else yaw)
     turns = {
-        f"{side}_thigh": rotations.quat_mul(rotations.quat_conjugate(pelvis), _turn("y", -thigh)),
-        f"{side}_shin": _turn("y", knee),
-        f"{side}_foot": _turn("y", thigh - knee - pitch),
+        f"{side}_thigh": compose(rotations.quat_conjugate(pelvis), plane, turn("y", -thigh)),
+        f"{side}_shin": turn("y", knee),
+        f"{side}_foot": turn("y", thigh - knee - pitch),
     }
-    for name, turn in turns.items():
-        local_rotation[:, skeleton.body_names.index(name)] = turn.numpy()
+    for name, value in turns.items():
+        local_rotation[:, skeleton.body_names.index(name)] = value.numpy()
 
 
 def _limbs(gait: Gait, side: str, sign: float, phase: FloatArray) -> dict[str, Tensor]:
@@ -75,28 +78,28 @@ def _limbs(gait: Gait, side: str, sign: float, phase: FloatArray) -> dict[str, T
 
     # About +y a hanging limb swings backwards: flexion is negative but for the knee.
     return {
-        f"{side}_thigh": _turn("y", -angle(gait.hip_flexion)),
-        f"{side}_shin": _turn("y", angle(gait.knee_flexion)),
-        f"{side}_foot": _turn("y", -angle(gait.ankle_dorsiflexion)),
-        f"{side}_upper_arm": _compose(
-            _turn("y", -angle(gait.shoulder_flexion)),
-            _turn("x", sign * constant(gait.shoulder_abduction_deg)),
-            _turn("z", -sign * constant(gait.shoulder_rotation_deg)),
+        f"{side}_thigh": turn("y", -angle(gait.hip_flexion)),
+        f"{side}_shin": turn("y", angle(gait.knee_flexion)),
+        f"{side}_foot": turn("y", -angle(gait.ankle_dorsiflexion)),
+        f"{side}_upper_arm": compose(
+            turn("y", -angle(gait.shoulder_flexion)),
+            turn("x", sign * constant(gait.shoulder_abduction_deg)),
+            turn("z", -sign * constant(gait.shoulder_rotation_deg)),
         ),
-        f"{side}_lower_arm": _turn("y", -angle(gait.elbow_flexion)),
+        f"{side}_lower_arm": turn("y", -angle(gait.elbow_flexion)),
     }
 
 
-def _turn(axis: str, angle: FloatArray) -> Tensor:
+def turn(axis: str, angle: FloatArray) -> Tensor:
     """Return the rotations (n, 4) by angles (n) in rad about a coordinate axis."""
     angles = torch.from_numpy(np.asarray(angle, dtype=np.float64))
     direction = torch.tensor(_AXES[axis], dtype=torch.float64)
     return rotations.quat_from_angle_axis(angles, direction.expand(len(angles), 3))
 
 
-def _compose(first: Tensor, *rest: Tensor) -> Tensor:
+def compose(first: Tensor, *rest: Tensor) -> Tensor:
     """Return the product of rotations (n, 4): each one turns about the axes of those before it."""
     product = first
-    for turn in rest:
-        product = rotations.quat_mul(product, turn)
+    for factor in rest:
+        product = rotations.quat_mul(product, factor)
     return product

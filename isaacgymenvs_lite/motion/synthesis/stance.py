@@ -43,11 +43,7 @@ class Stance:
     def pose(self, phase: FloatArray) -> FloatArray:
         """Return the poses (n, 4) at phases (n) in [0, duty]."""
         pitch = self.pitch(phase)
-        pivot = np.where(pitch > 0.0, -self.leg.heel_m, self.leg.toe_m)
-        cos, sin = np.cos(pitch), np.sin(pitch)
-        # From the edge that stays where it is to the ankle, turned up by the pitch.
-        along = pivot - pivot * cos - self.leg.ankle_height_m * sin
-        up = -pivot * sin + self.leg.ankle_height_m * cos
+        along, up = self.leg.rolled(pitch).T
         x, y = self._place(along)
         return np.stack((x, y, up, pitch), axis=-1)
 

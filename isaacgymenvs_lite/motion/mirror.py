@@ -1,0 +1,59 @@
+"""The mirror image of a clip in the plane y = 0: left becomes right."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+
+# A mirror keeps turns about y, which lies across it, and reverses those about x and z.
+_VECTOR = np.array([1.0, -1.0, 1.0])
+_TURN_VECTOR = np.array([-1.0, 1.0, -1.0])
+_TURN = np.array([-1.0, 1.0, -1.0, 1.0])
+
+
+def partners(body_names: Sequence[str]) -> list[int]:
+    """Return for each body the index of its mirror image: left_x for right_x, itself for others.
+
+    Raises:
+        ValueError: a body has no mirror image.
+    """
+    images = [_other_side(name) for name in body_names]
+    for name, image in zip(body_names, images, strict=True):
+        if image not in body_names:
+            raise ValueError(
+                f"'{name}' has no mirror image '{image}' among {', '.join(body_names)}"
+            )
+    return [body_names.index(image) for image in images]
+
+
+def mirror_rotations(body_names: Sequence[str], rotation: FloatArray) -> FloatArray:
+    """Return the mirror image of rotations (..., J, 4) xyzw, relative to parents or to the world.
+
+    The bodies' frames must mirror each other, as those of the humanoid do.
+    """
+    return np.asarray(rotation)[..., partners(body_names), :] * _TURN.astype(rotation.dtype)
+
+
+def mirror_clip(clip: MotionClip, name: str) -> MotionClip:
+    """Return the mirror image of a clip, called `name`; raises as `partners`."""
+    order = partners(clip.body_names)
+    vector, turn_vector = (v.astype(clip.root_translation.dtype) for v in (_VECTOR, _TURN_VECTOR))
+    return dataclasses.replace(
+        clip,
+        name=name,
+        local_rotation=mirror_rotations(clip.body_names, clip.local_rotation),
+        root_translation=clip.root_translation * vector,
+        linear_velocity_w=clip.linear_velocity_w[:, order] * vector,
+        angular_velocity_w=clip.angular_velocity_w[:, order] * turn_vector,
+    )
+
+
+def _other_side(name: str) -> str:
+    swap = {"right": "left", "left": "right"}
+    side, _, part = name.partition("_")
+    return f"{swap[side]}_{part}" if side in swap else name
