@@ -1,1 +1,1 @@
-"""Generators of the shipped clips: gaits from published data, planned moves (docs/shipped_clips.md)."""
+"""Generators of the shipped clips: gaits from tables, planned moves (docs/shipped_clips.md)."""
