@@ -11,7 +11,7 @@ import pytest
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, model_checks
+from isaacgymenvs_lite.motion.synthesis import checks, dynamics, model_checks
 
 SOLE_BELOW_ROOT_M = 0.421546 + 0.40987 + 0.05
 
@@ -139,6 +139,41 @@ def test_forces_of_a_throw(humanoid: Skeleton) -> None:
     root[:, 2] += 2.0 * times_s - 0.5 * 9.81 * times_s**2
     force = model_checks.ground_force(standing(humanoid, root), humanoid, model)
     np.testing.assert_allclose(force, 0.0, atol=1e-9)
+
+
+def test_pressure_is_under_a_body_that_rests(humanoid: Skeleton) -> None:
+    """And as far behind one that is pushed forward as its height times a / g."""
+    model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf/amp_humanoid.xml"))
+    root = root_path(9)
+    clip = standing(humanoid, root)
+    np.testing.assert_array_equal(model_checks.pressure_outside(clip, humanoid, model), 0.0)
+    root[:, 0] = 0.5 * 3.0 * (np.arange(9) / 10.0) ** 2  # 3 m/s^2
+    pushed = standing(humanoid, root)
+    com = dynamics.centres_of_mass(model, model_checks._poses(clip, humanoid))[0]
+    # The zero pose stands from 0.0435 m behind its ankles.
+    expected = com[2] * 3.0 / 9.81 - com[0] - 0.0435
+    assert expected > 0.1
+    np.testing.assert_allclose(
+        model_checks.pressure_outside(pushed, humanoid, model), expected, atol=1e-6
+    )
+
+
+def test_moment_of_a_body_that_begins_to_turn(humanoid: Skeleton) -> None:
+    """About z it is the moment of inertia times the angular acceleration, 2 rad/s^2."""
+    model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf/amp_humanoid.xml"))
+    times_s = np.arange(9) / 10.0
+    clip = turned(standing(humanoid, root_path(9)), 0, 2, 0.5 * 2.0 * times_s**2)
+    found = dynamics.moments(model, model_checks._poses(clip, humanoid), 10.0)[2:-2]
+    # The inertia of the zero pose about the root, less that of its mass at the centre of mass.
+    data = mujoco.MjData(model)
+    data.qpos[:] = model_checks._poses(standing(humanoid, root_path(2)), humanoid)[0]
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    armature = float(model.dof_armature[5])
+    x, y, _ = data.subtree_com[1] - data.qpos[:3]
+    about_com = inertia[5, 5] - armature - float(model.body_subtreemass[1]) * (x * x + y * y)
+    np.testing.assert_allclose(found[:, 2], 2.0 * about_com, rtol=1e-3)
 
 
 def test_self_contact(humanoid: Skeleton) -> None:

@@ -62,14 +62,14 @@ def test_joints_stay_within_their_limits(clip: MotionClip, humanoid: Skeleton) -
 
 
 def test_joint_speeds_change_smoothly(clip: MotionClip, humanoid: Skeleton) -> None:
-    """From frame to frame, at 30 fps, the trunk by 2 rad/s at most and the legs by 12.
+    """From frame to frame, at 30 fps, the trunk by 2 rad/s at most and the legs by 16.
 
     The walk from published tables reaches 12 rad/s in a frame of half that time.
     """
     speeds = np.diff(checks.dof_positions(clip, humanoid), axis=0) * clip.fps
     steps = np.abs(np.diff(speeds, axis=0))
     assert steps[:, :6].max() < 2.0  # abdomen and neck
-    assert steps.max() < 12.0
+    assert steps.max() < 16.0
 
 
 def test_bodies_do_not_touch_each_other(

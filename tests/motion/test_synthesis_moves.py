@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
 from isaacgymenvs_lite.motion.synthesis.model_checks import outside
 from isaacgymenvs_lite.motion.synthesis.moves.balance import plan_com, pressure_path
@@ -17,9 +18,7 @@ from isaacgymenvs_lite.motion.synthesis.moves.contacts import (
     FootTrack,
     arc,
     plan_feet,
-    smoothstep,
 )
-from isaacgymenvs_lite.motion.synthesis.moves.generate import MovePlan
 from isaacgymenvs_lite.motion.synthesis.moves.height import (
     highest,
     hop_height,
@@ -29,6 +28,7 @@ from isaacgymenvs_lite.motion.synthesis.moves.height import (
 from isaacgymenvs_lite.motion.synthesis.moves.move import Move, Steps
 from isaacgymenvs_lite.motion.synthesis.moves.move_data import MIRRORED, MOVES
 from isaacgymenvs_lite.motion.synthesis.moves.path import ease, follow
+from isaacgymenvs_lite.motion.synthesis.moves.plan import MovePlan
 
 
 @pytest.fixture

@@ -1,1 +1,1 @@
-"""Generators of the shipped clips (docs/shipped_clips.md): gaits from tables, planned moves."""
+"""Generators of the shipped clips: gaits from tables, planned moves (docs/shipped_clips.md)."""

@@ -1,4 +1,4 @@
-"""Smooth curves over the gait cycle: short Fourier series through coarse tables."""
+"""Smooth curves: short Fourier series through tables over the gait cycle, and cubics."""
 
 from __future__ import annotations
 
@@ -53,6 +53,12 @@ class PeriodicCurve:
         return (np.exp(angles) @ self.coefficients).real
 
 
+def smoothstep(u: FloatArray | float) -> FloatArray:
+    """Return 3 u^2 - 2 u^3: 0 below u = 0, 1 above u = 1, at rest at both."""
+    u = np.clip(u, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
 def hermite(
     start: tuple[FloatArray, FloatArray],
     end: tuple[FloatArray, FloatArray],
@@ -69,7 +75,7 @@ def hermite(
         u: where to evaluate.
     """
     u = u[:, None]
-    rise = u * u * (3.0 - 2.0 * u)
+    rise = smoothstep(u)
     start_slope = u * (1.0 - u) ** 2 * span
     end_slope = u * u * (u - 1.0) * span
     return (1.0 - rise) * start[0] + rise * end[0] + start_slope * start[1] + end_slope * end[1]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
 from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
 
@@ -36,9 +37,8 @@ class Stance:
         """Return the pitch (n) in rad at phases (n) in [0, duty]."""
         gait = self.gait
         strike, toe_off = np.radians((gait.strike_pitch_deg, gait.toe_off_pitch_deg))
-        down = np.clip(phase / gait.foot_flat, 0.0, 1.0)
         roll = np.clip((phase - gait.heel_off) / (gait.duty - gait.heel_off), 0.0, 1.0)
-        return strike * (1.0 - down * down * (3.0 - 2.0 * down)) + toe_off * roll * roll
+        return strike * (1.0 - smoothstep(phase / gait.foot_flat)) + toe_off * roll * roll
 
     def pose(self, phase: FloatArray) -> FloatArray:
         """Return the poses (n, 4) at phases (n) in [0, duty]."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.synthesis.com_plan import GRAVITY
-from isaacgymenvs_lite.motion.synthesis.cycle import hermite
+from isaacgymenvs_lite.motion.synthesis.cycle import hermite, smoothstep
 from isaacgymenvs_lite.motion.synthesis.leg import Leg
 from isaacgymenvs_lite.motion.synthesis.moves.move import Hop, Move, Steps
 from isaacgymenvs_lite.motion.synthesis.moves.path import Path
@@ -137,12 +137,6 @@ class FootTrack:
     def _middle_m(self) -> float:
         """How far the middle of the sole is ahead of the ankle."""
         return 0.5 * (self.leg.toe_m - self.leg.heel_m)
-
-
-def smoothstep(u: FloatArray | float) -> FloatArray:
-    """Return 3 u^2 - 2 u^3, 0 below u = 0 and 1 above u = 1."""
-    u = np.clip(u, 0.0, 1.0)
-    return u * u * (3.0 - 2.0 * u)
 
 
 def minimum_jerk(u: FloatArray) -> FloatArray:

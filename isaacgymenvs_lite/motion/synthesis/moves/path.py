@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
 from isaacgymenvs_lite.motion.synthesis.moves.move import Knots
 
 _STEP_S = 1.0 / 480.0
@@ -21,8 +22,7 @@ def ease(knots: Knots, times_s: FloatArray) -> FloatArray:
     table = np.asarray(knots, dtype=np.float64)
     place = np.interp(times_s, table[:, 0], np.arange(len(table)))
     row = np.minimum(place.astype(int), max(len(table) - 2, 0))
-    u = (place - row)[:, None]
-    rise = u * u * (3.0 - 2.0 * u)
+    rise = smoothstep((place - row)[:, None])
     after = table[np.minimum(row + 1, len(table) - 1), 1:]
     return table[row, 1:] * (1.0 - rise) + after * rise
 
