@@ -7,9 +7,10 @@ The first trains HumanoidAMP with its default settings for some epochs and print
 
 - the frames per second of whole epochs,
 - a table of where the time of an epoch went, measured around the agent's own calls,
-- the sum of the parts that cannot be avoided, timed separately on the same shapes (raw
+- the sum of the parts that cannot be avoided, timed between the epochs on the same shapes (raw
   `Batch.step`, network outputs for acting, discriminator outputs for the reward, gradient steps on
-  fixed tensors), and what share of the speed of that sum the training reaches.
+  fixed tensors), and what share of the speed of that sum the training reaches: the median over the
+  epochs, each against the parts that were timed right after it.
 
 `--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and
 as the published loop does (B): float32, torch's own threads, the critic evaluated for all rows
@@ -19,6 +20,7 @@ after every step. Prints the ratio.
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import statistics
 import subprocess
@@ -46,7 +48,6 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 # Until the replay buffer is full: its memory is touched for the first time before that.
 _WARM_UP_EPOCHS = 14
-_REPEATS = 5
 
 # Calls that are timed, from the outside in: the time of an inner one does not count for its outer.
 _TIMED: tuple[tuple[type, str, str], ...] = (
@@ -103,8 +104,15 @@ class TrainedEnoughError(Exception):
     """Ends a training from inside."""
 
 
-def train(args: argparse.Namespace, at_end: Callable[[Any, list[float]], str]) -> str:
-    """Train for the epochs asked for; return at_end(agent, seconds of each epoch)."""
+def train(
+    args: argparse.Namespace,
+    at_end: Callable[[Any, list[float]], str],
+    between: Callable[[Any], None] = lambda agent: None,
+) -> str:
+    """Train for the epochs asked for, each followed by between(agent), which is not timed.
+
+    Returns at_end(agent, seconds of each epoch).
+    """
     units = f"[{','.join(map(str, args.units))}]"
     cfg = compose(
         [
@@ -118,17 +126,22 @@ def train(args: argparse.Namespace, at_end: Callable[[Any, list[float]], str]) -
         ]
     )
     seed_everything(0)
-    marks: list[float] = []
+    starts: list[float] = []
+    seconds: list[float] = []
     text = ""
     epoch = AMPAgent.train_epoch
 
     def counted(agent: Any) -> Any:
         nonlocal text
-        marks.append(time.perf_counter())
-        if len(marks) == _WARM_UP_EPOCHS + args.epochs + 1:
-            pairs = zip(marks[_WARM_UP_EPOCHS:], marks[_WARM_UP_EPOCHS + 1 :], strict=False)
-            text = at_end(agent, [after - before for before, after in pairs])
+        if starts:
+            seconds.append(time.perf_counter() - starts[-1])
+        measured = seconds[_WARM_UP_EPOCHS:]
+        if measured:
+            between(agent)
+        if len(measured) == args.epochs:
+            text = at_end(agent, measured)
             raise TrainedEnoughError
+        starts.append(time.perf_counter())
         return epoch(agent)
 
     AMPAgent.train_epoch = counted  # type: ignore[method-assign]
@@ -176,18 +189,32 @@ def profile(args: argparse.Namespace) -> None:
         rows.append(("not in any of these", total - sum(spent.values())))
         for label, value in rows:
             lines.append(f"| {label} | {1e3 * value / count:.1f} | {100 * value / total:.1f}% |")
-        parts = time_parts(agent)
-        lines.append("\n| part, timed separately | ms per epoch |\n|---|---|")
-        lines += [f"| {label} | {1e3 * value:.1f} |" for label, value in parts.items()]
-        limit = agent.batch_size / sum(parts.values())
-        lines.append(f"\nlimit {limit:,.0f} frames/s; training / limit = {fps / limit:.3f}")
+        lines.append("\n| part, timed between the epochs | ms per epoch |\n|---|---|")
+        medians = {label: statistics.median(values) for label, values in parts.items()}
+        lines += [f"| {label} | {1e3 * value:.1f} |" for label, value in medians.items()]
+        limits = [sum(values) for values in zip(*parts.values(), strict=True)]
+        ratios = [limit / epoch for limit, epoch in zip(limits, seconds, strict=True)]
+        limit_fps = agent.batch_size / statistics.median(limits)
+        lines.append(
+            f"\nlimit {limit_fps:,.0f} frames/s; training / limit median"
+            f" {statistics.median(ratios):.3f} (min {min(ratios):.3f}, max {max(ratios):.3f})"
+        )
         return "\n".join(lines)
 
-    print(train(args, report))
+    parts: dict[str, list[float]] = {}
+
+    def between(agent: Any) -> None:
+        for label, value in time_parts(agent).items():
+            parts.setdefault(label, []).append(value)
+
+    print(train(args, report, between))
 
 
 def time_parts(agent: Any) -> dict[str, float]:
-    """Return the seconds that an epoch's unavoidable parts take, each timed alone."""
+    """Return the seconds that an epoch's unavoidable parts take, each timed alone.
+
+    The agent is left as it was.
+    """
     env, network = agent.vec_env.env, agent.model.a2c_network
     simulation = env.simulation
     raw = Batch(simulation.model, env.num_envs, simulation.num_threads)
@@ -233,17 +260,22 @@ def time_parts(agent: Any) -> dict[str, float]:
         "discriminator on the rollout": reward,
         f"gradient steps on fixed tensors, {steps} times": gradients,
     }
-    return {label: _median_s(part) for label, part in parts.items()}
+    weights = copy.deepcopy(agent.model.state_dict())
+    optimizer = copy.deepcopy(agent.optimizer.state_dict())
+    seconds = {label: _least_s(part) for label, part in parts.items()}
+    agent.model.load_state_dict(weights)
+    agent.optimizer.load_state_dict(optimizer)
+    return seconds
 
 
-def _median_s(part: Callable[[], None]) -> float:
-    part()
+def _least_s(part: Callable[[], None]) -> float:
+    """Return the time of the second of two calls, or of the first if that was quicker."""
     times = []
-    for _ in range(_REPEATS):
+    for _ in range(2):
         start = time.perf_counter()
         part()
         times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    return min(times)
 
 
 def published_loop(args: argparse.Namespace) -> None:
