@@ -11,6 +11,7 @@ import pytest
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
@@ -104,6 +105,20 @@ def controls_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[VecTask], list[Ten
         return seen
 
     return note
+
+
+@pytest.fixture
+def hold_pose() -> Callable[[HumanoidAMPBase], Tensor]:
+    """Return `hold_pose(task)`, actions (N, D) whose PD targets are the joints' positions of now.
+
+    Within +-1, so that joints may stay away from targets that no action reaches.
+    """
+
+    def actions(task: HumanoidAMPBase) -> Tensor:
+        wanted = (task.simulation.dof_pos - task._action_offset) / task._action_scale
+        return wanted.clamp(-1.0, 1.0)
+
+    return actions
 
 
 @pytest.fixture(autouse=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -29,18 +30,23 @@ def _pose(task: HumanoidASE, height: float, rotation: list[float], **dofs: float
     sim.write_state(torch.arange(n), root, dof_pos, torch.zeros_like(dof_pos))
 
 
-def _two_steps(task: HumanoidASE) -> tuple[list[int], list[int]]:
-    """Terminate flags of the first and of the second step of an episode that keeps its pose."""
-    actions = (task.simulation.dof_pos - task._action_offset) / task._action_scale
-    first = task.step(actions)[-1]["terminate"].tolist()
-    return first, task.step(actions)[-1]["terminate"].tolist()
+@pytest.fixture
+def two_steps(hold_pose) -> Callable[[HumanoidASE], tuple[list[int], list[int]]]:
+    """Return `two_steps(task)`: terminate flags of the first and second step in the task's pose."""
+
+    def flags(task: HumanoidASE) -> tuple[list[int], list[int]]:
+        actions = hold_pose(task)
+        first = task.step(actions)[-1]["terminate"].tolist()
+        return first, task.step(actions)[-1]["terminate"].tolist()
+
+    return flags
 
 
-def test_a_fall_ends_the_episode_but_not_in_its_first_step(make_ase) -> None:
+def test_a_fall_ends_the_episode_but_not_in_its_first_step(make_ase, two_steps) -> None:
     task = make_ase(1, stateInit="Default")
     task.reset()
     _pose(task, *ON_ITS_BACK)
-    assert _two_steps(task) == ([0], [1])
+    assert two_steps(task) == ([0], [1])
     assert task.reset_buf.tolist() == [1]
     assert not task.timeout_buf.any()
     task.reset_done()
@@ -59,18 +65,18 @@ def test_heights_of_the_specification(make_ase) -> None:
     torch.testing.assert_close(high._termination_heights_m, torch.full((17,), 0.5))
 
 
-def test_a_head_below_30_cm_is_a_fall(make_ase) -> None:
+def test_a_head_below_30_cm_is_a_fall(make_ase, two_steps) -> None:
     task = make_ase(1, stateInit="Default")
     task.reset()
     _pose(task, *ON_ITS_HEAD)
-    assert _two_steps(task) == ([0], [1])
+    assert two_steps(task) == ([0], [1])
     heights = task.simulation.body_pos[0, :, 2]
     assert 0.15 < heights[HEAD] < 0.3
     # Nothing else is low.
     assert heights.min() > 0.15
 
 
-def test_the_arm_with_the_shield_below_32_cm_is_a_fall(make_ase) -> None:
+def test_the_arm_with_the_shield_below_32_cm_is_a_fall(make_ase, two_steps) -> None:
     # Sitting, legs and lower arms stretched forward; the shield (radius 0.3 m) is 2 mm above the
     # floor. Only it and its arm may not be low.
     def sits_on(contact_bodies: list[str]) -> HumanoidASE:
@@ -85,37 +91,37 @@ def test_the_arm_with_the_shield_below_32_cm_is_a_fall(make_ase) -> None:
     names = make_ase(1, armed=True).simulation.body_names
     may_touch = [name for name in names if name not in ("left_lower_arm", "shield")]
     task = sits_on(may_touch)
-    assert _two_steps(task) == ([0], [1])
+    assert two_steps(task) == ([0], [1])
     heights = task.simulation.body_pos[0, :, 2]
     assert 0.15 < heights[LEFT_LOWER_ARM] < 0.32
     assert heights[SHIELD] > 0.15
     # An arm that may touch the floor is as low, and no fall.
     task = sits_on([*may_touch, "left_lower_arm"])
-    assert _two_steps(task) == ([0], [0])
+    assert two_steps(task) == ([0], [0])
     assert task.simulation.body_pos[0, LEFT_LOWER_ARM, 2] < 0.32
     assert task.simulation.contact_forces[0, SHIELD].abs().max() > 0.1
 
 
-def test_contact_bodies_may_touch_the_floor(make_ase) -> None:
+def test_contact_bodies_may_touch_the_floor(make_ase, two_steps) -> None:
     task = make_ase(1, stateInit="Default", contactBodies=list(make_ase(1).simulation.body_names))
     task.reset()
     _pose(task, *ON_ITS_BACK)
-    assert _two_steps(task) == ([0], [0])
+    assert two_steps(task) == ([0], [0])
 
 
-def test_without_early_termination_only_time_ends_an_episode(make_ase) -> None:
+def test_without_early_termination_only_time_ends_an_episode(make_ase, two_steps) -> None:
     task = make_ase(1, stateInit="Default", enableEarlyTermination=False, episodeLength=4)
     task.reset()
     _pose(task, *ON_ITS_BACK)
-    assert _two_steps(task) == ([0], [0])
+    assert two_steps(task) == ([0], [0])
     *_, dones, infos = task.step(task.zero_actions())
     assert (dones.tolist(), infos["terminate"].tolist()) == ([1], [0])
     assert infos["time_outs"].tolist() == [True]
 
 
 @pytest.mark.parametrize("goal", ["heading", "strike"])
-def test_a_fall_ends_episodes_with_a_goal_too(make_ase, goal: str) -> None:
+def test_a_fall_ends_episodes_with_a_goal_too(make_ase, two_steps, goal: str) -> None:
     task = make_ase(1, stateInit="Default", goal=goal)
     task.reset()
     _pose(task, *ON_ITS_BACK)
-    assert _two_steps(task) == ([0], [1])
+    assert two_steps(task) == ([0], [1])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -126,28 +128,35 @@ def test_a_lying_box_earns_everything(make) -> None:
 # --- hits -------------------------------------------------------------------------------------
 
 
-def _hit(task: HumanoidStrike, box: list[float], second_step: bool = True) -> dict:
-    """Infos of a step in which the box meets the standing character, its arms bent forward."""
-    task.reset()
-    actions = (torch.zeros(task.num_actions) - task._action_offset) / task._action_scale
-    elbows = [task.simulation.dof_names.index(f"{side}_elbow") for side in ("left", "right")]
-    actions[elbows] = (-0.5 * math.pi - task._action_offset[elbows]) / task._action_scale[elbows]
-    actions = actions.expand(task.num_envs, -1)
-    if second_step:
-        # In an episode's first step nothing fails.
-        _place_box(task, _standing_at(5.0))
-        assert task.step(actions)[-1]["terminate"].tolist() == [0] * task.num_envs
-    root = torch.zeros(task.num_envs, 13)
+@pytest.fixture
+def hit(hold_pose) -> Callable[..., dict[str, Any]]:
+    """Return `hit(task, box, in_first_step=False)`, infos of a step in which the box is met.
+
+    The character stands with its arms bent forward. The hit is in the second step of the episode.
+    """
+
+    def infos_of(task: HumanoidStrike, box: list[float], in_first_step: bool = False) -> Any:
+        task.reset()
+        _bend_arms(task)
+        if not in_first_step:
+            _place_box(task, _standing_at(5.0))
+            infos = task.step(hold_pose(task))[-1]
+            assert infos["terminate"].tolist() == [0] * task.num_envs
+            _bend_arms(task)
+        _place_box(task, box)
+        infos = task.step(hold_pose(task))[-1]
+        assert task.simulation.object_contact_forces[:, 0, :2].abs().amax() > 1.0
+        return infos
+
+    return infos_of
+
+
+def _bend_arms(task: HumanoidStrike) -> None:
+    n, sim = task.num_envs, task.simulation
+    root, dof_pos = torch.zeros(n, 13), torch.zeros(n, task.num_actions)
     root[:, 2], root[:, 6] = 0.89, 1.0
-    dof_pos = torch.zeros(task.num_envs, task.num_actions)
-    dof_pos[:, elbows] = -0.5 * math.pi
-    task.simulation.write_state(
-        torch.arange(task.num_envs), root, dof_pos, torch.zeros_like(dof_pos)
-    )
-    _place_box(task, box)
-    infos = task.step(actions)[-1]
-    assert task.simulation.object_contact_forces[:, 0, :2].abs().amax() > 1.0
-    return infos
+    dof_pos[:, [sim.dof_names.index(f"{side}_elbow") for side in ("left", "right")]] = -math.pi / 2
+    sim.write_state(torch.arange(n), root, dof_pos, torch.zeros_like(dof_pos))
 
 
 # To the right of the middle, so that the left arm is not met; it moves towards the character.
@@ -157,27 +166,27 @@ BESIDE_THE_SHOULDER = [-0.15, 0.18311 + 0.045 + 0.2 - 0.005, 0.9, 0.0, 0.0, 0.0,
 BESIDE_THE_SHOULDER[8] = -1.0
 
 
-def test_a_hit_with_the_hand_is_allowed(make) -> None:
+def test_a_hit_with_the_hand_is_allowed(make, hit) -> None:
     task = make(1, stateInit="Default")
-    infos = _hit(task, BEFORE_THE_HAND)
+    infos = hit(task, BEFORE_THE_HAND)
     assert infos["terminate"].tolist() == [0]
     hand = task.simulation.body_names.index("right_hand")
     assert task.simulation.contact_forces[0, hand].abs().max() > 1.0
 
 
-def test_a_hit_with_another_body_fails_the_episode(make) -> None:
+def test_a_hit_with_another_body_fails_the_episode(make, hit) -> None:
     task = make(1, stateInit="Default")
-    infos = _hit(task, BESIDE_THE_SHOULDER)
+    infos = hit(task, BESIDE_THE_SHOULDER)
     assert infos["terminate"].tolist() == [1]
     assert task.reset_buf.tolist() == [1]
     assert infos["time_outs"].tolist() == [False]
 
 
-def test_strike_body_names_are_a_key(make) -> None:
-    infos = _hit(make(1, stateInit="Default", strikeBodyNames=["head"]), BEFORE_THE_HAND)
+def test_strike_body_names_are_a_key(make, hit) -> None:
+    infos = hit(make(1, stateInit="Default", strikeBodyNames=["head"]), BEFORE_THE_HAND)
     assert infos["terminate"].tolist() == [1]
     arm = ["left_upper_arm", "left_lower_arm", "left_hand"]
-    infos = _hit(make(1, stateInit="Default", strikeBodyNames=arm), BESIDE_THE_SHOULDER)
+    infos = hit(make(1, stateInit="Default", strikeBodyNames=arm), BESIDE_THE_SHOULDER)
     assert infos["terminate"].tolist() == [0]
 
 
@@ -191,14 +200,14 @@ def test_by_default_sword_hand_and_lower_arm_may_strike(make) -> None:
     assert striking(armed=False) == ["right_hand", "right_lower_arm"]
 
 
-def test_a_hit_in_the_first_step_does_not_count(make) -> None:
-    infos = _hit(make(1, stateInit="Default"), BESIDE_THE_SHOULDER, second_step=False)
+def test_a_hit_in_the_first_step_does_not_count(make, hit) -> None:
+    infos = hit(make(1, stateInit="Default"), BESIDE_THE_SHOULDER, in_first_step=True)
     assert infos["terminate"].tolist() == [0]
 
 
-def test_without_early_termination_a_hit_ends_nothing(make) -> None:
+def test_without_early_termination_a_hit_ends_nothing(make, hit) -> None:
     task = make(1, stateInit="Default", enableEarlyTermination=False)
-    infos = _hit(task, BESIDE_THE_SHOULDER)
+    infos = hit(task, BESIDE_THE_SHOULDER)
     assert infos["terminate"].tolist() == [0]
     assert task.reset_buf.tolist() == [0]
 
