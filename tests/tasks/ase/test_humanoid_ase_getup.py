@@ -54,6 +54,12 @@ def _all_fell(task: HumanoidASEGetup) -> None:
     task._terminate_buf.fill_(1)
 
 
+def _all_start_anew(task: HumanoidASEGetup) -> None:
+    """Reset without anybody going on: the flags of falls are up before the first reset."""
+    task._terminate_buf.zero_()
+    task.reset()
+
+
 # --- fallen states ----------------------------------------------------------------------------
 
 
@@ -153,12 +159,6 @@ def test_after_a_time_out_nobody_goes_on(make) -> None:
     assert infos["terminate"].tolist() == [0] * 4
     task.reset_done()
     assert torch.allclose(_heights(task), torch.tensor(NORMAL_HEIGHT_M))
-
-
-def _all_start_anew(task: HumanoidASEGetup) -> None:
-    """Reset without anybody going on: the flags of falls are up before the first reset."""
-    task._terminate_buf.zero_()
-    task.reset()
 
 
 def test_the_first_episodes_may_go_on_from_the_fall(make) -> None:
