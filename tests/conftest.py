@@ -1,4 +1,4 @@
-"""What tests of several rooms share: a small clip of the humanoid."""
+"""What tests of several rooms share: a small clip of each humanoid."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.npz import save_npz
-from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
@@ -23,7 +23,18 @@ def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     The root is at x = t, y = 0, z = 0.88 + 0.05 t (m, s): the height tells the time. Velocities
     are those that the library computes from the poses.
     """
-    skeleton = skeleton_for_num_dofs(28)
+    path = tmp_path_factory.mktemp("motions") / "walk.npz"
+    return save_npz(path, _walk(skeleton_for_num_dofs(28)))
+
+
+@pytest.fixture(scope="session")
+def armed_walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the same of the humanoid with sword and shield."""
+    path = tmp_path_factory.mktemp("armed_motions") / "walk.npz"
+    return save_npz(path, _walk(skeleton_for_num_dofs(31)))
+
+
+def _walk(skeleton: Skeleton) -> MotionClip:
     t = np.arange(_NUM_FRAMES) / _FPS
     swing = 0.2 * np.sin(2.0 * np.pi * t / 1.2)
     local_rotation = np.zeros((_NUM_FRAMES, skeleton.num_bodies, 4))
@@ -46,7 +57,7 @@ def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
             vector[:, 1] = bent if "shin" in skeleton.body_names[body] else -bent
         local_rotation[:, body] = Rotation.from_rotvec(vector).as_quat()
     root = np.stack((t, np.zeros_like(t), 0.88 + 0.05 * t), axis=1)
-    clip = MotionClip.from_poses(
+    return MotionClip.from_poses(
         "walk.npz",
         _FPS,
         skeleton.body_names,
@@ -55,4 +66,3 @@ def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
         local_rotation,
         root,
     )
-    return save_npz(tmp_path_factory.mktemp("motions") / "walk.npz", clip)

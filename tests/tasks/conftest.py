@@ -1,4 +1,4 @@
-"""Makers of the humanoid task, without Hydra: the keys of cfg/task/HumanoidAMP.yaml by hand."""
+"""Makers of the humanoids' tasks, without Hydra: the keys of cfg/task by hand."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from torch import Tensor
 
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 MakeHumanoid = Callable[..., HumanoidAMP]
+MakeASE = Callable[..., HumanoidASE]
+
+# Key bodies of ASE's files for the humanoid with sword and shield.
+_ARMED_KEY_BODIES = ["right_hand", "left_hand", "right_foot", "left_foot", "sword", "shield"]
 
 
 @pytest.fixture
@@ -54,6 +61,64 @@ def make_humanoid(humanoid_cfg: Callable[..., dict[str, Any]]) -> Iterator[MakeH
     yield make
     for task in made:
         task.close()
+
+
+@pytest.fixture
+def make_ase(make_humanoid: MakeHumanoid, armed_walk_clip: Path) -> MakeASE:
+    """Return `make_ase(num_envs=4, cls=HumanoidASE, armed=False, sim=None, **env)`.
+
+    A task at ASE's 1/60 s; `armed`: with sword and shield. Keywords are keys of `task.env`.
+    """
+
+    def make(
+        num_envs: int = 4,
+        cls: type[HumanoidASE] = HumanoidASE,
+        armed: bool = False,
+        sim: dict[str, Any] | None = None,
+        **env: Any,
+    ) -> Any:
+        if armed:
+            env = {
+                "asset": {"assetFileName": "mjcf/amp_humanoid_sword_shield.xml"},
+                "keyBodies": _ARMED_KEY_BODIES,
+                "motion_file": str(armed_walk_clip),
+                **env,
+            }
+        return make_humanoid(num_envs, cls=cls, sim={"dt": 1.0 / 60.0, **(sim or {})}, **env)
+
+    return make
+
+
+@pytest.fixture
+def controls_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[VecTask], list[Tensor]]:
+    """Return `controls_of(task)`, a list that the controls are added to that the task sets."""
+
+    def note(task: VecTask) -> list[Tensor]:
+        seen: list[Tensor] = []
+        set_controls = task.simulation.set_controls
+
+        def noting(controls: Tensor) -> None:
+            seen.append(controls.clone())
+            set_controls(controls)
+
+        monkeypatch.setattr(task.simulation, "set_controls", noting)
+        return seen
+
+    return note
+
+
+@pytest.fixture
+def hold_pose() -> Callable[[HumanoidAMPBase], Tensor]:
+    """Return `hold_pose(task)`, actions (N, D) whose PD targets are the joints' positions of now.
+
+    Within +-1, so that joints may stay away from targets that no action reaches.
+    """
+
+    def actions(task: HumanoidAMPBase) -> Tensor:
+        wanted = (task.simulation.dof_pos - task._action_offset) / task._action_scale
+        return wanted.clamp(-1.0, 1.0)
+
+    return actions
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gymnasium
@@ -18,17 +18,24 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 NUM_ENVS = 5
 
 
+# What these show does not depend on chance.
+DETERMINISTIC = {"HumanoidViewMotion"}
+
+
 @pytest.fixture(params=sorted(isaacgym_task_map))
-def make_task(
-    request: pytest.FixtureRequest, walk_clip: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator:
-    """Return a maker of the task, with a motion clip of the test where it wants one."""
-    monkeypatch.chdir(walk_clip.parent)
+def task_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask]]:
+    """Return `make_task(*overrides, seed=0)`, a maker of the task, with a clip of the test."""
     made: list[VecTask] = []
 
-    def make(seed: int = 0) -> VecTask:
+    def make(*overrides: str, seed: int = 0) -> VecTask:
         torch.manual_seed(seed)
-        cfg = compose([f"task={request.param}", f"num_envs={NUM_ENVS}", "num_threads=1"])
+        fixed = (f"num_envs={NUM_ENVS}", "num_threads=1", f"task.env.motion_file={walk_clip}")
+        cfg = compose([f"task={task_name}", *fixed, *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
         return made[-1]
 
@@ -70,15 +77,15 @@ def test_steps_meet_the_spaces(make_task) -> None:
         assert not (time_outs & (dones == 0)).any()
 
 
-def test_the_same_seed_gives_the_same_course(make_task) -> None:
+def test_the_same_seed_gives_the_same_course(make_task, task_name: str) -> None:
     def course(seed: int) -> list[bytes]:
-        task = make_task(seed)
+        task = make_task("task.env.stateInit=Random", seed=seed)
         task.reset_done()
         return [step[0]["obs"].numpy().tobytes() for step in _random_steps(task, 20)]
 
     first = course(0)
     assert course(0) == first
-    assert course(1) != first
+    assert (course(1) == first) == (task_name in DETERMINISTIC)
 
 
 def test_a_closed_task_cannot_be_stepped(make_task) -> None:

@@ -28,6 +28,8 @@ class HumanoidASEGetup(HumanoidASE):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._fallen_root_states, self._fallen_dof_pos = self._let_fall()
+        # Some of the first episodes go on from here: as if all had been lying for a while.
+        self._amp_obs_buf.copy_(self._amp_features_now(None).unsqueeze(1))
 
     def allocate_buffers(self) -> None:
         """Add the control steps that each character has left to get up, (N,)."""
@@ -71,7 +73,9 @@ class HumanoidASEGetup(HumanoidASE):
     def _reset_actors(self, env_ids: Tensor) -> None:
         """Let some go on lying, lay some down, and start the others as HumanoidASE."""
         cfg = self.env_cfg
-        fell = self._terminate_buf.index_select(0, env_ids) == 1
+        # A diverged simulation counts as a fall, but has no pose to go on from.
+        lies_there = (self._terminate_buf == 1) & ~self.simulation.failed
+        fell = lies_there.index_select(0, env_ids)
         recovers = fell & self._drawn(env_ids, cfg.recovery_episode_prob)
         lies = ~recovers & self._drawn(env_ids, cfg.fall_init_prob)
         self._going_on_ids = env_ids[recovers]

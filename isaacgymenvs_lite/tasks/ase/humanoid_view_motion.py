@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import mujoco
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import HumanoidASEConfig
 
 
 class HumanoidViewMotion(HumanoidASE):
@@ -17,11 +19,15 @@ class HumanoidViewMotion(HumanoidASE):
     Actions have no effect. A step is one control step of playback, and an episode one clip.
     """
 
-    def _read_env_config(self, env: dict[str, Any]) -> Any:
-        self._playback_calls = super()._read_env_config(env).control_freq_inv
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.dt = self._playback_dt
+
+    def _read_env_config(self, env: dict[str, Any]) -> HumanoidASEConfig:
+        config = super()._read_env_config(env)
+        self._playback_dt = config.control_freq_inv * self.sim_cfg.dt
         # One simulator call a step: what it computes is overwritten.
-        env.update(controlFrequencyInv=1, pdControl=False)
-        return super()._read_env_config(env)
+        return dataclasses.replace(config, control_freq_inv=1, pd_control=False)
 
     def _change_model(self, spec: mujoco.MjSpec) -> None:
         super()._change_model(spec)
@@ -31,7 +37,6 @@ class HumanoidViewMotion(HumanoidASE):
     def allocate_buffers(self) -> None:
         """Add what is played in each environment, (N,)."""
         super().allocate_buffers()
-        self._playback_dt = self._playback_calls * self.sim_cfg.dt
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self._motion_lib.num_motions()
 

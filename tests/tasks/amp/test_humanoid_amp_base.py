@@ -7,7 +7,6 @@ import math
 import mujoco
 import pytest
 import torch
-from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
@@ -25,19 +24,6 @@ ON_ITS_BACK = [0.0, 0.0, 0.085, 0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5), *[0.0
 def make(make_humanoid):
     """Return a maker of the base task: without a motion library."""
     return lambda *args, **env: make_humanoid(*args, cls=HumanoidAMPBase, **env)
-
-
-def _controls(task: HumanoidAMPBase, monkeypatch: pytest.MonkeyPatch) -> list[Tensor]:
-    """Note the controls that a task sets."""
-    seen: list[Tensor] = []
-    set_controls = task.simulation.set_controls
-
-    def noting(controls: Tensor) -> None:
-        seen.append(controls.clone())
-        set_controls(controls)
-
-    monkeypatch.setattr(task.simulation, "set_controls", noting)
-    return seen
 
 
 def _lay_down(task: HumanoidAMPBase, env_ids: list[int]) -> None:
@@ -91,9 +77,9 @@ def test_a_model_of_another_kind_is_refused(make, tmp_path) -> None:
 # --- actions ----------------------------------------------------------------------------------
 
 
-def test_actions_become_pd_targets(make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_actions_become_pd_targets(make, controls_of) -> None:
     task = make(3)
-    controls = _controls(task, monkeypatch)
+    controls = controls_of(task)
     actions = torch.zeros(3, 28)
     actions[1], actions[2] = 0.5, -9.0  # the last is clamped to -1
     task.step(actions)
@@ -105,9 +91,9 @@ def test_actions_become_pd_targets(make, monkeypatch: pytest.MonkeyPatch) -> Non
         torch.testing.assert_close(controls[0][row], expected, rtol=0.0, atol=2e-6)
 
 
-def test_clip_actions_is_a_key(make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clip_actions_is_a_key(make, controls_of) -> None:
     task = make(1, clipActions=0.25)
-    controls = _controls(task, monkeypatch)
+    controls = controls_of(task)
     task.step(torch.ones(1, 28))
     assert float(controls[0][0, 0]) == pytest.approx(0.25 * math.pi)
 
@@ -141,9 +127,9 @@ def test_a_full_action_turns_a_joint_in_its_direction(make, action: float) -> No
 
 
 @pytest.mark.parametrize("power_scale", [1.0, 0.4])
-def test_torque_mode(make, monkeypatch: pytest.MonkeyPatch, power_scale: float) -> None:
+def test_torque_mode(make, controls_of, power_scale: float) -> None:
     task = make(2, pdControl=False, powerScale=power_scale)
-    controls = _controls(task, monkeypatch)
+    controls = controls_of(task)
     actions = torch.full((2, 28), 0.5)
     actions[1] = torch.linspace(-1.0, 1.0, 28)
     task.step(actions)

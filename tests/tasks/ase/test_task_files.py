@@ -1,0 +1,174 @@
+"""The YAML files of ASE's tasks: what they compose to, and ASE's own files in their place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite import schema
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.tasks import isaacgym_task_map
+from isaacgymenvs_lite.tasks.ase.goals import goal_keys
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
+    HumanoidHeading,
+    HumanoidLocation,
+    HumanoidReach,
+    HumanoidStrike,
+)
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import (
+    GetupConfig,
+    HumanoidASEConfig,
+    read_ase_config,
+)
+from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
+
+# agent of the default train file, goal and stateInit
+TASK_FILES = {
+    "HumanoidASE": ("gen_amp", "none", "Hybrid"),
+    "HumanoidASEGetup": ("gen_amp", "none", "Hybrid"),
+    "HumanoidHeading": ("hrl", "heading", "Default"),
+    "HumanoidLocation": ("hrl", "location", "Default"),
+    "HumanoidPerturb": ("gen_amp", "none", "Default"),
+    "HumanoidReach": ("hrl", "reach", "Default"),
+    "HumanoidStrike": ("hrl", "strike", "Default"),
+    "HumanoidViewMotion": ("gen_amp", "none", "Hybrid"),
+}
+# The keys that all of ASE's files have.
+PUBLISHED = {
+    "envSpacing": 5,
+    "episodeLength": 300,
+    "isFlagrun": False,
+    "enableDebugVis": False,
+    "pdControl": True,
+    "powerScale": 1.0,
+    "controlFrequencyInv": 2,
+    "hybridInitProb": 0.5,
+    "numAMPObsSteps": 10,
+    "localRootObs": True,
+    "contactBodies": ["right_foot", "left_foot"],
+    "terminationHeight": 0.15,
+    "enableEarlyTermination": True,
+    "plane": {"staticFriction": 1.0, "dynamicFriction": 1.0, "restitution": 0.0},
+}
+
+
+def _env(*overrides: str) -> dict[str, Any]:
+    """`task.env` of a composition, checked as before a launch."""
+    cfg = compose([*overrides])
+    check_config(cfg)
+    env = OmegaConf.to_container(cfg.task.env, resolve=True)
+    assert isinstance(env, dict)
+    return {str(key): value for key, value in env.items()}
+
+
+# --- our files --------------------------------------------------------------------------------
+
+
+def test_every_task_of_ase_has_its_files_here() -> None:
+    assert set(TASK_FILES) == set(isaacgym_task_map) - {"HumanoidAMP"}
+
+
+@pytest.mark.parametrize("task", TASK_FILES)
+def test_a_task_file_composes_with_its_train_file(task: str) -> None:
+    agent, goal, state_init = TASK_FILES[task]
+    cfg = compose([f"task={task}", "num_envs=6"])
+    check_config(cfg)
+    assert (cfg.task.name, cfg.train.params.algo.name) == (task, agent)
+    assert cfg.task.env.numEnvs == cfg.train.params.config.num_actors == 6
+    assert (cfg.task.env.goal, cfg.task.env.stateInit) == (goal, state_init)
+    assert cfg.task.sim.dt == pytest.approx(1.0 / 60.0, abs=1e-15)
+    assert cfg.task.sim.substeps == 2
+
+
+def test_the_goal_follows_the_agent() -> None:
+    assert _env("task=HumanoidASE")["goal"] == "none"
+    assert _env("task=HumanoidASE", "train=HumanoidASEPPO")["goal"] == "none"
+    assert _env("task=HumanoidASE", "train=HumanoidASEHRLPPO")["goal"] == "heading"
+    chosen = ("task=HumanoidASE", "train=HumanoidASEHRLPPO", "task.env.goal=strike")
+    assert _env(*chosen)["goal"] == "strike"
+
+
+def test_values_of_the_file_are_the_defaults_in_the_code() -> None:
+    env = _env("task=HumanoidASE")
+    assert read_ase_config(env) == HumanoidASEConfig()
+    getup = _env("task=HumanoidASEGetup")
+    assert read_ase_config(getup, GetupConfig) == GetupConfig()
+    # All goals' keys are there to be overridden, and have the goals' own values.
+    given = {key: env[key] for key in goal_keys()}
+    assert {key for key, value in given.items() if value is not None} == {
+        *("enableTaskObs", "reachObsRelative"),
+    }
+
+
+def test_values_of_the_file_are_ase_s() -> None:
+    env = _env("task=HumanoidASE")
+    # A viewer's key that ours does without.
+    expected = {key: value for key, value in PUBLISHED.items() if key != "isFlagrun"}
+    assert {key: env[key] for key in expected} == expected
+    getup = _env("task=HumanoidASEGetup")
+    keys = ("recoveryEpisodeProb", "recoverySteps", "fallInitProb")
+    assert [getup[key] for key in keys] == [0.2, 60, 0.1]
+
+
+# --- ASE's files ------------------------------------------------------------------------------
+
+SWORD_AND_SHIELD = {
+    "asset": {"assetFileName": "mjcf/amp_humanoid_sword_shield.xml"},
+    "keyBodies": ["right_hand", "left_hand", "right_foot", "left_foot", "sword", "shield"],
+}
+TIMED = {"enableTaskObs": True, "tarChangeStepsMin": 100, "tarChangeStepsMax": 200}
+
+
+@pytest.mark.parametrize(
+    ("cls", "keys", "num_obs"),
+    [
+        (
+            HumanoidHeading,
+            {
+                **{"tarSpeedMin": 1.5, "tarSpeedMax": 1.6, "enableRandHeading": True},
+                **{"headingChangeStepsMin": 100, "headingChangeStepsMax": 200},
+                "enableTaskObs": True,
+            },
+            258,
+        ),
+        (HumanoidLocation, {**TIMED, "tarSpeed": 1.0, "tarDistMax": 10.0}, 255),
+        (
+            HumanoidReach,
+            {
+                **{"enableTaskObs": True, "tarChangeStepsMin": 50, "tarChangeStepsMax": 100},
+                **{"tarSpeed": 1.0, "tarDistMax": 1.0, "tarHeightMin": 0.2, "tarHeightMax": 2.0},
+                "reachBodyName": "sword",
+            },
+            256,
+        ),
+        (
+            HumanoidStrike,
+            {
+                "enableTaskObs": True,
+                "strikeBodyNames": ["sword", "right_hand", "right_lower_arm"],
+            },
+            268,
+        ),
+        (
+            HumanoidASEGetup,
+            {
+                **{"recoveryEpisodeProb": 0.2, "recoverySteps": 60, "fallInitProb": 0.1},
+                "stateInit": "Hybrid",
+            },
+            253,
+        ),
+    ],
+)
+def test_ase_s_flat_files_work(
+    make_ase, monkeypatch: pytest.MonkeyPatch, caplog, cls, keys, num_obs: int
+) -> None:
+    monkeypatch.setattr(schema, "_reported", set())
+    env = {"stateInit": "Default", **PUBLISHED, **SWORD_AND_SHIELD, **keys}
+    task = make_ase(1, cls=cls, armed=True, **env)
+    assert task.num_obs == num_obs
+    assert task.num_amp_obs == 1400
+    # Every key is read, or known to be without effect.
+    assert not [message for message in caplog.messages if "nothing reads" in message]
