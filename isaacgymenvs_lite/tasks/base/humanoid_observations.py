@@ -214,8 +214,8 @@ def compute_humanoid_reset(
     height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
     touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
     if isinstance(termination_height, Tensor):
-        termination_height = termination_height.unsqueeze(1)
-    low = (height < termination_height).any(dim=0)
+        height, termination_height = height - termination_height.unsqueeze(1), 0.0
+    low = height.amin(dim=0) < termination_height
     fallen = touched & low & (progress_buf > 1)
     return (fallen | timed_out).to(reset_buf.dtype), fallen.to(reset_buf.dtype)
 
