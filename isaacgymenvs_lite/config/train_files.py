@@ -13,8 +13,8 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import plain
 
-# Where IsaacGymEnvs' own files say that train files are.
-_PUBLISHED_FOLDER = ("isaacgymenvs", "cfg", "train")
+# Where the files of IsaacGymEnvs and of ASE say that train files are.
+_PUBLISHED_FOLDERS = (("isaacgymenvs", "cfg", "train"), ("ase", "data", "cfg", "train", "rlg"))
 
 
 def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
@@ -25,7 +25,8 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
 
     Args:
         path: a file, relative to the working directory or to the project's, or the name of one in
-            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of published files means the last.
+            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of IsaacGymEnvs' files and
+            `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
@@ -71,7 +72,7 @@ def _find(path: Path | str) -> Path:
     in_package = folder / file.name
     if in_project.is_file():
         return in_project
-    if file.parts[:-1] == _PUBLISHED_FOLDER and in_package.is_file():
+    if file.parts[:-1] in _PUBLISHED_FOLDERS and in_package.is_file():
         return in_package
     raise ConfigError(
         f"the train file '{path}' does not exist (looked in {Path.cwd()}, {cfg_dir().parent})"

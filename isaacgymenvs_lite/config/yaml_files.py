@@ -1,7 +1,8 @@
-"""Reading YAML files that carry a key twice, alone and through Hydra.
+"""Reading YAML files as they were published, alone and through Hydra.
 
 ASE's train files state `ppo` twice. OmegaConf refuses that; the loader they were written for took
-the last one, and so does this one, with one warning for each file.
+the last one, and so does this one, with one warning for each file. Those of its hierarchies lack
+`llc_checkpoint`, which was an argument of the command line: it can be given without a `+`.
 """
 
 from __future__ import annotations
@@ -87,6 +88,7 @@ class _TolerantFileSource(FileConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         path = Path(self.path, self._normalize_file_name(config_path)).resolve()
         config = read_yaml(path)
+        _add_launch_key(config)
         with path.open(encoding="utf-8") as file:
             header = ConfigSource._get_header_dict(file.read(512))
         return ConfigResult(
@@ -95,6 +97,13 @@ class _TolerantFileSource(FileConfigSource):
             provider=self.provider,
             header=header,
         )
+
+
+def _add_launch_key(config: DictConfig) -> None:
+    agent = OmegaConf.select(config, "params.config")
+    is_whole = "defaults" not in config
+    if is_whole and isinstance(agent, DictConfig) and "llc_config" in agent:
+        agent.setdefault("llc_checkpoint", "")
 
 
 def _last_key_wins(duplicates: list[str]) -> Any:

@@ -49,6 +49,8 @@ _NEEDED = (
     *(f"{_CONFIG}.normalize_{what}" for what in ("input", "value", "amp_input")),
     f"{_CONFIG}.disc_reward",
     f"{_CONFIG}.disc_reward_scale",
+    f"{_CONFIG}.enc_reward_scale",
+    *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
 )
 # Keys of those sections that are nobody's but the training's, or that have no effect.
 _NOT_NEEDED = (
@@ -61,8 +63,12 @@ _NOT_NEEDED = (
     "task.sim.physx",
 )
 _SECTIONS = ("task.env", "train.params.network", _CONFIG)
-# Hidden layers: section of the network -> name in the model.
-_LAYERS = {"mlp": "actor_mlp", "disc": "_disc_mlp"}
+# Hidden layers: section of the network -> pattern of the name in the model.
+_LAYERS = {
+    "mlp": r"actor_mlp(?:\._dense_layers)?",
+    "style": r"actor_mlp\._style_mlp",
+    "disc": r"_disc_mlp",
+}
 # Of the training's own settings, what says nothing elsewhere.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
@@ -228,7 +234,7 @@ def _units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str,
     units: dict[str, dict[int, int]] = {name: {} for name in names}
     for name, layers in units.items():
         for key, weight in model.items():
-            found = re.fullmatch(rf"a2c_network\.{_LAYERS[name]}\.(?:\w+\.)?(\d+)\.weight", key)
+            found = re.fullmatch(rf"a2c_network\.{_LAYERS[name]}\.(?:linears\.)?(\d+)\.weight", key)
             if found and weight.ndim == 2:
                 layers[int(found[1])] = weight.shape[0]
     return {name: [layers[i] for i in sorted(layers)] for name, layers in units.items()}

@@ -103,16 +103,21 @@ def test_running_hydra_job_has_no_influence_and_is_left_alone():
     assert "hydra" not in cfg
 
 
+def names_in(group: str) -> list[str]:
+    """The names of the files of a group that come with the project."""
+    return sorted(path.stem for path in (cfg_dir() / group).glob("*.yaml"))
+
+
 def test_unknown_task_lists_the_tasks(config_dir):
     text = message(["task=HumanoidAMPP"], config_dir)
     assert text.startswith("unknown task 'HumanoidAMPP' (did you mean 'HumanoidAMP'?); choices: ")
-    assert "HumanoidAMP, Mine" in text
+    assert ", ".join(sorted([*names_in("task"), "Mine"])) in text
 
 
 def test_unknown_train_file_lists_the_train_files():
     assert message(["train=HumanoidAMPPO"]) == (
         "unknown train file 'HumanoidAMPPO' (did you mean 'HumanoidAMPPPO'?); "
-        "choices: HumanoidAMPPPO, HumanoidAMPPPOLowGP"
+        f"choices: {', '.join(names_in('train'))}"
     )
 
 
@@ -120,7 +125,21 @@ def test_task_without_a_default_train_file(config_dir):
     text = message(["task=Mine"], config_dir)
     assert "no default train file 'MinePPO'" in text
     assert "train=" in text
-    assert "HumanoidAMPPPO, HumanoidAMPPPOLowGP, OnlyDefaults, Published" in text
+    own = ["Ase", "OnlyDefaults", "Published"]
+    assert ", ".join(sorted([*names_in("train"), *own])) in text
+
+
+def test_a_published_hierarchy_takes_its_low_level_without_a_plus(config_dir):
+    file = config_dir / "train" / "Hrl.yaml"
+    file.write_text("params: {algo: {name: hrl}, config: {llc_config: low.yaml}}\n")
+    key = "train.params.config.llc_checkpoint"
+    cfg = compose(["train=Hrl", f"{key}=low.pth"], config_dir)
+    assert cfg.train.params.config.llc_checkpoint == "low.pth"
+    assert compose(["train=Hrl"], config_dir).train.params.config.llc_checkpoint == ""
+    # A file that builds on ours keeps the low level that ours names.
+    file.write_text("defaults: [HumanoidASEHRLPPO]\nparams: {config: {llc_config: low.yaml}}\n")
+    shipped = compose(["train=HumanoidASEHRLPPO"]).train.params.config.llc_checkpoint
+    assert compose(["train=Hrl"], config_dir).train.params.config.llc_checkpoint == shipped != ""
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,20 @@ def test_bare_name_is_one_of_ours():
     assert on_gpu["config"]["minibatch_size"] == 32768
 
 
+@pytest.mark.parametrize("folder", ["isaacgymenvs/cfg/train", "ase/data/cfg/train/rlg"])
+def test_folders_of_published_files_mean_ours(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = load_train_file(f"{folder}/HumanoidASEPPO.yaml")
+    assert found["params"]["config"]["latent_dim"] == 64
+    with pytest.raises(ConfigError, match="does not exist"):
+        load_train_file(f"other/{folder}/HumanoidASEPPO.yaml")
+
+
+def test_a_path_may_be_relative_to_the_project(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_train_file("cfg/train/HumanoidASEPPO.yaml")["params"]["algo"]["name"] == "gen_amp"
+
+
 def test_wrong_paths(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"did you mean 'HumanoidAMPPPO'\?.*choices"):

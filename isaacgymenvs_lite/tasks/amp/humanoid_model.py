@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig, SimConfig
 
+log = logging.getLogger(__name__)
+
 
 def asset_path(env: HumanoidAMPConfig) -> Path:
     """Return the MJCF that `task.env.asset` names.
@@ -22,6 +25,10 @@ def asset_path(env: HumanoidAMPConfig) -> Path:
         ConfigError: there is no such file.
     """
     root = Path(env.asset.asset_root) if env.asset.asset_root else assets_dir()
+    if not root.is_dir() and (assets_dir() / env.asset.asset_file_name).is_file():
+        # Published files name the assets folder of their own project.
+        log.info("task.env.asset.assetRoot=%s does not exist: using %s", root, assets_dir())
+        root = assets_dir()
     path = root / env.asset.asset_file_name
     if not path.is_file():
         raise ConfigError(

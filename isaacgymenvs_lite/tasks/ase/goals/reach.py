@@ -79,7 +79,7 @@ class Reach(TimedGoal):
         )
         super().attach(simulation, dt_s)
         names = simulation.body_names
-        name = cfg.reach_body_name or next(body for body in _BODIES if body in names)
+        name = cfg.reach_body_name or next((body for body in _BODIES if body in names), "")
         if name not in names:
             raise ConfigError(unknown("task.env.reachBodyName", name, names))
         self._body = names.index(name)

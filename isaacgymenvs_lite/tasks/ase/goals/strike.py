@@ -132,7 +132,7 @@ class Strike(Goal):
             if name not in names:
                 raise ConfigError(unknown("body in task.env.strikeBodyNames:", name, names))
         ids = [names.index(name) for name in wanted or _STRIKE_BODIES if name in names]
-        self._strike_body_ids = torch.tensor(ids, device=simulation.device)
+        self._strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
         self._target = simulation.object_names.index(TARGET_NAME)
 
     def reset(self, env_ids: Tensor) -> None:

@@ -1,0 +1,78 @@
+"""A low-level controller as a packed policy: played, and used by a hierarchy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.learning.low_level_policy import LowLevelPolicy, LowLevelSizes
+from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.policies.launch import playing_overrides
+from isaacgymenvs_lite.policies.packed import pack_policy, read_policy_info
+from isaacgymenvs_lite.runner import run
+
+_CONFIG = "train.params.config"
+_TINY = (
+    "task=HumanoidASE",
+    "task.env.motion_file=stand",
+    "num_envs=4",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=1",
+    "train.params.network.mlp.units=[16,8]",
+    "train.params.network.style.units=[10,6]",
+    "train.params.network.disc.units=[12,6]",
+    f"{_CONFIG}.latent_dim=5",
+    f"{_CONFIG}.mixed_precision=False",
+    f"{_CONFIG}.horizon_length=4",
+    f"{_CONFIG}.mini_epochs=1",
+    f"{_CONFIG}.amp_batch_size=16",
+    f"{_CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{_CONFIG}.amp_replay_buffer_size=64",
+)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A low-level controller after one epoch, in its run folder."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(compose(_TINY))
+    (run_folder,) = (folder / "runs").iterdir()
+    return run_folder / "nn" / "HumanoidASE.pth"
+
+
+def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:
+    info = read_policy_info(pack_policy(checkpoint, "skills"))
+    assert info.units == {"mlp": [16, 8], "style": [10, 6], "disc": [12, 6]}
+    assert (info.task, info.clip) == ("HumanoidASE", "stand")
+    cfg = compose([*playing_overrides("skills"), "num_envs=2"])
+    assert cfg.train.params.config.latent_dim == 5
+    assert cfg.task.env.goal == "none"
+
+
+def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path) -> None:
+    pack_policy(checkpoint, "skills")
+    cfg = compose(
+        ["task=HumanoidHeading", "num_envs=4", "num_threads=1", "task.env.motion_file=stand"]
+    )
+    task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+    train_file = tmp_path / "llc.yaml"
+    train_file.write_text(
+        "defaults: [HumanoidASEPPO]\n"
+        "params:\n"
+        "  network: {mlp: {units: [16, 8]}, style: {units: [10, 6]}, disc: {units: [12, 6]}}\n"
+        "  config: {latent_dim: 5}\n"
+    )
+    sizes = LowLevelSizes.of_task(task)
+    by_name, by_path = (
+        LowLevelPolicy(str(train_file), llc, sizes, "cpu") for llc in ("skills", str(checkpoint))
+    )
+    obs = torch.randn(3, task.num_obs, generator=torch.Generator().manual_seed(0))
+    latents = torch.nn.functional.normalize(torch.ones(3, 5), dim=-1)
+    assert torch.equal(by_name.actions(obs, latents), by_path.actions(obs, latents))
+    task.close()
