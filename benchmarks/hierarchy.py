@@ -36,7 +36,6 @@ from isaacgymenvs_lite.learning.evaluation import evaluate
 from isaacgymenvs_lite.learning.latents import sample_latents
 
 EPISODES = 128
-_FIXED = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +78,11 @@ class GoalReached:
 
     def __str__(self) -> str:
         return f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f}"
+
+
+def fixed_settings() -> dict[str, Any]:
+    """Return what differs from the protocol of imitation."""
+    return {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
 
 
 def measure_skills(player: Any, env: Any) -> Skills:
@@ -129,7 +133,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
     return lambda obs: act(player.obs_to_torch(obs))
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("kind", choices=["skills", "goal"])
@@ -138,10 +142,9 @@ def main() -> None:
     parser.add_argument("--random-latents", action="store_true")
     parser.add_argument("--evaluation-seed", type=int, default=SEED)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument(
-        "--write", action="store_true", help="add the numbers to benchmarks/results"
-    )
-    args = parser.parse_intermixed_args()
+    parser.add_argument("--write", action="store_true", help="add the numbers to --results-dir")
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
+    args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     measure = measure_skills
     if args.kind == "goal":
@@ -153,7 +156,7 @@ def main() -> None:
             found = play_checkpoint(
                 checkpoint,
                 measure,
-                _FIXED,
+                fixed_settings(),
                 args.evaluation_seed,
                 num_threads=args.threads,
                 overrides=tuple(word for word in args.what if "=" in word),
@@ -161,7 +164,10 @@ def main() -> None:
             print(f"{run.label}: {found}", flush=True)
             if args.write:
                 name = f"{run.experiment}{'+random_latents' if args.random_latents else ''}"
-                _write(name, run, checkpoint, asdict(found), args.evaluation_seed)
+                row = _row(name, run, checkpoint, asdict(found), args.evaluation_seed)
+                args.results_dir.mkdir(parents=True, exist_ok=True)
+                with (args.results_dir / f"{name}.jsonl").open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row, allow_nan=False) + "\n")
     except UserError as error:
         sys.exit(f"error: {error}")
 
@@ -185,12 +191,12 @@ def _targets(words: Sequence[str], runs_dir: Path) -> list[tuple[Run, Path]]:
     return found
 
 
-def _write(
+def _row(
     name: str, run: Run, checkpoint: Path, found: dict[str, Any], evaluation_seed: int
-) -> None:
-    """Add a line to the results of an experiment."""
+) -> dict[str, Any]:
+    """Return a line of the results: what was found, and of what."""
     starts = run.starts()
-    row = {
+    return {
         "experiment": name,
         "seed": run.seed,
         "checkpoint": checkpoint.name,
@@ -203,8 +209,6 @@ def _write(
         "commit": ", ".join(dict.fromkeys(start.commit for start in starts)) or None,
         "settings": starts[-1].settings if starts else None,
     }
-    with (RESULTS_DIR / f"{name}.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps(row, allow_nan=False) + "\n")
 
 
 if __name__ == "__main__":

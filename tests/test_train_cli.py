@@ -96,7 +96,7 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
     [
         (
             ["task=Humanoid"],
-            "error: unknown task 'Humanoid' (did you mean 'HumanoidAMP'?); choices",
+            "error: unknown task 'Humanoid' (did you mean 'Humanoid",
         ),
         (["num_env=3"], "error: unknown key 'num_env' (did you mean 'num_envs'?)"),
         (["num_envs=0"], "error: num_envs: got 0, expected a whole number of at least 1"),

@@ -1,0 +1,114 @@
+"""Skills and goals by the protocol, of levels that were trained for an instant."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks import hierarchy
+from benchmarks.runs import Run
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.runner import run as train
+
+CONFIG = "train.params.config"
+TINY = (
+    "task.env.motion_file=stand",
+    "num_envs=4",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=1",
+    "train.params.network.mlp.units=[16,8]",
+    f"{CONFIG}.mixed_precision=False",
+    f"{CONFIG}.horizon_length=4",
+    f"{CONFIG}.mini_epochs=1",
+)
+LOW_LEVEL = (
+    "train.params.network.style.units=[10,6]",
+    "train.params.network.disc.units=[12,6]",
+    f"{CONFIG}.amp_batch_size=16",
+    f"{CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{CONFIG}.amp_replay_buffer_size=64",
+)
+
+
+def train_run(folder: Path, name: str, *settings: str) -> Path:
+    own = [f"+full_experiment_name={name}_seed1", f"+{CONFIG}.train_dir={folder}", "seed=1"]
+    train(compose([*TINY, *settings, *own]))
+    checkpoint = Run.of(folder, name, 1).newest_checkpoint()
+    assert checkpoint is not None
+    return checkpoint
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with runs of a low level, a high level over it, and a policy without levels."""
+    folder = tmp_path_factory.mktemp("runs")
+    threads = torch.get_num_threads()  # runs set them for the whole process
+    low = train_run(folder, "skills", "task=HumanoidASE", *LOW_LEVEL)
+    llc = folder / "llc.yaml"
+    llc.write_text(
+        "defaults: [HumanoidASEPPO]\n"
+        "params: {network: {mlp: {units: [16, 8]}, style: {units: [10, 6]},"
+        " disc: {units: [12, 6]}}}\n"
+    )
+    own = (f"{CONFIG}.llc_config={llc}", f"{CONFIG}.llc_checkpoint={low}")
+    train_run(folder, "heading_hrl", "task=HumanoidHeading", *own)
+    train_run(folder, "heading_ppo", "task=HumanoidHeading", "train=HumanoidASETaskPPO")
+    torch.set_num_threads(threads)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def few_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hierarchy, "EPISODES", 6)
+
+
+def measured(runs: Path, out: Path, *words: str) -> dict:
+    hierarchy.main([*words, "--runs-dir", str(runs), "--write", "--results-dir", str(out)])
+    (file,) = out.iterdir()
+    (line,) = file.read_text().splitlines()
+    return {"file": file.stem, **json.loads(line)}
+
+
+def test_skills(runs, tmp_path, capsys) -> None:
+    found = measured(runs, tmp_path, "skills", "skills", "task.env.episodeLength=40")
+    assert found["file"] == found["experiment"] == "skills"
+    assert (found["seed"], found["frames"], found["num_episodes"]) == (1, 16, 6)
+    # The data set of the run is one clip.
+    assert (found["coverage"], found["clip_shares"]) == (1.0, {"stand": 1.0})
+    assert 0.0 <= found["encoder_reward"] <= 1.0
+    assert found["no_fall_share"] == 0.0
+    assert "skills seed 1: coverage 1.00" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["heading_hrl", "heading_ppo"])
+def test_goals(name, runs, tmp_path) -> None:
+    found = measured(runs, tmp_path, "goal", name)
+    assert found["file"] == name
+    # It falls within a second or two of ten, and earns something until then.
+    assert 0.0 < found["task_return"] < 0.2
+    assert found["no_fall_share"] == 0.0
+
+
+def test_random_latents_stand_in_for_the_high_level(runs, tmp_path) -> None:
+    found = measured(runs, tmp_path, "goal", "heading_hrl", "--random-latents")
+    assert found["file"] == "heading_hrl+random_latents"
+    assert 0.0 < found["task_return"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("skills", "heading_ppo"), "expected a policy of algo: name: gen_amp"),
+        (("goal", "heading_ppo", "--random-latents"), "expected a policy of algo: name: hrl"),
+        (("skills", "skills", "--random-latents"), "--random-latents belongs to goal"),
+        (("goal", "task.env.goal=reach"), "give a checkpoint"),
+        (("goal", "nobody"), "neither a run folder nor an experiment"),
+    ],
+)
+def test_mistakes_are_one_line(words, message, runs, tmp_path) -> None:
+    with pytest.raises(SystemExit, match=message):
+        measured(runs, tmp_path, *words)
