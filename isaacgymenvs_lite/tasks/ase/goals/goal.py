@@ -107,10 +107,20 @@ class Goal:
 
 
 class TimedGoal(Goal):
-    """A goal that is drawn anew after a random number of control steps."""
+    """A goal that is drawn anew after a random number of control steps.
+
+    Its settings have `change_steps_min` and `change_steps_max`: from how many to below how many
+    control steps a goal lasts.
+    """
+
+    change_steps_keys: ClassVar[tuple[str, str]] = ("tarChangeStepsMin", "tarChangeStepsMax")
+    """Their names in `task.env`."""
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
         """As the base; timers start at 0, so that the first use draws."""
+        low_key, high_key = self.change_steps_keys
+        low, high = self.settings.change_steps_min, self.settings.change_steps_max
+        check_range(low_key, low, high_key, high, equal=False)
         super().attach(simulation, dt_s)
         self._change_steps = torch.zeros(
             simulation.num_envs, dtype=torch.int64, device=simulation.device
@@ -128,13 +138,12 @@ class TimedGoal(Goal):
             self._redraw(over, progress.index_select(0, over))
 
     def _redraw(self, env_ids: Tensor, progress: Tensor) -> None:
-        steps = torch.randint(*self._steps_range(), (len(env_ids),), device=env_ids.device)
+        cfg = self.settings
+        steps = torch.randint(
+            cfg.change_steps_min, cfg.change_steps_max, (len(env_ids),), device=env_ids.device
+        )
         self._change_steps.index_copy_(0, env_ids, progress + steps)
         self._draw(env_ids)
-
-    def _steps_range(self) -> tuple[int, int]:
-        """Return from how many to below how many control steps a goal lasts."""
-        raise NotImplementedError
 
     def _draw(self, env_ids: Tensor) -> None:
         """Draw goals for `env_ids` (n,)."""

@@ -100,27 +100,18 @@ class Heading(TimedGoal):
 
     num_obs = 5
     settings_class = HeadingSettings
+    change_steps_keys = ("headingChangeStepsMin", "headingChangeStepsMax")
     settings: HeadingSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
         """As the base; until goals are drawn they are to go and face along +x at 1 m/s."""
         cfg = self.settings
         check_range("tarSpeedMin", cfg.tar_speed_min, "tarSpeedMax", cfg.tar_speed_max, equal=True)
-        check_range(
-            "headingChangeStepsMin",
-            cfg.change_steps_min,
-            "headingChangeStepsMax",
-            cfg.change_steps_max,
-            equal=False,
-        )
         super().attach(simulation, dt_s)
         n, device = simulation.num_envs, simulation.device
         self.tar_speed = torch.ones(n, device=device)
         self.tar_dir = torch.tensor([1.0, 0.0], device=device).repeat(n, 1)
         self.tar_face_dir = self.tar_dir.clone()
-
-    def _steps_range(self) -> tuple[int, int]:
-        return self.settings.change_steps_min, self.settings.change_steps_max
 
     def _draw(self, env_ids: Tensor) -> None:
         cfg = self.settings

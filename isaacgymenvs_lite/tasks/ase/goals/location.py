@@ -9,7 +9,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, uniform
 from isaacgymenvs_lite.tasks.ase.goals.planar import (
     facing_reward,
     planar_velocity,
@@ -89,19 +89,8 @@ class Location(TimedGoal):
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
         """As the base; until goals are drawn they are the origin."""
-        cfg = self.settings
-        check_range(
-            "tarChangeStepsMin",
-            cfg.change_steps_min,
-            "tarChangeStepsMax",
-            cfg.change_steps_max,
-            equal=False,
-        )
         super().attach(simulation, dt_s)
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
-
-    def _steps_range(self) -> tuple[int, int]:
-        return self.settings.change_steps_min, self.settings.change_steps_max
 
     def _draw(self, env_ids: Tensor) -> None:
         reach = self.settings.tar_dist_max

@@ -68,13 +68,6 @@ class Reach(TimedGoal):
         """As the base; until goals are drawn they are the origin."""
         cfg = self.settings
         check_range(
-            "tarChangeStepsMin",
-            cfg.change_steps_min,
-            "tarChangeStepsMax",
-            cfg.change_steps_max,
-            equal=False,
-        )
-        check_range(
             "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True
         )
         super().attach(simulation, dt_s)
@@ -84,9 +77,6 @@ class Reach(TimedGoal):
             raise ConfigError(unknown("task.env.reachBodyName", name, names))
         self._body = names.index(name)
         self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
-
-    def _steps_range(self) -> tuple[int, int]:
-        return self.settings.change_steps_min, self.settings.change_steps_max
 
     def _draw(self, env_ids: Tensor) -> None:
         cfg = self.settings
