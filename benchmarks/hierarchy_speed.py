@@ -22,19 +22,14 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as train.py, before torch
 import torch
 
 from benchmarks.experiments import override
+from benchmarks.from_inside import MeasuredError, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
 from isaacgymenvs_lite.learning.latents import sample_latents
 from isaacgymenvs_lite.making import seed_everything
-from isaacgymenvs_lite.runner import Session
 
 _WARM_UP_ROUNDS = 2
-
-
-class MeasuredError(Exception):
-    """Ends the training from inside."""
 
 
 def main() -> None:
@@ -73,14 +68,7 @@ def main() -> None:
                 *args.overrides,
             ]
         )
-        HRLAgent.train_epoch = measured  # type: ignore[method-assign]
-        try:
-            Session(cfg, check_config(cfg), seed=0).run()
-        except MeasuredError:
-            pass
-        finally:
-            HRLAgent.train_epoch = epoch  # type: ignore[method-assign]
-    # Not from inside: what is printed during a training goes to the log.
+        train_from_inside(cfg, HRLAgent, measured)
     print(describe_machine(), *texts, sep="\n")
 
 

@@ -35,14 +35,13 @@ if "--published" not in sys.argv:
 import torch
 from mujoco.batch import Batch
 
+from benchmarks.from_inside import MeasuredError, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.learning import common_agent
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.network_executor import NetworkExecutor
 from isaacgymenvs_lite.making import seed_everything
-from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
@@ -100,10 +99,6 @@ class Stopwatch:
         setattr(owner, name, timed)
 
 
-class TrainedEnoughError(Exception):
-    """Ends a training from inside."""
-
-
 def train(
     args: argparse.Namespace,
     at_end: Callable[[Any, list[float]], str],
@@ -140,17 +135,11 @@ def train(
             between(agent)
         if len(measured) == args.epochs:
             text = at_end(agent, measured)
-            raise TrainedEnoughError
+            raise MeasuredError
         starts.append(time.perf_counter())
         return epoch(agent)
 
-    AMPAgent.train_epoch = counted  # type: ignore[method-assign]
-    try:
-        Session(cfg, check_config(cfg), seed=0).run()
-    except TrainedEnoughError:
-        pass
-    finally:
-        AMPAgent.train_epoch = epoch  # type: ignore[method-assign]
+    train_from_inside(cfg, AMPAgent, counted)
     return text
 
 

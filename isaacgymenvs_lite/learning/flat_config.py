@@ -68,7 +68,8 @@ def _check_env(given: dict[str, Any], vec_env: Any, num_actors: int) -> None:
             f"env_name={name} is not known to rl_games: call"
             " isaacgymenvs_lite.registration.build_runner() first, or give vec_env"
         )
-    env_config = given.setdefault("env_config", {})
+    # A copy: the caller's own stays as it is.
+    env_config = given["env_config"] = dict(given.get("env_config") or {})
     if name == _ENV_NAME and "task" not in env_config:
         raise ConfigError(
             "config: which task? expected vec_env, or env_config with the arguments of"

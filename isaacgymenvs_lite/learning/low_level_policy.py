@@ -30,7 +30,7 @@ from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 SHIPPED_LLC = "locomotion_skills"
-"""The low-level controller that comes with the project."""
+"""Name of the low-level controller among the shipped policies, once there is one."""
 
 _NETWORKS = ("gen_amp", "ase")
 _RL_DEVICES = ("cpu", "cuda:0")

@@ -96,6 +96,7 @@ def test_without_an_environment_the_task_must_be_named(config) -> None:
     config["num_actors"] = 6
     found = complete_params(config, TRAIN_FILE)["config"]
     assert found["env_config"] == {"task": "HumanoidHeading", "num_envs": 6}
+    assert config["env_config"] == {"task": "HumanoidHeading"}
 
 
 def test_an_environment_that_rl_games_does_not_know(config) -> None:

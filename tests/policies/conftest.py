@@ -12,14 +12,11 @@ from isaacgymenvs_lite.policies import shipped
 from isaacgymenvs_lite.runner import run
 
 _CONFIG = "train.params.config"
-_TINY = (
-    "task=HumanoidAMP",
+TINY_TRAINING = (
     "num_envs=4",
     "num_threads=1",
     "rl_device=cpu",
     "max_iterations=2",
-    "task.env.episodeLength=20",
-    "task.env.localRootObs=True",  # not the default: a policy must find it as it was
     "train.params.network.mlp.units=[16,8]",
     "train.params.network.disc.units=[12,6]",
     f"{_CONFIG}.learning_rate=1e-3",
@@ -30,6 +27,12 @@ _TINY = (
     f"{_CONFIG}.amp_obs_demo_buffer_size=16",
     f"{_CONFIG}.amp_replay_buffer_size=64",
     f"{_CONFIG}.imitation_frequency=0",
+)
+_TINY = (
+    "task=HumanoidAMP",
+    "task.env.episodeLength=20",
+    "task.env.localRootObs=True",  # not the default: a policy must find it as it was
+    *TINY_TRAINING,
 )
 
 

@@ -13,25 +13,14 @@ from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.policies.launch import playing_overrides
 from isaacgymenvs_lite.policies.packed import pack_policy, read_policy_info
 from isaacgymenvs_lite.runner import run
+from tests.policies.conftest import TINY_TRAINING
 
-_CONFIG = "train.params.config"
 _TINY = (
     "task=HumanoidASE",
     "task.env.motion_file=stand",
-    "num_envs=4",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=1",
-    "train.params.network.mlp.units=[16,8]",
     "train.params.network.style.units=[10,6]",
-    "train.params.network.disc.units=[12,6]",
-    f"{_CONFIG}.latent_dim=5",
-    f"{_CONFIG}.mixed_precision=False",
-    f"{_CONFIG}.horizon_length=4",
-    f"{_CONFIG}.mini_epochs=1",
-    f"{_CONFIG}.amp_batch_size=16",
-    f"{_CONFIG}.amp_obs_demo_buffer_size=16",
-    f"{_CONFIG}.amp_replay_buffer_size=64",
+    "train.params.config.latent_dim=5",
+    *TINY_TRAINING,
 )
 
 
