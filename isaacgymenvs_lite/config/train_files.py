@@ -26,7 +26,8 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     Args:
         path: a file, relative to the working directory or to the project's, or the name of one in
             cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of IsaacGymEnvs' files and
-            `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last.
+            `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last. The config.yaml of a run
+            folder stands for the train file of that run, its overrides included.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
@@ -41,15 +42,13 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     root = read_yaml(cfg_dir() / "config.yaml")
     for key in ("defaults", "hydra"):
         root.pop(key, None)
-    tree = OmegaConf.merge(
-        root,
-        {
-            "num_envs": num_envs,
-            "rl_device": rl_device,
-            "task": {"name": "", "env": {"numEnvs": num_envs}},
-            "train": _with_defaults(file, ()),
-        },
-    )
+    content = _with_defaults(file, ())
+    if "params" not in content and "train" in content:
+        tree = OmegaConf.merge(content, {"rl_device": rl_device})
+    else:
+        task = {"name": "", "env": {"numEnvs": num_envs}}
+        own = {"num_envs": num_envs, "rl_device": rl_device, "task": task, "train": content}
+        tree = OmegaConf.merge(root, own)
     content = plain(tree.train)
     if not isinstance(content, dict) or not isinstance(content.get("params"), dict):
         raise ConfigError(f"{file} is no train file: expected a mapping below the key 'params'")

@@ -15,8 +15,8 @@ class HRLParams:
 
     llc_config: str = setting()
     """Train file of the low-level controller."""
-    llc_checkpoint: str = setting("")
-    """Its checkpoint, or the name of a shipped policy."""
+    llc_checkpoint: str | None = setting("")
+    """Its checkpoint, or the name of a shipped policy; see `llc_reference.llc_checkpoint_for`."""
     llc_steps: int = setting(minimum=1)
     """Control steps that the low-level controller makes under one latent."""
     task_reward_w: float = setting(1.0)

@@ -15,6 +15,11 @@ from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.flat_config import complete_params
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
+from isaacgymenvs_lite.learning.llc_reference import (
+    LLC_KEY,
+    llc_checkpoint_for,
+    warn_of_another_llc,
+)
 from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
@@ -54,7 +59,8 @@ class HRLAgent(CommonAgent):
     }
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        super().__init__(base_name, complete_params(params, _DEFAULTS))
+        self._params = complete_params(params, _DEFAULTS)
+        super().__init__(base_name, self._params)
 
     def load_networks(self, params: dict[str, Any]) -> None:
         """Build the network that the section names, unless the configuration holds one."""
@@ -73,7 +79,7 @@ class HRLAgent(CommonAgent):
         """Return the low-level controller that the keys name."""
         return LowLevelPolicy(
             params.llc_config,
-            params.llc_checkpoint,
+            llc_checkpoint_for(params.llc_checkpoint, self._params),
             self._build_llc_agent_config(),
             self.ppo_device,
         )
@@ -95,6 +101,17 @@ class HRLAgent(CommonAgent):
         super().init_tensors()
         buffer = self.experience_buffer.tensor_dict
         buffer["disc_rewards"] = torch.zeros_like(buffer["rewards"])
+
+    # --- checkpoint ------------------------------------------------------------------------
+
+    def get_full_state_weights(self) -> dict[str, Any]:
+        """Return what a checkpoint holds, and over which low level it was trained."""
+        return {**super().get_full_state_weights(), LLC_KEY: self.llc.reference}
+
+    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
+        """Take over a checkpoint; as CommonAgent."""
+        super().set_full_state_weights(weights, set_epoch)
+        warn_of_another_llc(weights, self.llc.reference, self._restored_from)
 
     # --- rollout ---------------------------------------------------------------------------
 

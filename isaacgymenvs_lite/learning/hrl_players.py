@@ -7,9 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.hrl_config import read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
+from isaacgymenvs_lite.learning.llc_reference import llc_checkpoint_for, warn_of_another_llc
 from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
@@ -26,6 +28,7 @@ class HRLPlayer(CommonPlayer):
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._hrl = read_hrl_params(params["config"])
+        self._llc_checkpoint = llc_checkpoint_for(self._hrl.llc_checkpoint, params)
         super().__init__(params)
         self._policy = self.llc.policy_under(
             lambda obs: latents_of_actions(self.get_action(obs, self.is_deterministic)),
@@ -35,7 +38,7 @@ class HRLPlayer(CommonPlayer):
     def _build_net_config(self) -> dict[str, Any]:
         self.llc = LowLevelPolicy(
             self._hrl.llc_config,
-            self._hrl.llc_checkpoint,
+            self._llc_checkpoint,
             LowLevelSizes.of_task(self.env),
             self.device,
         )
@@ -45,6 +48,15 @@ class HRLPlayer(CommonPlayer):
         self.actions_low = torch.from_numpy(box.low.copy()).to(self.device)
         self.actions_high = torch.from_numpy(box.high.copy()).to(self.device)
         return super()._build_net_config()
+
+    def restore(self, fn: str) -> None:
+        """Load the high level from a checkpoint.
+
+        Raises:
+            CheckpointError: the file cannot be used.
+        """
+        super().restore(fn)
+        warn_of_another_llc(checkpoints.load_checkpoint(fn), self.llc.reference, fn)
 
     @property
     def llc_steps(self) -> int:

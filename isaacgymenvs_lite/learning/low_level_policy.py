@@ -25,12 +25,10 @@ from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
+from isaacgymenvs_lite.learning.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.policies.shipped import shipped_policies
-
-SHIPPED_LLC = "locomotion_skills"
-"""Name of the low-level controller among the shipped policies, once there is one."""
 
 _NETWORKS = ("gen_amp", "ase")
 _RL_DEVICES = ("cpu", "cuda:0")
@@ -85,6 +83,7 @@ class LowLevelPolicy:
         latent_dim: numbers in a latent.
         params: the GenAMP keys of the train file.
         discriminator: its style reward.
+        reference: what a checkpoint of the high level says of it; see `llc_reference`.
 
     Raises:
         ConfigError: the train file is not of a GenAMP policy.
@@ -121,7 +120,10 @@ class LowLevelPolicy:
             self._device,
         )
         self._load(state, llc_checkpoint, llc_config)
-        attach_executor(self.model.a2c_network, self._device, mixed_precision=False)
+        self.reference = make_reference(llc_checkpoint, self.model.state_dict())
+        # In the precision that it was trained in.
+        precision = train_params["config"].get("mixed_precision", False)
+        attach_executor(self.model.a2c_network, self._device, precision)
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 

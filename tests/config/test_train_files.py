@@ -1,5 +1,7 @@
 import pytest
+from omegaconf import OmegaConf
 
+from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.errors import ConfigError
 
@@ -38,6 +40,16 @@ def test_bare_name_is_one_of_ours():
     assert params["config"]["disc_grad_penalty"] == 0.2
     on_gpu = load_train_file("HumanoidAMPPPO.yaml", rl_device="cuda:0")["params"]
     assert on_gpu["config"]["minibatch_size"] == 32768
+
+
+def test_a_run_folder_stands_for_its_train_file(tmp_path):
+    cfg = compose(["task=HumanoidASE", "train.params.config.latent_dim=8"])
+    file = tmp_path / "config.yaml"
+    OmegaConf.save(cfg, file)
+    params = load_train_file(file)["params"]
+    assert (params["config"]["latent_dim"], params["config"]["name"]) == (8, "HumanoidASE")
+    on_gpu = load_train_file(file, rl_device="cuda:0")["params"]
+    assert on_gpu["config"]["minibatch_size"] == 16384 != params["config"]["minibatch_size"]
 
 
 @pytest.mark.parametrize("folder", ["isaacgymenvs/cfg/train", "ase/data/cfg/train/rlg"])

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.llc_reference import SHIPPED_LLC, llc_checkpoint_for
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 
 STEPS = 3
@@ -203,6 +204,34 @@ def test_a_checkpoint_holds_the_high_level_only_and_plays(llc, make_agent, make_
     assert player.result is not None
     # a reward of 1 for each control step
     assert player.result.reward == pytest.approx(player.result.steps)
+
+
+def test_a_checkpoint_knows_its_low_level(llc, make_agent, make_runner, tmp_path, caplog):
+    agent = make_agent(*overrides(llc, "max_iterations=1"))
+    agent.train()
+    agent.save(str(tmp_path / "high"))
+    high = f"checkpoint={tmp_path / 'high.pth'}"
+    for left_out in ("null", "''"):
+        given = overrides(llc, f"{CONFIG}.llc_checkpoint={left_out}", high)
+        player = make_runner(*given, "test=True").create_player()
+        player.restore(str(tmp_path / "high.pth"))
+        assert player.llc.reference == agent.llc.reference
+        assert make_agent(*given).llc.reference == agent.llc.reference
+    assert "trained over" not in caplog.text
+
+    state = torch.load(llc[2], weights_only=True)
+    state["model"]["a2c_network.mu.bias"] += 1.0
+    other = str(tmp_path / "other.pth")
+    torch.save(state, other)
+    given = overrides(llc, f"{CONFIG}.llc_checkpoint='{other}'", high)
+    make_runner(*given, "test=True").create_player().restore(str(tmp_path / "high.pth"))
+    assert f"{llc[2]}, whose weights are not those of {other}" in caplog.text
+
+
+def test_null_means_the_shipped_low_level():
+    assert llc_checkpoint_for(None, {}) == SHIPPED_LLC
+    assert llc_checkpoint_for("", {}) == ""
+    assert llc_checkpoint_for("own.pth", {"load_checkpoint": True}) == "own.pth"
 
 
 @pytest.mark.parametrize(
