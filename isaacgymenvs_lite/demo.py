@@ -5,8 +5,10 @@
     python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
     python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
 
-The reference clip is on the left (in a .png above), the policy on the right. The pose error is that
-of 16 episodes of 10 s that start anywhere in the clip; the video shows the first of them.
+Of a policy that imitates, the reference clip is on the left (in a .png above), the policy on the
+right; the pose error is that of 16 episodes of 10 s that start anywhere in the clip, and the video
+shows the first of them. Of skills, and of a hierarchy over skills, the first three of 16 episodes
+are shown, which start from the default pose.
 """
 
 from __future__ import annotations
@@ -26,8 +28,7 @@ from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.imitation import ImitationResult
-from isaacgymenvs_lite.learning.evaluation import evaluate
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
 from isaacgymenvs_lite.making import seed_everything
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
 from isaacgymenvs_lite.policies.launch import playing_overrides
@@ -44,6 +45,9 @@ _EPISODES = 16
 _EPISODE_STEPS = 300
 _SEED = 1
 _LABELS = ("reference clip", "policy")
+# Networks whose policies do not follow a clip, and how many of their episodes to show.
+_SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
+_SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
 # A panel's width and height in pixels, and of how many control steps one is shown.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
@@ -70,16 +74,17 @@ class Performance:
     Attributes:
         model: of the figure.
         dt_s: control step.
-        reference: (T, nq) the clip, beginning in the policy's first pose.
-        policy: (T, nq) the first environment.
-        imitation: pose error and falls of all environments.
+        tracks: (T, nq) each: the clip, beginning in the policy's first pose, and the policy; or the
+            policy in several environments.
+        labels: of the tracks; empty for none.
+        summary: what all environments reached, for users.
     """
 
     model: mujoco.MjModel
     dt_s: float
-    reference: Track
-    policy: Track
-    imitation: ImitationResult
+    tracks: tuple[Track, ...]
+    labels: tuple[str, ...]
+    summary: str
 
 
 def run_demo(settings: DemoSettings) -> list[Path]:
@@ -108,7 +113,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
         performance = perform(name, settings.seconds)
         path = film(performance, folder / f"{name}.{settings.format}")
         size_kib = path.stat().st_size / 1024
-        log.info("%s: %s", name, performance.imitation)
+        log.info("%s: %s", name, performance.summary)
         log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
         files.append(path)
     return files
@@ -130,15 +135,19 @@ def perform(name: str, seconds: float) -> Performance:
         f"num_envs={_EPISODES}",
         "rl_device=cpu",
         "num_threads=1",  # so few humanoids are slower on more
-        "task.env.stateInit=Random",
     )
     cfg = compose([*playing_overrides(name), *fixed])
+    cfg.task.env.stateInit = "Random" if _imitates(cfg) else "Default"
     dt_s = cfg.task.sim.dt * cfg.task.env.controlFrequencyInv
     num_steps = max(1, round(seconds / dt_s))
     cfg.task.env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
     session = _Demonstration(cfg, num_steps)
     session.run()
     return session.performance
+
+
+def _imitates(cfg: DictConfig) -> bool:
+    return cfg.train.params.network.name not in _SKILL_NETWORKS
 
 
 class _Demonstration(Session):
@@ -155,18 +164,29 @@ class _Demonstration(Session):
     def _play(self) -> None:
         env: Any = self._task
         player = self.make_player()
-        recorder = PoseRecorder(env, self._num_steps)
-        result = evaluate(
-            env,
-            lambda obs: player.get_action(player.obs_to_torch(obs), True),
-            env.num_envs,
-            on_step=lambda *_: recorder.step(),
-        )
-        assert result.imitation is not None  # a task with reference motions
-        (policy,) = recorder.tracks()
+        imitates = _imitates(self._cfg)
+        recorder = PoseRecorder(env, self._num_steps, range(1 if imitates else _SHOWN_EPISODES))
+        result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
+        tracks = recorder.tracks()
+        if imitates:
+            tracks.insert(0, reference_track(env, tracks[0]))
         self.performance = Performance(
-            env.simulation.model, env.dt, reference_track(env, policy), policy, result.imitation
+            env.simulation.model,
+            env.dt,
+            tuple(tracks),
+            _LABELS if imitates else (),
+            _summary(result, self._cfg),
         )
+
+
+def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
+    assert result.imitation is not None  # a task with reference motions
+    if _imitates(cfg):
+        return str(result.imitation)
+    falls = result.imitation.falls()
+    if cfg.train.params.network.name != "hrl":
+        return falls  # skills have no task
+    return f"task reward {result.reward / result.steps:.2f} per step, {falls}"
 
 
 def film(performance: Performance, path: Path) -> Path:
@@ -175,17 +195,17 @@ def film(performance: Performance, path: Path) -> Path:
     Raises:
         UserError: the file cannot be drawn, encoded or written.
     """
-    tracks = (performance.reference, performance.policy)
+    tracks = performance.tracks
     kind = path.suffix.removeprefix(".")
     if kind == "png":
-        times = np.linspace(0, len(performance.policy), _POSES_OF_A_STRIP, endpoint=False)
+        times = np.linspace(0, len(tracks[0]), _POSES_OF_A_STRIP, endpoint=False)
         rows = [draw_poses(performance.model, track[times.astype(int)]) for track in tracks]
         return save_png(path, np.concatenate(rows))
     width, height, stride = _SIZES[kind]
     images = draw_tracks(
         performance.model,
         [track[::stride] for track in tracks],
-        _LABELS,
+        performance.labels,
         width=width,
         height=height,
     )

@@ -192,8 +192,11 @@ class ImitationResult:
     num_episodes: int
 
     def __str__(self) -> str:
+        return f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}, {self.falls()}"
+
+    def falls(self) -> str:
+        """Return for users how the episodes ended."""
         return (
-            f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}, "
             f"{self.no_fall_share:.0%} of {self.num_episodes} episodes without a fall, "
             f"{self.mean_episode_steps:.0f} steps on average"
         )

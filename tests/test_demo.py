@@ -110,10 +110,29 @@ def test_a_picture_shows_the_clip_above_the_policy(tmp_path):
 @pytest.mark.usefixtures("policies")
 def test_the_same_policy_performs_the_same_again():
     first, second = (demo.perform("tiny", 0.2) for _ in range(2))
-    np.testing.assert_array_equal(first.policy, second.policy)
-    np.testing.assert_array_equal(first.reference, second.reference)
-    assert first.imitation.pose_error_m == second.imitation.pose_error_m
-    assert first.reference.shape == first.policy.shape == (6, 43)
+    np.testing.assert_array_equal(first.tracks, second.tracks)
+    assert first.summary == second.summary
+    assert [track.shape for track in first.tracks] == [(6, 43)] * 2
+
+
+@pytest.mark.usefixtures("policies", "gl", "small_panels")
+def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    style = "train.params.network.style.units=[8]"
+    run(compose(["task=HumanoidASE", "task.env.motion_file=stand", style, *TINY]))
+    (checkpoint,) = tmp_path.glob("runs/*/nn/HumanoidASE.pth")
+    pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")
+    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    performance = demo.perform("skills", 0.3)
+    assert [track.shape for track in performance.tracks] == [(9, 43)] * 3
+    first, second, _ = performance.tracks
+    np.testing.assert_allclose(first[0, 7:], second[0, 7:], atol=0.3)  # one step from default
+    assert np.abs(first[8] - second[8]).max() > 1e-3  # other latents
+    assert "pose error" not in performance.summary
+    assert "of 16 episodes without a fall" in performance.summary
+    path = demo.film(performance, tmp_path / "skills.webp")
+    with PIL.Image.open(path) as image:
+        assert image.size == (3 * 48, 64)
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,10 @@ class AMPParams:
     amp_input_memory: int | None = setting(None, minimum=1)
     """This project's: rows that these statistics remember, older ones fade; None = all. The falls
     of the first epochs widen the statistics, and a wide scale hides small differences of pose."""
+    amp_obs_steps: int | None = setting(None, minimum=1)
+    """This project's: how many control steps of the AMP observation, the newest, discriminator and
+    encoder see; None = all. After a start in a clip the older ones are the clip's for a while,
+    whatever the policy does."""
     disc_reward: str | None = setting(None, choices=DISC_REWARDS)
     """This project's: the style reward's formula; None = the agent's own."""
     disc_learning_rate: float | None = setting(None, above=0)
@@ -83,6 +87,19 @@ class GenAMPParams(AMPParams):
     """Weight of the squared gradient of its error by the AMP observations."""
     enc_reward_w: float = setting()
     """Weight of the encoder's reward."""
+    clip_latents: float = setting(0.0, minimum=0, maximum=1)
+    """This project's: share of the latents that the encoder reads from the clips; see
+    `clip_latents`."""
+    enc_alignment_coef: float = setting(0.0, minimum=0)
+    """This project's: weight of the loss that brings together what the encoder reads at moments of
+    a clip that are near each other."""
+    enc_uniformity_coef: float = setting(0.0, minimum=0)
+    """This project's: weight of the loss that spreads what it reads at all moments."""
+
+    @property
+    def encodes_clips(self) -> bool:
+        """Whether the encoder learns from the clips, too."""
+        return self.enc_alignment_coef != 0.0 or self.enc_uniformity_coef != 0.0
 
 
 P = TypeVar("P", bound=AMPParams)

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
 from isaacgymenvs_lite.learning.losses import normalize_masked
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
@@ -57,7 +57,7 @@ class AMPAgent(CommonAgent):
         super().__init__(base_name, params)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            self._amp_observation_space.shape[0],
+            self._amp_obs_size,
             self._amp,
             self.default_disc_reward,
             self.ppo_device,
@@ -71,13 +71,13 @@ class AMPAgent(CommonAgent):
                 "train.params.algo: AMP needs a task with reference motions"
                 " (amp_observation_space), such as task=HumanoidAMP"
             )
-        self._amp_observation_space = self.env_info["amp_observation_space"]
+        self._amp_obs_size = judged_size(AMPObsShape.of_task(self.vec_env.env), self._amp)
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
 
     def _build_net_config(self) -> dict[str, Any]:
         return {
             **super()._build_net_config(),
-            "amp_input_shape": self._amp_observation_space.shape,
+            "amp_input_shape": (self._amp_obs_size,),
         }
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
@@ -90,9 +90,8 @@ class AMPAgent(CommonAgent):
     def init_tensors(self) -> None:
         """Allocate the rollout of AMP observations and fill the demonstration buffer."""
         super().init_tensors()
-        size = self._amp_observation_space.shape[0]
         self.experience_buffer.tensor_dict["amp_obs"] = torch.zeros(
-            self.horizon_length, self.num_actors, size, device=self.ppo_device
+            self.horizon_length, self.num_actors, self._amp_obs_size, device=self.ppo_device
         )
         self.tensor_list += ["amp_obs"]
         if self._amp.enable_eps_greedy:
@@ -108,7 +107,11 @@ class AMPAgent(CommonAgent):
 
     def _store_demos(self) -> None:
         demos = self.vec_env.env.fetch_amp_obs_demo(self._amp.amp_batch_size)
-        self._demo_buffer.store({"amp_obs": demos.to(self.ppo_device)})
+        self._demo_buffer.store({"amp_obs": self._judged(demos)})
+
+    def _judged(self, amp_obs: Tensor) -> Tensor:
+        """Return what discriminator and encoder see of AMP observations (..., F)."""
+        return amp_obs[..., : self._amp_obs_size].to(self.ppo_device)
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -122,7 +125,7 @@ class AMPAgent(CommonAgent):
         return result
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
-        self.experience_buffer.update_data("amp_obs", n, infos["amp_obs"])
+        self.experience_buffer.update_data("amp_obs", n, self._judged(infos["amp_obs"]))
         if self._amp.enable_eps_greedy:
             self.experience_buffer.update_data("rand_action_mask", n, self._explored)
 

@@ -13,7 +13,7 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
-from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class AMPPlayerContinuous(CommonPlayer):
         super().__init__(params)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            self.env.amp_observation_space.shape[0],
+            judged_size(AMPObsShape.of_task(self.env), self._amp),
             self._amp,
             self.default_disc_reward,
             self.device,
@@ -48,7 +48,7 @@ class AMPPlayerContinuous(CommonPlayer):
             )
         return {
             **super()._build_net_config(),
-            "amp_input_shape": self.env.amp_observation_space.shape,
+            "amp_input_shape": (judged_size(AMPObsShape.of_task(self.env), self._amp),),
         }
 
     def restore(self, fn: str) -> None:

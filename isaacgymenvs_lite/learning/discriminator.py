@@ -6,12 +6,14 @@ the actor-critic network, so that one optimiser and one checkpoint hold everythi
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.row_slices import evaluate_in_chunks
@@ -37,12 +39,47 @@ class DiscriminatorNetwork(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class AMPObsShape:
+    """Of a task's AMP observations.
+
+    Attributes:
+        size: F, numbers.
+        num_steps: control steps in them, the newest first.
+    """
+
+    size: int
+    num_steps: int
+
+    @classmethod
+    def of_task(cls, env: Any) -> AMPObsShape:
+        """Return that of a task; one that does not tell `num_amp_obs_steps` counts as having 1."""
+        return cls(env.amp_observation_space.shape[0], getattr(env, "num_amp_obs_steps", 1))
+
+
+def judged_size(shape: AMPObsShape, params: AMPParams) -> int:
+    """Return how many numbers of an AMP observation, the first, discriminator and encoder see.
+
+    Raises:
+        ConfigError: `amp_obs_steps` asks for more control steps than there are.
+    """
+    size, steps = shape.size, shape.num_steps
+    if params.amp_obs_steps is None:
+        return size
+    if params.amp_obs_steps > steps:
+        raise ConfigError(
+            f"train.params.config.amp_obs_steps={params.amp_obs_steps}: an AMP observation has"
+            f" {steps} control steps (task.env.numAMPObsSteps); expected at most so many, or null"
+        )
+    return size // steps * params.amp_obs_steps
+
+
 class StyleDiscriminator:
     """Judges whether AMP observations come from the reference motions.
 
     Args:
         network: holds the discriminator's layers.
-        amp_obs_size: F, numbers in one AMP observation.
+        amp_obs_size: numbers that it sees of an AMP observation, the first; see `judged_size`.
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
         device: of the normaliser's statistics.
@@ -62,6 +99,7 @@ class StyleDiscriminator:
     ) -> None:
         self._network = network
         self._params = params
+        self._size = amp_obs_size
         self._reward_kind = params.disc_reward or disc_reward
         self.normalizer: RunningMeanStd | None = None
         if params.normalize_amp_input:
@@ -69,7 +107,8 @@ class StyleDiscriminator:
             self.normalizer = normalizer.to(device).eval()
 
     def normalize(self, amp_obs: Tensor, update: bool = False) -> Tensor:
-        """Normalise AMP observations (n, F); with `update` they join the statistics first."""
+        """Normalise what is seen of AMP observations (n, F); with `update` count it in first."""
+        amp_obs = amp_obs[..., : self._size]
         if self.normalizer is None:
             return amp_obs
         if update:

@@ -15,16 +15,26 @@ from torch import Tensor
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.clip_latents import (
+    ClipLatents,
+    alignment_loss,
+    uniformity_loss,
+)
 from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
 from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
+from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
+
+# Pairs of moments of the clips that are kept for the encoder, 10 kB each.
+_PAIRS_KEPT = 4096
 
 
 class GenAMPAgent(AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
-    Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes.
+    Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes, and
+    with `clip_latents` the AMP observations of now, `amp_obs` (N, F).
 
     Attributes:
         encoder: reward and loss.
@@ -35,6 +45,8 @@ class GenAMPAgent(AMPAgent):
     scalars: ClassVar[dict[str, str]] = {
         **AMPAgent.scalars,
         "enc_loss": "losses/enc_loss",
+        "enc_alignment_loss": "losses/enc_alignment_loss",
+        "enc_uniformity_loss": "losses/enc_uniformity_loss",
         "amp_diversity_loss": "losses/amp_diversity_loss",
         "enc_reward_mean": "info/enc_reward_mean",
         "enc_reward_std": "info/enc_reward_std",
@@ -48,7 +60,18 @@ class GenAMPAgent(AMPAgent):
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
-        self.schedule = make_schedule(self._amp, self.num_actors, self.ppo_device)
+        self._clip_latents = ClipLatents(
+            self._amp.clip_latents,
+            self._amp.latent_dim,
+            read=lambda amp_obs: self.encoder.read(amp_obs),
+            fetch=lambda n: self._demo_buffer.sample(n)["amp_obs"],
+        )
+        self.schedule = make_schedule(
+            self._amp,
+            self.num_actors,
+            self.ppo_device,
+            draw=lambda n: self._clip_latents.draw(n, self.ppo_device),
+        )
 
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
@@ -60,18 +83,30 @@ class GenAMPAgent(AMPAgent):
             self.horizon_length, self.num_actors, self._amp.latent_dim, device=self.ppo_device
         )
         self.tensor_list += ["amp_latents"]
+        self._pair_buffer = ReplayBuffer(_PAIRS_KEPT, self.ppo_device)
+
+    def _store_pairs(self) -> None:
+        pairs = self.vec_env.env.fetch_amp_obs_demo_pairs(self._amp.amp_batch_size)
+        self._pair_buffer.store({"demo_pairs": self._judged(pairs)})
 
     # --- rollout ---------------------------------------------------------------------------
 
     def env_reset(self) -> Any:
         """Reset the environment, every episode with a new latent."""
         obs = super().env_reset()
-        self.schedule.restart(torch.arange(self.num_actors, device=self.ppo_device))
+        self._restart_latents(torch.arange(self.num_actors, device=self.ppo_device))
         return obs
 
     def _after_reset(self, env_ids: Tensor) -> None:
         super()._after_reset(env_ids)
-        self.schedule.restart(env_ids)
+        self._restart_latents(env_ids)
+
+    def _restart_latents(self, env_ids: Tensor) -> None:
+        if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
+            self.schedule.restart(env_ids)
+            return
+        amp_obs = self._judged(self.vec_env.env.amp_obs)[env_ids]
+        self.schedule.restart(env_ids, self._clip_latents.of_starts(amp_obs))
 
     def _before_step(self) -> None:
         super()._before_step()
@@ -110,6 +145,11 @@ class GenAMPAgent(AMPAgent):
 
     # --- update ----------------------------------------------------------------------------
 
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        super()._before_update(batch_dict)
+        if self._amp.encodes_clips:
+            self._store_pairs()
+
     def _log_rewards(self) -> None:
         super()._log_rewards()
         rewards = self._rollout_rewards["enc_rewards"]
@@ -129,6 +169,11 @@ class GenAMPAgent(AMPAgent):
         if self._amp.amp_diversity_bonus != 0.0:
             n = len(input_dict["amp_latents"])
             rows["diversity_latents"] = self.model.a2c_network.sample_latents(n)
+        if self._amp.encodes_clips:
+            pairs = self._pair_buffer.sample(max(1, self._amp_minibatch_size // 2))["demo_pairs"]
+            # Drawn at random, so that the next is as good as any to be compared with.
+            others = pairs[:, :1].roll(1, dims=0)
+            rows["demo_triples"] = self.discriminator.normalize(torch.cat((pairs, others), dim=1))
         return rows
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
@@ -148,6 +193,14 @@ class GenAMPAgent(AMPAgent):
         )
         weights = {"enc_loss": self._amp.enc_coef}
         terms |= {name: (weights.get(name, 0.0), value) for name, value in info.items()}
+        if "demo_triples" in input_dict:
+            triples = input_dict["demo_triples"]
+            found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
+            at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
+            alignment = alignment_loss(at, near).mean()
+            uniformity = uniformity_loss(at, other).mean()
+            terms["enc_alignment_loss"] = (self._amp.enc_alignment_coef, alignment)
+            terms["enc_uniformity_loss"] = (self._amp.enc_uniformity_coef, uniformity)
         if "diversity_latents" in input_dict:
             loss = self._diversity_loss(result["mus"], batch, input_dict["diversity_latents"])
             mean = weighted_mean(loss, input_dict)
@@ -163,12 +216,15 @@ class GenAMPAgent(AMPAgent):
 
 
 def make_schedule(
-    params: GenAMPParams, num_envs: int, device: str | torch.device
+    params: GenAMPParams,
+    num_envs: int,
+    device: str | torch.device,
+    draw: Callable[[int], Tensor] | None = None,
 ) -> LatentSchedule:
-    """Return the schedule that the keys ask for.
+    """Return the schedule that the keys ask for; `draw` as `LatentSchedule` has it.
 
     Raises:
         ConfigError: latent_steps_min is not below latent_steps_max.
     """
     steps = (params.latent_steps_min, params.latent_steps_max)
-    return LatentSchedule(num_envs, params.latent_dim, *steps, device)
+    return LatentSchedule(num_envs, params.latent_dim, *steps, device, draw)

@@ -5,6 +5,8 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import gymnasium
 import numpy as np
 import torch
@@ -33,6 +35,7 @@ class LatentSchedule:
         steps_min: least number of steps that a latent is kept, at least 1.
         steps_max: above the largest number.
         device: where the latents live.
+        draw: n -> latents (n, latent_dim), unit vectors; None: random ones.
 
     Attributes:
         latents: (N, latent_dim), those of now; replaced, never written into.
@@ -49,6 +52,7 @@ class LatentSchedule:
         steps_min: int,
         steps_max: int,
         device: str | torch.device = "cpu",
+        draw: Callable[[int], Tensor] | None = None,
     ) -> None:
         if not 1 <= steps_min < steps_max:
             raise ConfigError(
@@ -57,14 +61,15 @@ class LatentSchedule:
             )
         self._steps = (steps_min, steps_max)
         self._device = device
+        self._draw = draw or (lambda n: sample_latents(n, latent_dim, device))
         self.latents = sample_latents(num_envs, latent_dim, device)
         self.change_at = self._draw_steps(num_envs)
 
-    def restart(self, env_ids: Tensor) -> None:
-        """Give new episodes in environments (n,) new latents."""
+    def restart(self, env_ids: Tensor, latents: Tensor | None = None) -> None:
+        """Give new episodes in environments (n,) new latents, or these (n, latent_dim)."""
         if len(env_ids) == 0:
             return
-        self._renew(env_ids)
+        self._renew(env_ids, self._draw(len(env_ids)) if latents is None else latents)
         self.change_at[env_ids] = self._draw_steps(len(env_ids))
 
     def is_over(self, progress: Tensor) -> Tensor:
@@ -76,13 +81,13 @@ class LatentSchedule:
         env_ids = self.is_over(progress).nonzero().flatten()
         if len(env_ids) == 0:
             return
-        self._renew(env_ids)
+        self._renew(env_ids, self._draw(len(env_ids)))
         self.change_at[env_ids] += self._draw_steps(len(env_ids))
 
-    def _renew(self, env_ids: Tensor) -> None:
+    def _renew(self, env_ids: Tensor, latents: Tensor) -> None:
         # A copy: the rollout keeps the latents of earlier steps.
         self.latents = self.latents.clone()
-        self.latents[env_ids] = sample_latents(len(env_ids), self.latents.shape[1], self._device)
+        self.latents[env_ids] = latents
 
     def _draw_steps(self, n: int) -> Tensor:
         return torch.randint(*self._steps, (n,), device=self._device)

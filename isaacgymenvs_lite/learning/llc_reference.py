@@ -14,6 +14,7 @@ from typing import Any
 from torch import Tensor
 
 from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 log = logging.getLogger(__name__)
@@ -34,11 +35,30 @@ def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[s
     """
     is_shipped = llc_checkpoint in shipped_policies()
     path = llc_checkpoint if is_shipped else str(Path(llc_checkpoint).expanduser().absolute())
+    return {"checkpoint": path, "fingerprint": _fingerprint(weights)}
+
+
+def _fingerprint(weights: Mapping[str, Tensor]) -> str:
     digest = hashlib.sha256()
     for name in sorted(weights):
         digest.update(name.encode())
         digest.update(weights[name].detach().cpu().contiguous().numpy().tobytes())
-    return {"checkpoint": path, "fingerprint": digest.hexdigest()[:16]}
+    return digest.hexdigest()[:16]
+
+
+def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
+    """Return `reference` with the name of the shipped policy that has its weights.
+
+    Raises:
+        CheckpointError: none has.
+    """
+    for name, path in shipped_policies().items():
+        if _fingerprint(checkpoints.load_checkpoint(path)["model"]) == reference["fingerprint"]:
+            return {**reference, "checkpoint": name}
+    raise CheckpointError(
+        f"the policy was trained over the low-level controller {reference['checkpoint']}, which"
+        " does not ship; pack that one first"
+    )
 
 
 def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_amp_params
-from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
@@ -41,13 +41,13 @@ class LowLevelSizes:
     Attributes:
         num_obs: numbers in an observation, the task's features included.
         num_task_obs: of these, the last ones, which describe the task.
-        num_amp_obs: numbers in an AMP observation.
+        amp_obs: of the AMP observation.
         action_space: of the task.
     """
 
     num_obs: int
     num_task_obs: int
-    num_amp_obs: int
+    amp_obs: AMPObsShape
     action_space: gymnasium.spaces.Box
 
     @classmethod
@@ -65,7 +65,7 @@ class LowLevelSizes:
         return cls(
             num_obs=env.observation_space.shape[0],
             num_task_obs=env.get_task_obs_size(),
-            num_amp_obs=env.amp_observation_space.shape[0],
+            amp_obs=AMPObsShape.of_task(env),
             action_space=env.action_space,
         )
 
@@ -110,11 +110,12 @@ class LowLevelPolicy:
         self.params = read_amp_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes
+        self._num_judged = judged_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = self._build_model(network, train_params["config"])
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            sizes.num_amp_obs,
+            self._num_judged,
             self.params,
             GenAMPAgent.default_disc_reward,
             self._device,
@@ -138,7 +139,7 @@ class LowLevelPolicy:
                 "value_size": 1,
                 "normalize_value": config.get("normalize_value", False),
                 "normalize_input": config["normalize_input"],
-                "amp_input_shape": (self._sizes.num_amp_obs,),
+                "amp_input_shape": (self._num_judged,),
                 "amp_latent_shape": (self.latent_dim,),
             }
         )

@@ -54,11 +54,14 @@ class SkillEncoder:
             amp_obs: x, (..., F), raw.
             latents: z, (..., Z), those that the policy acted under.
         """
-        found = evaluate_in_chunks(
+        agreement = (self.read(amp_obs) * latents).sum(dim=-1, keepdim=True)
+        return agreement.clamp(min=0.0) * self._params.enc_reward_scale
+
+    def read(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents q(x) (..., Z), unit vectors, of AMP observations (..., F)."""
+        return evaluate_in_chunks(
             lambda rows: self._network.eval_enc(self._normalize(rows)), amp_obs
         )
-        agreement = (found * latents).sum(dim=-1, keepdim=True)
-        return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
     def loss(
         self, found: Tensor, latents: Tensor, gradient: Tensor | None = None

@@ -25,6 +25,7 @@ from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.llc_reference import LLC_KEY, shipped_reference
 from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
 from isaacgymenvs_lite.policies.shipped import shipped_policies_dir
@@ -47,10 +48,12 @@ _NEEDED = (
     "train.params.model",
     "train.params.network",
     *(f"{_CONFIG}.normalize_{what}" for what in ("input", "value", "amp_input")),
+    f"{_CONFIG}.amp_obs_steps",
     f"{_CONFIG}.disc_reward",
     f"{_CONFIG}.disc_reward_scale",
     f"{_CONFIG}.enc_reward_scale",
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
+    *(f"{_CONFIG}.llc_{what}" for what in ("config", "steps")),
 )
 # Keys of those sections that are nobody's but the training's, or that have no effect.
 _NOT_NEEDED = (
@@ -130,7 +133,8 @@ def pack_policy(
         folder: where to write; None = assets/policies.
 
     Raises:
-        CheckpointError: the checkpoint cannot be used, or the result would be too big.
+        CheckpointError: the checkpoint cannot be used, the result would be too big, or the policy
+            needs a low-level controller that does not ship.
         ConfigError: no config.yaml beside it, a name that cannot be used, a clip that is not
             shipped, or a folder that cannot be written.
     """
@@ -145,6 +149,8 @@ def pack_policy(
     if _CLIP in settings:
         settings[_CLIP] = _shipped_clip(clip or settings[_CLIP])
     packed = {key: state[key] for key in _PLAYED if state.get(key) is not None}
+    if LLC_KEY in state:
+        packed[LLC_KEY] = shipped_reference(state[LLC_KEY])
     info = PolicyInfo(
         task=tree["task"]["name"],
         clip=settings.get(_CLIP, ""),

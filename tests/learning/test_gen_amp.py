@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -108,7 +109,58 @@ def test_another_task_is_played_under_latents_of_its_own(make, make_runner):
     assert torch.equal(agent.schedule.latents, before)
 
 
+def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
+    agent = make(f"+{CONFIG}.clip_latents=1", "task.env.stateInit=Random")
+    record(agent, falls=((1, 3),))
+    starts = []
+    restart = agent.schedule.restart
+
+    def spy(env_ids: torch.Tensor, latents: torch.Tensor | None = None) -> None:
+        restart(env_ids, latents)
+        if len(env_ids) == 0:
+            return
+        read = agent.encoder.read(agent.vec_env.env.amp_obs[env_ids])
+        torch.testing.assert_close(agent.schedule.latents[env_ids], read, rtol=1e-5, atol=1e-6)
+        starts.append(env_ids.tolist())
+
+    agent.schedule.restart = spy
+    roll_out(agent)
+    assert starts == [list(range(8)), [3]]
+    # Later latents are of clips, too.
+    demos = agent.encoder.read(agent._demo_buffer._rows["amp_obs"])
+    agent.schedule.advance(torch.full((8,), 10_000))
+    distances = torch.cdist(agent.schedule.latents, demos).min(dim=1).values
+    assert distances.max() < 1e-3
+
+
 # --- update -----------------------------------------------------------------------------------
+
+
+def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
+    agent = make(f"+{CONFIG}.enc_uniformity_coef=3", f"+{CONFIG}.enc_alignment_coef=2")
+    rows = prepared_minibatch(agent, roll_out)
+    agent._count_in(rows)
+    rows |= agent._derived_rows(rows)
+    pairs = agent._pair_buffer._rows["demo_pairs"][:16]
+    normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(16, 2, -1)
+    triples = rows["demo_triples"]
+    assert triples.shape == (4, 3, 210)
+    distances = torch.cdist(triples[:, :2].flatten(1), normalized.flatten(1))
+    assert distances.min(dim=1).values.max() < 1e-3
+    assert torch.equal(triples[:, 2], triples[:, 0].roll(1, dims=0))
+
+    loss, values = agent._row_loss(dict(rows))
+    q = agent.model.a2c_network.eval_enc(triples.flatten(0, 1)).view(4, 3, -1)
+    near, far = ((q[:, 0] * q[:, i]).sum(-1) for i in (1, 2))
+    alignment = (2 - 2 * near).mean()  # |q - q'|^2 of unit vectors
+    uniformity = torch.exp(-4 * (1 - far)).mean()
+    assert values["enc_alignment_loss"].item() == pytest.approx(alignment.item(), rel=1e-4)
+    assert values["enc_uniformity_loss"].item() == pytest.approx(uniformity.item(), rel=1e-4)
+    changed = dataclasses.replace(agent._amp, enc_uniformity_coef=1, enc_alignment_coef=1)
+    agent._amp = changed
+    lighter, _ = agent._row_loss(dict(rows))
+    difference = 2 * uniformity + alignment
+    assert (loss - lighter).item() == pytest.approx(difference.item(), rel=1e-2)
 
 
 @pytest.mark.parametrize("penalty", [0.0, 0.3])

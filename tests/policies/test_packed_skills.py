@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from isaacgymenvs_lite.checkpoints import load_checkpoint
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.learning.low_level_policy import LowLevelPolicy, LowLevelSizes
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.policies.launch import playing_overrides
@@ -65,3 +67,31 @@ def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path) -> None
     latents = torch.nn.functional.normalize(torch.ones(3, 5), dim=-1)
     assert torch.equal(by_name.actions(obs, latents), by_path.actions(obs, latents))
     task.close()
+
+
+def test_a_high_level_is_packed_after_its_low_level(checkpoint, shipped_dir, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = (
+        "task=HumanoidHeading",
+        "task.env.motion_file=stand",
+        f"train.params.config.llc_config={checkpoint.parents[1] / 'config.yaml'}",
+        "train.params.network.mlp.units=[16,8]",
+        "train.params.config.horizon_length=4",
+        "num_envs=4",
+        "num_threads=1",
+    )
+    low = f"train.params.config.llc_checkpoint={checkpoint}"
+    run(compose([*words, low, "max_iterations=1"]))
+    high, *others = tmp_path.glob("runs/*/nn/*.pth")
+    with pytest.raises(CheckpointError, match=r"HumanoidASE.pth, which does not ship; pack that"):
+        pack_policy(high, "heading")
+    pack_policy(checkpoint, "skills")
+    packed = pack_policy(high, "heading")
+    assert load_checkpoint(packed)["llc"]["checkpoint"] == "skills"
+    # Played with the files of its training gone.
+    for file in (high, *others):
+        file.unlink()
+    cfg = compose([*playing_overrides("heading"), *words[3:4], "test=True", "num_envs=4"])
+    cfg.checkpoint = str(packed)
+    cfg.task.env.episodeLength = 5
+    run(cfg)

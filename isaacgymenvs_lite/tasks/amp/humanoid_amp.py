@@ -84,6 +84,11 @@ class HumanoidAMP(HumanoidAMPBase):
         return gymnasium.spaces.Box(-np.inf, np.inf, (self.num_amp_obs,), np.float32)
 
     @property
+    def num_amp_obs_steps(self) -> int:
+        """Control steps in one AMP observation."""
+        return self.env_cfg.num_amp_obs_steps
+
+    @property
     def num_amp_obs(self) -> int:
         """Numbers in one flattened AMP observation, F."""
         return self.env_cfg.num_amp_obs_steps * self._num_amp_obs_per_step()
@@ -100,6 +105,11 @@ class HumanoidAMP(HumanoidAMPBase):
         """The same of the state of now of all environments or `env_ids` (n,), just observed."""
         # One step of the AMP observation is the policy observation of the same state.
         return self.obs_buf if env_ids is None else self.obs_buf.index_select(0, env_ids)
+
+    @property
+    def amp_obs(self) -> Tensor:
+        """AMP observations of now (N, F) on rl_device, those of new episodes included; a copy."""
+        return self._amp_obs_buf.flatten(1).clone().to(self.rl_device)
 
     @property
     def motion_lib(self) -> MotionLib:
@@ -129,12 +139,39 @@ class HumanoidAMP(HumanoidAMPBase):
         Returns:
             (n, F) on rl_device, laid out as `infos["amp_obs"]`.
         """
+        return self._windows_at(*self._draw_windows(num_samples))
+
+    def fetch_amp_obs_demo_pairs(self, num_samples: int, apart_s: float = 1.0) -> Tensor:
+        """Sample pairs of AMP observations of one motion, near each other.
+
+        Args:
+            num_samples: n, any number.
+            apart_s: s, at most so far apart; a clip's start and end limit it further.
+
+        Returns:
+            (n, 2, F) on rl_device, the first of each pair as `fetch_amp_obs_demo`.
+        """
+        motion_ids, times = self._draw_windows(num_samples)
         history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
-        motion_ids = self._motion_lib.sample_motions(num_samples)
+        shift_s = apart_s * (2.0 * torch.rand(num_samples, device=self.device) - 1.0)
+        last_s = self._motion_lib.get_motion_length(motion_ids).to(times)
+        # Of a clip shorter than the history the window is always the same.
+        earliest_s = torch.full_like(times, history_s)
+        others = torch.maximum(torch.minimum(times + shift_s, last_s), earliest_s)
+        first, second = (self._windows_at(motion_ids, at) for at in (times, others))
+        return torch.stack((first, second), dim=1)
+
+    def _draw_windows(self, n: int) -> tuple[Tensor, Tensor]:
+        """Draw motions (n,) by weight, and the last instants (n,) s of windows inside them."""
+        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
+        motion_ids = self._motion_lib.sample_motions(n)
         times = self._motion_lib.sample_time(motion_ids, truncate_time=history_s) + history_s
+        return motion_ids, times
+
+    def _windows_at(self, motion_ids: Tensor, times: Tensor) -> Tensor:
+        """Return AMP observations (n, F) on rl_device of windows that end at times (n,) s."""
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
-        features = self._reference_features(motion_ids, times, steps)
-        return features.flatten(1).to(self.rl_device)
+        return self._reference_features(motion_ids, times, steps).flatten(1).to(self.rl_device)
 
     def windows_of_clips(self) -> list[Tensor]:
         """Return the AMP observations (W, F) of each clip, one for each control step.
@@ -142,15 +179,13 @@ class HumanoidAMP(HumanoidAMPBase):
         As `fetch_amp_obs_demo`, but all of them; a clip shorter than the history gives one.
         """
         history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
-        steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
         windows = []
         for motion_id in range(self._motion_lib.num_motions()):
             left_s = float(self._motion_lib.get_motion_length([motion_id])) - history_s
             count = 1 + max(0, int(left_s / self.dt))
             times = history_s + self.dt * torch.arange(count, device=self.device)
             ids = torch.full((count,), motion_id, device=self.device)
-            features = self._reference_features(ids, times, steps)
-            windows.append(features.flatten(1).to(self.rl_device))
+            windows.append(self._windows_at(ids, times))
         return windows
 
     def _reference_features(self, motion_ids: Tensor, times: Tensor, steps: Tensor) -> Tensor:

@@ -296,6 +296,23 @@ def test_any_number_of_demonstrations(make_humanoid) -> None:
     assert not torch.equal(first, second)
 
 
+def test_pairs_of_demonstrations_are_near_each_other_inside_the_clip(make_humanoid) -> None:
+    torch.manual_seed(4)
+    task = make_humanoid(1)
+    pairs = task.fetch_amp_obs_demo_pairs(300, apart_s=0.2)
+    assert (pairs.shape, pairs.dtype) == ((300, 2, 210), torch.float32)
+    first, second = _time_of(pairs[:, 0, 0]), _time_of(pairs[:, 1, 0])
+    apart_s = (second - first).abs()
+    assert apart_s.max() < 0.2 + 1e-5
+    assert apart_s.max() > 0.19
+    assert apart_s.mean() > 0.08
+    assert min(first.min(), second.min()) > DT - 1e-5  # the history lies inside, too
+    assert max(first.max(), second.max()) < CLIP_S + 1e-5
+    # Far more than the clip's length apart: the clip's ends.
+    ends = _time_of(task.fetch_amp_obs_demo_pairs(300, apart_s=1000.0)[:, 1, 0])
+    assert ((ends - DT).abs().minimum((ends - CLIP_S).abs()) < 1e-4).float().mean() > 0.9
+
+
 def test_demonstrations_are_drawn_by_weight(make_humanoid, walk_clip: Path) -> None:
     dataset = walk_clip.with_name("weighted.yaml")
     dataset.write_text(
