@@ -37,6 +37,20 @@ _CPU_SETTINGS = {
     "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",
     "train.params.network.disc.units": "disc.units",
+    **{
+        f"train.params.config.{key}": key
+        for key in (
+            "latent_dim",
+            "disc_reward_w",
+            "enc_reward_w",
+            "amp_obs_steps",
+            "enc_coef",
+            "enc_alignment_coef",
+            "enc_uniformity_coef",
+            "clip_latents",
+            "amp_diversity_bonus",
+        )
+    },
 }
 
 

@@ -56,7 +56,7 @@ def test_a_run_folder_stands_for_its_train_file(tmp_path):
 def test_folders_of_published_files_mean_ours(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = load_train_file(f"{folder}/HumanoidASEPPO.yaml")
-    assert found["params"]["config"]["latent_dim"] == 64
+    assert found["params"]["config"]["latent_dim"] == 16
     with pytest.raises(ConfigError, match="does not exist"):
         load_train_file(f"other/{folder}/HumanoidASEPPO.yaml")
 

@@ -123,6 +123,26 @@ def test_the_split_of_the_reward_is_logged(make_agent):
 # --- demonstrations and replay ----------------------------------------------------------------
 
 
+def test_the_discriminator_may_see_the_newest_step_only(
+    make_agent, make_runner, record, roll_out, tmp_path
+):
+    key = "+train.params.config.amp_obs_steps=1"
+    agent = make_agent(key, "max_iterations=1")
+    tape = record(agent)
+    roll_out(agent)
+    buffer = agent.experience_buffer.tensor_dict
+    assert buffer["amp_obs"].shape == (4, 8, 105)
+    assert torch.equal(buffer["amp_obs"][2], tape.amp_obs[2][:, :105])
+    assert agent._demo_buffer.sample(3)["amp_obs"].shape == (3, 105)
+    agent.train()
+    agent.save(str(tmp_path / "agent"))
+    player = make_runner(key).create_player()
+    player.restore(str(tmp_path / "agent.pth"))
+    amp_obs = torch.randn(6, 210)
+    expected = agent.discriminator.reward(amp_obs[:, :105])
+    torch.testing.assert_close(player._style_reward_function()(amp_obs), expected)
+
+
 def test_demonstrations_fill_their_buffer_and_come_in_every_epoch(make_agent, monkeypatch):
     agent = make_agent()
     fetched = []

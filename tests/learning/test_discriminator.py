@@ -8,7 +8,11 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
-from isaacgymenvs_lite.learning.discriminator import StyleDiscriminator
+from isaacgymenvs_lite.learning.discriminator import (
+    AMPObsShape,
+    StyleDiscriminator,
+    judged_size,
+)
 
 PARAMS: dict[str, Any] = {
     "task_reward_w": 0.0,
@@ -316,3 +320,21 @@ def test_defaults_and_foreign_keys():
     assert params.normalize_amp_input is True
     assert params.disc_reward is None
     assert params.disc_loss == "bce"
+
+
+def test_how_much_is_seen_of_an_amp_observation():
+    shape = AMPObsShape(size=1250, num_steps=10)
+    for steps, size in ((None, 1250), (10, 1250), (2, 250), (1, 125)):
+        params = read_amp_params({**PARAMS, "amp_obs_steps": steps})
+        assert judged_size(shape, params) == size
+    with pytest.raises(ConfigError, match=r"amp_obs_steps=11: .* 10 control steps .*at most"):
+        judged_size(shape, read_amp_params({**PARAMS, "amp_obs_steps": 11}))
+
+
+def test_what_is_not_seen_has_no_effect():
+    network = Smooth(torch.randn(4, 3), torch.randn(4))
+    params = read_amp_params({**PARAMS, "normalize_amp_input": True})
+    discriminator = StyleDiscriminator(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
+    whole = torch.randn(5, 2, 6)
+    expected = discriminator.reward(whole[..., :3].clone())
+    assert torch.equal(discriminator.reward(whole), expected)
