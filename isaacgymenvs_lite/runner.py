@@ -131,6 +131,8 @@ class Session:
                 ],
             ),
         )
+        if self._checkpoint:  # the file that `last` or a name means, for agents that look into it
+            params |= {"load_checkpoint": True, "load_path": self._checkpoint}
         if self._settings.latent:
             params["config"].setdefault("player", {})["latent"] = self._settings.latent
         # rl_games sets torch's threads by this key, to at most four by default.

@@ -7,6 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
 
+from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.paths import cfg_dir
 
@@ -77,7 +78,7 @@ def physx_only_keys(cfg: DictConfig) -> list[str]:
     root = read_yaml(cfg_dir() / "config.yaml")
     found = [key for key in _ROOT_KEYS if _raw(cfg, key) != _raw(root, key)]
     task_file = cfg_dir() / "task" / f"{_raw(cfg, 'task.name')}.yaml"
-    shipped = read_yaml(task_file) if task_file.is_file() else OmegaConf.create()
+    shipped = merge_defaults(task_file) if task_file.is_file() else OmegaConf.create()
     for key in _TASK_KEYS:
         if _is_set(cfg, shipped, key):
             found.append(f"task.{key}")

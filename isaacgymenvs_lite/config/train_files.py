@@ -42,7 +42,7 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     root = read_yaml(cfg_dir() / "config.yaml")
     for key in ("defaults", "hydra"):
         root.pop(key, None)
-    content = _with_defaults(file, ())
+    content = merge_defaults(file)
     if "params" not in content and "train" in content:
         tree = OmegaConf.merge(content, {"rl_device": rl_device})
     else:
@@ -78,8 +78,12 @@ def _find(path: Path | str) -> Path:
     )
 
 
-def _with_defaults(file: Path, above: tuple[Path, ...]) -> DictConfig:
-    """Read `file` and merge the train files of its defaults list, in the order given there.
+def merge_defaults(file: Path, above: tuple[Path, ...] = ()) -> DictConfig:
+    """Read `file` and merge the files of its defaults list, in the order given there.
+
+    Args:
+        file: a train file, or a task file whose list names files beside it only.
+        above: the files whose lists led here.
 
     Raises:
         ConfigError: the list names itself in a circle, or an entry is not the name of a file.
@@ -99,6 +103,6 @@ def _with_defaults(file: Path, above: tuple[Path, ...]) -> DictConfig:
             continue
         beside = file.with_name(f"{entry}.yaml")
         merged.merge_with(
-            _with_defaults(beside if beside.is_file() else _find(entry), (*above, file))
+            merge_defaults(beside if beside.is_file() else _find(entry), (*above, file))
         )
     return merged

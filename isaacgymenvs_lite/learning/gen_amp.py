@@ -34,7 +34,8 @@ class GenAMPAgent(AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
     Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes, and
-    with `clip_latents` the AMP observations of now, `amp_obs` (N, F).
+    for latents of clips `amp_obs_of(env_ids)`, the AMP observations (n, F) of now, and
+    `fetch_amp_obs_demo_pairs(n)` (n, 2, F), pairs of those of the clips.
 
     Attributes:
         encoder: reward and loss.
@@ -105,7 +106,7 @@ class GenAMPAgent(AMPAgent):
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
             return
-        amp_obs = self._judged(self.vec_env.env.amp_obs)[env_ids]
+        amp_obs = self._judged(self.vec_env.env.amp_obs_of(env_ids))
         self.schedule.restart(env_ids, self._clip_latents.of_starts(amp_obs))
 
     def _before_step(self) -> None:

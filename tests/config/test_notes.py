@@ -8,6 +8,14 @@ def test_defaults_have_nothing_without_effect():
     assert physx_only_keys(compose()) == []
 
 
+@pytest.mark.parametrize("task", ["HumanoidASE", "HumanoidHeading", "HumanoidASEGetup"])
+def test_a_task_file_that_builds_on_another_has_nothing_without_effect(task):
+    assert physx_only_keys(compose([f"task={task}"])) == []
+    assert physx_only_keys(compose([f"task={task}", "task.env.envSpacing=1"])) == [
+        "task.env.envSpacing"
+    ]
+
+
 def test_keys_that_have_an_effect_are_not_named():
     assert physx_only_keys(compose(["num_threads=3", "num_envs=5", "sim_device=cpu"])) == []
 

@@ -119,7 +119,7 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
         restart(env_ids, latents)
         if len(env_ids) == 0:
             return
-        read = agent.encoder.read(agent.vec_env.env.amp_obs[env_ids])
+        read = agent.encoder.read(agent.vec_env.env.amp_obs_of(env_ids))
         torch.testing.assert_close(agent.schedule.latents[env_ids], read, rtol=1e-5, atol=1e-6)
         starts.append(env_ids.tolist())
 

@@ -83,6 +83,8 @@ def test_a_high_level_is_packed_after_its_low_level(checkpoint, shipped_dir, tmp
     low = f"train.params.config.llc_checkpoint={checkpoint}"
     run(compose([*words, low, "max_iterations=1"]))
     high, *others = tmp_path.glob("runs/*/nn/*.pth")
+    # The newest checkpoint says which low level it needs.
+    run(compose([*words, "test=True", "checkpoint=last", "task.env.episodeLength=5"]))
     with pytest.raises(CheckpointError, match=r"HumanoidASE.pth, which does not ship; pack that"):
         pack_policy(high, "heading")
     pack_policy(checkpoint, "skills")

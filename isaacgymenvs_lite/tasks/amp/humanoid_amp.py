@@ -106,10 +106,10 @@ class HumanoidAMP(HumanoidAMPBase):
         # One step of the AMP observation is the policy observation of the same state.
         return self.obs_buf if env_ids is None else self.obs_buf.index_select(0, env_ids)
 
-    @property
-    def amp_obs(self) -> Tensor:
-        """AMP observations of now (N, F) on rl_device, those of new episodes included; a copy."""
-        return self._amp_obs_buf.flatten(1).clone().to(self.rl_device)
+    def amp_obs_of(self, env_ids: Tensor) -> Tensor:
+        """Return the AMP observations (n, F) of now of environments (n,), new episodes included."""
+        rows = self._amp_obs_buf.index_select(0, env_ids.to(self.device))
+        return rows.flatten(1).to(self.rl_device)
 
     @property
     def motion_lib(self) -> MotionLib:
