@@ -15,15 +15,15 @@ from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.flat_config import complete_params
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
-from isaacgymenvs_lite.learning.llc_reference import (
-    LLC_KEY,
-    llc_checkpoint_for,
-    warn_of_another_llc,
-)
 from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
+)
+from isaacgymenvs_lite.policies.llc_reference import (
+    LLC_KEY,
+    llc_checkpoint_for,
+    warn_of_another_llc,
 )
 
 # The train file whose values a flat configuration leaves out.

@@ -11,12 +11,12 @@ from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.hrl_config import read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
-from isaacgymenvs_lite.learning.llc_reference import llc_checkpoint_for, warn_of_another_llc
 from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.policies.llc_reference import llc_checkpoint_for, warn_of_another_llc
 
 
 class HRLPlayer(CommonPlayer):

@@ -25,9 +25,9 @@ from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscrimin
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
-from isaacgymenvs_lite.learning.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 _NETWORKS = ("gen_amp", "ase")

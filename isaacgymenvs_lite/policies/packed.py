@@ -25,9 +25,9 @@ from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.learning.llc_reference import LLC_KEY, shipped_reference
 from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
+from isaacgymenvs_lite.policies.llc_reference import LLC_KEY, shipped_reference
 from isaacgymenvs_lite.policies.shipped import shipped_policies_dir
 
 log = logging.getLogger(__name__)

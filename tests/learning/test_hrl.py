@@ -12,7 +12,6 @@ import torch.nn.functional as F
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.learning.llc_reference import SHIPPED_LLC, llc_checkpoint_for
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 
 STEPS = 3
@@ -226,12 +225,6 @@ def test_a_checkpoint_knows_its_low_level(llc, make_agent, make_runner, tmp_path
     given = overrides(llc, f"{CONFIG}.llc_checkpoint='{other}'", high)
     make_runner(*given, "test=True").create_player().restore(str(tmp_path / "high.pth"))
     assert f"{llc[2]}, whose weights are not those of {other}" in caplog.text
-
-
-def test_null_means_the_shipped_low_level():
-    assert llc_checkpoint_for(None, {}) == SHIPPED_LLC
-    assert llc_checkpoint_for("", {}) == ""
-    assert llc_checkpoint_for("own.pth", {"load_checkpoint": True}) == "own.pth"
 
 
 @pytest.mark.parametrize(
