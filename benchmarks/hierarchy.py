@@ -34,8 +34,12 @@ from isaacgymenvs_lite.checkpoints import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.learning.evaluation import evaluate
 from isaacgymenvs_lite.learning.latents import sample_latents
+from isaacgymenvs_lite.learning.low_level_policy import LowLevelPolicy, LowLevelSizes
+from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC
 
 EPISODES = 128
+LLC_CONFIG = "HumanoidASEPPO"
+"""Train file of the shipped low level, which judges the style of policies without one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,13 +75,19 @@ class GoalReached:
         task_return: sum of the task's rewards of an episode over the number of its steps when
             nothing ends it early, mean over the episodes.
         no_fall_share: of the episodes.
+        style_reward: what the discriminator of a low level pays per control step: the policy's own,
+            or, for a policy without one, of the shipped low level.
     """
 
     task_return: float
     no_fall_share: float
+    style_reward: float
 
     def __str__(self) -> str:
-        return f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f}"
+        return (
+            f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f},"
+            f" style reward {self.style_reward:.3f} per step"
+        )
 
 
 def fixed_settings() -> dict[str, Any]:
@@ -112,12 +122,19 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
     Raises:
         ConfigError: random latents for a policy without a low level.
     """
-    result = evaluate(env, _policy(player, random_latents), EPISODES)
+    policy = _policy(player, random_latents)
+    llc = getattr(player, "llc", None) or LowLevelPolicy(
+        LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.of_task(env), env.rl_device
+    )
+    result = evaluate(env, policy, EPISODES, style_reward=llc.style_reward)
     assert result.imitation is not None  # the task has reference motions
+    assert result.style_reward is not None
     # The step that ends an episode at the time limit is the one before the last.
     full = env.max_episode_length - 1
     return GoalReached(
-        task_return=result.reward / full, no_fall_share=result.imitation.no_fall_share
+        task_return=result.reward / full,
+        no_fall_share=result.imitation.no_fall_share,
+        style_reward=result.style_reward,
     )
 
 

@@ -37,7 +37,7 @@ def test_the_fingerprint_is_of_names_and_weights():
 def test_a_low_level_is_found_among_the_shipped_by_its_weights(shipped_dir):
     reference = make_reference("/gone/low.pth", WEIGHTS)
     torch.save({"model": {"mu.weight": torch.ones(2, 3)}}, shipped_dir / "other.pth")
-    with pytest.raises(CheckpointError, match="/gone/low.pth, which does not ship; pack that"):
+    with pytest.raises(CheckpointError, match=r"/gone/low.pth, which does not ship; pack that"):
         shipped_reference(reference)
     torch.save({"model": WEIGHTS}, shipped_dir / "skills.pth")
     assert shipped_reference(reference) == {**reference, "checkpoint": "skills"}
