@@ -76,18 +76,19 @@ class GoalReached:
             nothing ends it early, mean over the episodes.
         no_fall_share: of the episodes.
         style_reward: what the discriminator of a low level pays per control step: the policy's own,
-            or, for a policy without one, of the shipped low level.
+            or, for a policy without one, of the shipped low level; None if that is of another
+            humanoid.
     """
 
     task_return: float
     no_fall_share: float
-    style_reward: float
+    style_reward: float | None
 
     def __str__(self) -> str:
-        return (
-            f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f},"
-            f" style reward {self.style_reward:.3f} per step"
-        )
+        text = f"task return {self.task_return:.3f}, without a fall {self.no_fall_share:.2f}"
+        if self.style_reward is None:
+            return text
+        return f"{text}, style reward {self.style_reward:.3f} per step"
 
 
 def fixed_settings() -> dict[str, Any]:
@@ -123,12 +124,10 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
         ConfigError: random latents for a policy without a low level.
     """
     policy = _policy(player, random_latents)
-    llc = getattr(player, "llc", None) or LowLevelPolicy(
-        LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.of_task(env), env.rl_device
-    )
-    result = evaluate(env, policy, EPISODES, style_reward=llc.style_reward)
+    judge = getattr(player, "llc", None) or _shipped_judge(env)
+    style = None if judge is None else judge.style_reward
+    result = evaluate(env, policy, EPISODES, style_reward=style)
     assert result.imitation is not None  # the task has reference motions
-    assert result.style_reward is not None
     # The step that ends an episode at the time limit is the one before the last.
     full = env.max_episode_length - 1
     return GoalReached(
@@ -136,6 +135,13 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
         no_fall_share=result.imitation.no_fall_share,
         style_reward=result.style_reward,
     )
+
+
+def _shipped_judge(env: Any) -> LowLevelPolicy | None:
+    try:
+        return LowLevelPolicy(LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.of_task(env), env.rl_device)
+    except CheckpointError:  # of another humanoid
+        return None
 
 
 def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tensor]], torch.Tensor]:

@@ -152,21 +152,24 @@ class HumanoidAMP(HumanoidAMPBase):
             (n, 2, F) on rl_device, the first of each pair as `fetch_amp_obs_demo`.
         """
         motion_ids, times = self._draw_windows(num_samples)
-        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
         shift_s = apart_s * (2.0 * torch.rand(num_samples, device=self.device) - 1.0)
         last_s = self._motion_lib.get_motion_length(motion_ids).to(times)
         # Of a clip shorter than the history the window is always the same.
-        earliest_s = torch.full_like(times, history_s)
+        earliest_s = torch.full_like(times, self._history_s)
         others = torch.maximum(torch.minimum(times + shift_s, last_s), earliest_s)
         first, second = (self._windows_at(motion_ids, at) for at in (times, others))
         return torch.stack((first, second), dim=1)
 
+    @property
+    def _history_s(self) -> float:
+        """Time in s from the oldest to the newest control step of an AMP observation."""
+        return self.dt * (self.env_cfg.num_amp_obs_steps - 1)
+
     def _draw_windows(self, n: int) -> tuple[Tensor, Tensor]:
         """Draw motions (n,) by weight, and the last instants (n,) s of windows inside them."""
-        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
         motion_ids = self._motion_lib.sample_motions(n)
-        times = self._motion_lib.sample_time(motion_ids, truncate_time=history_s) + history_s
-        return motion_ids, times
+        in_clip = self._motion_lib.sample_time(motion_ids, truncate_time=self._history_s)
+        return motion_ids, in_clip + self._history_s
 
     def _windows_at(self, motion_ids: Tensor, times: Tensor) -> Tensor:
         """Return AMP observations (n, F) on rl_device of windows that end at times (n,) s."""
@@ -178,12 +181,11 @@ class HumanoidAMP(HumanoidAMPBase):
 
         As `fetch_amp_obs_demo`, but all of them; a clip shorter than the history gives one.
         """
-        history_s = self.dt * (self.env_cfg.num_amp_obs_steps - 1)
         windows = []
         for motion_id in range(self._motion_lib.num_motions()):
-            left_s = float(self._motion_lib.get_motion_length([motion_id])) - history_s
+            left_s = float(self._motion_lib.get_motion_length([motion_id])) - self._history_s
             count = 1 + max(0, int(left_s / self.dt))
-            times = history_s + self.dt * torch.arange(count, device=self.device)
+            times = self._history_s + self.dt * torch.arange(count, device=self.device)
             ids = torch.full((count,), motion_id, device=self.device)
             windows.append(self._windows_at(ids, times))
         return windows
