@@ -30,6 +30,7 @@ from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
 from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
 from isaacgymenvs_lite.policies.launch import playing_overrides
 from isaacgymenvs_lite.policies.shipped import shipped_policies, shipped_policies_dir
@@ -77,6 +78,7 @@ class Performance:
         tracks: (T, nq) each: the clip, beginning in the policy's first pose, and the policy; or the
             policy in several environments.
         labels: of the tracks; empty for none.
+        marks: what else to show at each time of each track, such as goals; empty for nothing.
         summary: what all environments reached, for users.
     """
 
@@ -84,6 +86,7 @@ class Performance:
     dt_s: float
     tracks: tuple[Track, ...]
     labels: tuple[str, ...]
+    marks: tuple[tuple[tuple[Mark, ...], ...], ...]
     summary: str
 
 
@@ -175,6 +178,7 @@ class _Demonstration(Session):
             env.dt,
             tuple(tracks),
             _LABELS if imitates else (),
+            () if imitates else tuple(recorder.marks()),
             _summary(result, self._cfg),
         )
 
@@ -206,6 +210,7 @@ def film(performance: Performance, path: Path) -> Path:
         performance.model,
         [track[::stride] for track in tracks],
         performance.labels,
+        marks=performance.marks[::stride],
         width=width,
         height=height,
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from types import TracebackType
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from isaacgymenvs_lite.marks import Arrow, Colour, Mark
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 
 Image = npt.NDArray[np.uint8]
@@ -20,6 +22,7 @@ _SHADOW_CLIP = 4.0
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
+_ARROW_WIDTH_M = 0.03
 # Where a label begins: to the left and up of the middle, in halves of the picture.
 _LABEL_PLACE = (0.9, 0.84)
 
@@ -73,12 +76,13 @@ class SceneRenderer:
             visual.quality.numslices, visual.quality.numstacks = _FAST_FACES
         self._renderer = mujoco.Renderer(model, height, width)
 
-    def draw(self, qpos: npt.ArrayLike, label: str = "") -> Image:
+    def draw(self, qpos: npt.ArrayLike, label: str = "", marks: Sequence[Mark] = ()) -> Image:
         """Return a picture of the model at joint positions `qpos` (nq,).
 
         Args:
             qpos: in MuJoCo's order and units, quaternions wxyz.
             label: text in the upper left corner.
+            marks: what else to draw.
         """
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self._model, self._data)
@@ -87,23 +91,47 @@ class SceneRenderer:
         self._renderer.update_scene(self._data, self._camera)
         if self._fast:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        for mark in marks:
+            self._add_mark(mark)
         if label:
             self._add_label(label)
         return self._renderer.render()
 
+    def _add_mark(self, mark: Mark) -> None:
+        if isinstance(mark, Arrow):
+            geom = self._add_geom(mujoco.mjtGeom.mjGEOM_ARROW, colour=mark.colour)
+            ends = (np.array(mark.start_w), np.array(mark.end_w))
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_WIDTH_M, *ends)
+        else:
+            size = np.full(3, mark.radius_m)
+            self._add_geom(mujoco.mjtGeom.mjGEOM_SPHERE, size, np.array(mark.centre_w), mark.colour)
+
+    def _add_geom(
+        self,
+        kind: int,
+        size: npt.NDArray[np.float64] | None = None,
+        place_w: npt.NDArray[np.float64] | None = None,
+        colour: Colour = (1.0, 1.0, 1.0),
+    ) -> mujoco.MjvGeom:
+        """Add a shape to the scene that is drawn next."""
+        scene = self._renderer.scene
+        geom = scene.geoms[scene.ngeom]
+        size = np.zeros(3) if size is None else size
+        place_w = np.zeros(3) if place_w is None else place_w
+        ink = np.array((*colour, 1.0), dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, size, place_w, np.eye(3).ravel(), ink)
+        scene.ngeom += 1
+        return geom
+
     def _add_label(self, text: str) -> None:
-        camera, scene = self._camera, self._renderer.scene
+        camera = self._camera
         azimuth = np.deg2rad(camera.azimuth)
         to_the_right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))
         half_height_m = camera.distance * np.tan(np.deg2rad(self._model.vis.global_.fovy / 2))
         half_width_m = half_height_m * self._renderer.width / self._renderer.height
         corner = camera.lookat - _LABEL_PLACE[0] * half_width_m * to_the_right
         corner[2] += _LABEL_PLACE[1] * half_height_m
-        geom = scene.geoms[scene.ngeom]
-        size, turn, ink = np.zeros(3), np.eye(3).ravel(), np.ones(4, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_LABEL, size, corner, turn, ink)
-        geom.label = text
-        scene.ngeom += 1
+        self._add_geom(mujoco.mjtGeom.mjGEOM_LABEL, place_w=corner).label = text
 
     def close(self) -> None:
         """Free the renderer; a second call does nothing."""

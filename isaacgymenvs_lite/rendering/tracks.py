@@ -21,6 +21,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_planes import StateConverter
@@ -63,6 +64,8 @@ class PoseRecorder:
         self._maker = _TrackMaker(env.simulation.model)
         self._num_steps = num_steps
         self._ids = torch.tensor(env_ids, device=env.simulation.device)
+        self._marks_of = getattr(env, "marks", lambda env_id: ())
+        self._marks: list[tuple[tuple[Mark, ...], ...]] = []
         self._root_states: list[Tensor] = []
         self._dof_pos: list[Tensor] = []
 
@@ -71,6 +74,7 @@ class PoseRecorder:
         if len(self._dof_pos) < self._num_steps:
             self._root_states.append(self._simulation.root_states.index_select(0, self._ids))
             self._dof_pos.append(self._simulation.dof_pos.index_select(0, self._ids))
+            self._marks.append(tuple(self._marks_of(env_id) for env_id in self._ids.tolist()))
 
     def tracks(self) -> list[Track]:
         """Return one track for each environment, of the steps kept so far; [] before the first."""
@@ -80,6 +84,10 @@ class PoseRecorder:
             torch.stack(self._root_states, dim=1), torch.stack(self._dof_pos, dim=1), strict=True
         )
         return [self._maker.track(roots, dofs) for roots, dofs in states]
+
+    def marks(self) -> list[tuple[tuple[Mark, ...], ...]]:
+        """Return what was to be seen beside the figures: for each step, for each environment."""
+        return list(self._marks)
 
 
 def reference_track(env: Any, like: Track) -> Track:

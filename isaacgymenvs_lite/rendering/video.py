@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -22,6 +23,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.tracks import Track
 
@@ -130,6 +132,7 @@ def draw_tracks(
     tracks: Sequence[Track],
     labels: Sequence[str] = (),
     *,
+    marks: Sequence[Sequence[Sequence[Mark]]] = (),
     width: int = PANEL_WIDTH,
     height: int = PANEL_HEIGHT,
     fast: bool = True,
@@ -140,6 +143,7 @@ def draw_tracks(
         model: of the figures.
         tracks: (T, nq) each.
         labels: a text for each track, or none.
+        marks: what else to draw at each time in each panel, or nothing.
         width: of one panel, pixels.
         height: pixels.
         fast: see `SceneRenderer`.
@@ -152,8 +156,10 @@ def draw_tracks(
     """
     labels = labels or [""] * len(tracks)
     with SceneRenderer(model, width, height, fast=fast) as renderer:
-        for poses in zip(*tracks, strict=False):
-            panels = zip(poses, labels, strict=True)
+        nothing = [()] * len(tracks)
+        times = marks or itertools.repeat(nothing)
+        for poses, beside in zip(zip(*tracks, strict=False), times, strict=False):
+            panels = zip(poses, labels, beside, strict=True)
             yield np.concatenate([renderer.draw(*panel) for panel in panels], axis=1)
 
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from isaacgymenvs_lite.marks import Arrow, Ball
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 
 pytestmark = pytest.mark.usefixtures("gl")
@@ -84,3 +85,28 @@ def test_closing_twice_does_no_harm(humanoid):
     renderer = SceneRenderer(humanoid, 64, 48)
     renderer.close()
     renderer.close()
+
+
+def test_marks_are_drawn_for_one_picture(humanoid):
+    away = humanoid.qpos0.copy()
+    away[2] = -10.0  # below the ground
+    red, yellow = (1.0, 0.0, 0.0), (1.0, 1.0, 0.0)
+    marks = (
+        Arrow((-0.6, 0.0, 1.2), (-0.1, 0.0, 1.2), red),
+        Ball((0.4, 0.0, 0.6), 0.2, yellow),
+    )
+    with SceneRenderer(humanoid, 160, 160) as renderer:
+        plain, marked, again = (renderer.draw(away, marks=m).astype(int) for m in ((), marks, ()))
+    assert (plain == again).all()
+    changed = (plain != marked).any(axis=2)
+    r, g, b = np.moveaxis(marked, 2, 0)
+    is_red = changed & (r > 100) & (g < r // 2) & (b < r // 2)
+    is_yellow = changed & (r > 100) & (g > 100) & (b < r // 2)
+    # From the right side x points to the right: the arrow is to the left of the ball, above it.
+    (red_row, red_column), (row, column) = (
+        np.argwhere(where).mean(axis=0) for where in (is_red, is_yellow)
+    )
+    assert red_column < 80 < column
+    assert red_row < row
+    # A ball of 0.2 m at 2.5 m under 45 degrees of view: 77 pixels a metre.
+    assert is_yellow.sum() == pytest.approx(np.pi * (0.2 * 77) ** 2, rel=0.3)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
@@ -133,6 +134,10 @@ class HumanoidASE(HumanoidAMP):
 
     def _task_reward(self) -> Tensor:
         return self.goal.reward()
+
+    def marks(self, env_id: int) -> tuple[Mark, ...]:
+        """Return what pictures of an environment show beside the character."""
+        return self.goal.marks(env_id)
 
     @torch.inference_mode()
     def compute_reset(self) -> None:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.marks import GO_COLOUR, Ball, Mark
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
@@ -94,3 +95,8 @@ class Reach(TimedGoal):
     def reward(self) -> Tensor:
         """Return (N,); see `compute_reach_reward`."""
         return compute_reach_reward(self._simulation.body_pos[:, self._body], self.tar_pos)
+
+    def marks(self, env_id: int) -> tuple[Mark, ...]:
+        """Return the point."""
+        x, y, z = self.tar_pos[env_id].tolist()
+        return (Ball((x, y, z), 0.08, GO_COLOUR),)
