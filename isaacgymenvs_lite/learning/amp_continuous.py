@@ -152,11 +152,20 @@ class AMPAgent(CommonAgent):
         self._log_rewards()
         self._store_demos()
         rows = len(batch_dict["amp_obs"])
-        batch_dict["amp_obs_demo"] = self._demo_buffer.sample(rows)["amp_obs"]
-        if self._replay_buffer.get_total_count() == 0:
-            batch_dict["amp_obs_replay"] = batch_dict["amp_obs"]
-        else:
-            batch_dict["amp_obs_replay"] = self._replay_buffer.sample(rows)["amp_obs"]
+        batch_dict |= self._demo_rows(self._demo_buffer.sample(rows))
+        replayed = self._fakes(batch_dict)
+        if self._replay_buffer.get_total_count() > 0:
+            replayed = self._replay_buffer.sample(rows)
+        for name, values in replayed.items():
+            batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
+
+    def _demo_rows(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return what the discriminator shall take for real, of rows of the demonstrations."""
+        return {"amp_obs_demo": demos["amp_obs"]}
+
+    def _fakes(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """Return what it shall not, of the rollout; names begin with `amp_obs`."""
+        return {"amp_obs": batch_dict["amp_obs"]}
 
     def _log_rewards(self) -> None:
         task, style = self._rollout_rewards["task_rewards"], self._rollout_rewards["disc_rewards"]
@@ -240,14 +249,14 @@ class AMPAgent(CommonAgent):
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Keep the policy's AMP observations: all until the buffer is full, then a few."""
-        rows = batch_dict["amp_obs"]
+        fakes = self._fakes(batch_dict)
+        rows = torch.arange(len(fakes["amp_obs"]), device=fakes["amp_obs"].device)
         if self._replay_buffer.get_total_count() > self._replay_buffer.get_buffer_size():
-            keep = torch.rand(len(rows), device=rows.device) < self._amp.amp_replay_keep_prob
-            rows = rows[keep]
+            rows = rows[torch.rand(len(rows), device=rows.device) < self._amp.amp_replay_keep_prob]
         if len(rows) > self._replay_buffer.get_buffer_size():
             chosen = torch.randperm(len(rows), device=rows.device)
             rows = rows[chosen[: self._replay_buffer.get_buffer_size()]]
-        self._replay_buffer.store({"amp_obs": rows})
+        self._replay_buffer.store({name: values[rows] for name, values in fakes.items()})
 
     # --- checkpoint ------------------------------------------------------------------------
 

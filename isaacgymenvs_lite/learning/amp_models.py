@@ -27,13 +27,23 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
             result = super().forward(input_dict)
             if input_dict.get("is_train", True) and "amp_obs" in input_dict:
-                agent = input_dict["amp_obs"]
-                fakes = torch.cat((agent, input_dict["amp_obs_replay"]))
-                agent_logit, replay_logit = self.a2c_network.eval_disc(fakes).split(len(agent))
-                result["disc_agent_logit"] = agent_logit
-                result["disc_agent_replay_logit"] = replay_logit
-                logit, gradient = self.a2c_network.eval_disc_with_gradient(
-                    input_dict["amp_obs_demo"]
-                )
-                result["disc_demo_logit"], result["disc_demo_gradient"] = logit, gradient
+                result |= self._judge(input_dict)
             return result
+
+        def _judge(self, input_dict: dict[str, Any]) -> dict[str, Any]:
+            agent = self._disc_inputs(input_dict, "amp_obs")
+            replay = self._disc_inputs(input_dict, "amp_obs_replay")
+            fakes = [torch.cat(pair) for pair in zip(agent, replay, strict=True)]
+            agent_logit, replay_logit = self.a2c_network.eval_disc(*fakes).split(len(agent[0]))
+            demo = self._disc_inputs(input_dict, "amp_obs_demo")
+            demo_logit, gradient = self.a2c_network.eval_disc_with_gradient(*demo)
+            return {
+                "disc_agent_logit": agent_logit,
+                "disc_agent_replay_logit": replay_logit,
+                "disc_demo_logit": demo_logit,
+                "disc_demo_gradient": gradient,
+            }
+
+        def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
+            """Return what the discriminator hears of the rows of a kind."""
+            return (input_dict[kind],)

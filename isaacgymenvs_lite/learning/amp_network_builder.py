@@ -89,14 +89,16 @@ class AMPBuilder(A2CBuilder):
             """Return discriminator logits (n, 1) for normalised AMP observations (n, F)."""
             return self._disc_logits(self._disc_mlp(amp_obs))
 
-        def eval_disc_with_gradient(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
+        def eval_disc_with_gradient(
+            self, amp_obs: Tensor, *latents: Tensor
+        ) -> tuple[Tensor, Tensor]:
             """Return logits (n, 1) and their gradients by the normalised AMP observations (n, F).
 
-            The gradients can be differentiated by the parameters.
+            The gradients can be differentiated by the parameters. Arguments as `eval_disc`.
             """
             with torch.enable_grad():
                 amp_obs = amp_obs.detach().requires_grad_()
-                logits = self.eval_disc(amp_obs)
+                logits = self.eval_disc(amp_obs, *latents)
             # The backward pass computes as the forward pass did; autocast has no say in it.
             with torch.autocast(amp_obs.device.type, enabled=False):
                 return logits, input_gradient(logits, amp_obs)

@@ -69,12 +69,21 @@ class AMPPlayerContinuous(CommonPlayer):
         self.discriminator.normalizer.load_state_dict(statistics)
 
     def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
-        return lambda amp_obs: self.discriminator.reward(amp_obs.to(self.device)).to(amp_obs.device)
+        def reward(amp_obs: Tensor) -> Tensor:
+            rewards = self.discriminator.reward(amp_obs.to(self.device), *self._disc_latents())
+            return rewards.to(amp_obs.device)
+
+        return reward
+
+    def _disc_latents(self) -> tuple[Tensor, ...]:
+        """Return what the discriminator hears beside the AMP observations (N, F) of now."""
+        return ()
 
     def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
         super()._on_step(dones, infos)
         if self._print_disc_prediction:
-            logit = self.discriminator.logits(infos["amp_obs"][:1].to(self.device))
+            first = (infos["amp_obs"].to(self.device), *self._disc_latents())
+            logit = self.discriminator.logits(*(rows[:1] for rows in first))
             reward = self.discriminator.reward_from_logits(logit)
             log.info("disc_pred: %.4f  style reward: %.4f", logit.item(), reward.item())
 

@@ -26,8 +26,11 @@ _MIN_FAKE_PROBABILITY = 1e-4
 class DiscriminatorNetwork(Protocol):
     """What this module needs of a network (AMPBuilder's and its descendants' have it)."""
 
-    def eval_disc(self, amp_obs: Tensor) -> Tensor:
-        """Return logits (n, 1) of normalised AMP observations (n, F)."""
+    def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return logits (n, 1) of normalised AMP observations (n, F).
+
+        A conditional discriminator also wants the latents (n, Z) that they shall express.
+        """
         ...
 
     def get_disc_logit_weights(self) -> Tensor:
@@ -116,19 +119,26 @@ class StyleDiscriminator:
         with torch.no_grad():
             return self.normalizer(amp_obs)
 
-    def logits(self, amp_obs: Tensor) -> Tensor:
-        """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
+    def logits(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return logits (..., 1) of raw AMP observations (..., F), without gradients.
+
+        Args:
+            amp_obs: raw.
+            latents: (..., Z) for a conditional discriminator, none for another.
+        """
         return evaluate_in_chunks(
-            lambda rows: self._network.eval_disc(self.normalize(rows)), amp_obs
+            lambda rows, *given: self._network.eval_disc(self.normalize(rows), *given),
+            amp_obs,
+            *latents,
         )
 
-    def reward(self, amp_obs: Tensor) -> Tensor:
-        """Return style rewards (..., 1) of raw AMP observations (..., F).
+    def reward(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return style rewards (..., 1) of raw AMP observations (..., F); latents as `logits`.
 
         - logistic (IsaacGymEnvs, ASE): -ln(max(1 - sigmoid(d), 1e-4)) * disc_reward_scale;
         - least_squares (AMP, Peng et al. 2021, eq. 7): max(1 - 0.25 (d - 1)^2, 0) * scale.
         """
-        return self.reward_from_logits(self.logits(amp_obs))
+        return self.reward_from_logits(self.logits(amp_obs, *latents))
 
     def reward_from_logits(self, logits: Tensor) -> Tensor:
         """Return style rewards for discriminator logits of any shape; see `reward`."""

@@ -23,11 +23,10 @@ from isaacgymenvs_lite.learning.clip_latents import (
 from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
 from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
-from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 
-# Pairs of moments of the clips that are kept for the encoder, 10 kB each.
-_PAIRS_KEPT = 4096
+# What a conditional discriminator hears of rows that the policy did not just make.
+_DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
 
 class GenAMPAgent(AMPAgent):
@@ -84,11 +83,18 @@ class GenAMPAgent(AMPAgent):
             self.horizon_length, self.num_actors, self._amp.latent_dim, device=self.ppo_device
         )
         self.tensor_list += ["amp_latents"]
-        self._pair_buffer = ReplayBuffer(_PAIRS_KEPT, self.ppo_device)
 
-    def _store_pairs(self) -> None:
-        pairs = self.vec_env.env.fetch_amp_obs_demo_pairs(self._amp.amp_batch_size)
-        self._pair_buffer.store({"demo_pairs": self._judged(pairs)})
+    @property
+    def _disc_is_conditional(self) -> bool:
+        return self.model.a2c_network.disc_is_conditional
+
+    def _store_demos(self) -> None:
+        """As AMP; with each demonstration another moment of its clip where one is needed."""
+        if not (self._amp.encodes_clips or self._disc_is_conditional):
+            super()._store_demos()
+            return
+        pairs = self._judged(self.vec_env.env.fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
+        self._demo_buffer.store({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -134,7 +140,10 @@ class GenAMPAgent(AMPAgent):
     def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
         """Return {"disc_rewards", "enc_rewards"}, (H, N, 1) each, of the rollout's (H, N, F)."""
         latents = self.experience_buffer.tensor_dict["amp_latents"]
-        rewards = super()._calc_amp_rewards(amp_obs)
+        if self._disc_is_conditional:
+            rewards = {"disc_rewards": self.discriminator.reward(amp_obs, latents)}
+        else:
+            rewards = super()._calc_amp_rewards(amp_obs)
         return {**rewards, "enc_rewards": self.encoder.reward(amp_obs, latents)}
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
@@ -146,10 +155,21 @@ class GenAMPAgent(AMPAgent):
 
     # --- update ----------------------------------------------------------------------------
 
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        super()._before_update(batch_dict)
-        if self._amp.encodes_clips:
-            self._store_pairs()
+    def _demo_rows(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
+        """As AMP; a conditional discriminator hears the latent of another moment of the clip.
+
+        Of the moment itself it could learn to compare the two.
+        """
+        rows = super()._demo_rows(demos)
+        if self._disc_is_conditional:
+            rows["amp_obs_demo_latents"] = self.encoder.read(demos["amp_obs_near"])
+        return rows
+
+    def _fakes(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        fakes = super()._fakes(batch_dict)
+        if self._disc_is_conditional:
+            fakes["amp_obs_latents"] = batch_dict["amp_latents"]
+        return fakes
 
     def _log_rewards(self) -> None:
         super()._log_rewards()
@@ -158,12 +178,14 @@ class GenAMPAgent(AMPAgent):
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         latents = batch_dict["amp_latents"]
-        # The encoder's rows are those of `amp_obs`, the first of a minibatch, and cut as they are.
-        own = {"amp_latents": latents, "enc_latents": latents}
-        return {**super()._extra_dataset(batch_dict), **own}
+        own = {"amp_latents": latents, "amp_obs_latents": latents}
+        heard = {name: batch_dict[name] for name in _DISC_LATENTS if name in batch_dict}
+        return {**super()._extra_dataset(batch_dict), **own, **heard}
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        return {**super()._dataset_row_limits(), "enc_latents": self._amp_minibatch_size}
+        """Latents of AMP observations are cut as these are, the first ones of a minibatch."""
+        own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
+        return {**super()._dataset_row_limits(), **own}
 
     def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         rows = super()._derived_rows(input_dict)
@@ -171,17 +193,18 @@ class GenAMPAgent(AMPAgent):
             n = len(input_dict["amp_latents"])
             rows["diversity_latents"] = self.model.a2c_network.sample_latents(n)
         if self._amp.encodes_clips:
-            pairs = self._pair_buffer.sample(max(1, self._amp_minibatch_size // 2))["demo_pairs"]
+            demos = self._demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
+            pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
             # Drawn at random, so that the next is as good as any to be compared with.
             others = pairs[:, :1].roll(1, dims=0)
             rows["demo_triples"] = self.discriminator.normalize(torch.cat((pairs, others), dim=1))
         return rows
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
+        names = ("amp_latents", "amp_obs_latents", *_DISC_LATENTS)
         return {
             **super()._training_inputs(input_dict),
-            "amp_latents": input_dict["amp_latents"],
-            "enc_latents": input_dict["enc_latents"],
+            **{name: input_dict[name] for name in names if name in input_dict},
             "enc_gradient": self._amp.enc_grad_penalty != 0.0,
         }
 
@@ -190,7 +213,7 @@ class GenAMPAgent(AMPAgent):
     ) -> LossTerms:
         terms = super()._extra_losses(result, batch, input_dict)
         info = self.encoder.loss(
-            result["enc_pred"], batch["enc_latents"], result.get("enc_gradient")
+            result["enc_pred"], batch["amp_obs_latents"], result.get("enc_gradient")
         )
         weights = {"enc_loss": self._amp.enc_coef}
         terms |= {name: (weights.get(name, 0.0), value) for name, value in info.items()}

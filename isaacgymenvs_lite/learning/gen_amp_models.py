@@ -11,9 +11,10 @@ class ModelGenAMPContinuous(ModelAMPContinuous):
     """`model: name: continuous_gen_amp`, `gen_amp` or `ase`.
 
     Every input has `amp_latents` (n, Z) beside `obs`. A training input with AMP observations and
-    `enc_latents` (K, Z), the latents under which the policy made `amp_obs` (K, F), has outputs
+    `amp_obs_latents` (K, Z), the latents under which the policy made `amp_obs` (K, F), has outputs
     `enc_pred` (K, Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the
-    gradients of the encoder's error by the AMP observations.
+    gradients of the encoder's error by the AMP observations. A conditional discriminator
+    wants `amp_obs_replay_latents` and `amp_obs_demo_latents` (K, Z), too.
     """
 
     class Network(ModelAMPContinuous.Network):
@@ -22,13 +23,19 @@ class ModelGenAMPContinuous(ModelAMPContinuous):
         def forward(self, input_dict: dict[str, Any]) -> dict[str, Any]:
             """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
             result = super().forward(input_dict)
-            if not (input_dict.get("is_train", True) and "enc_latents" in input_dict):
+            if not (input_dict.get("is_train", True) and "amp_obs_latents" in input_dict):
                 return result
             amp_obs = input_dict["amp_obs"]
             if input_dict.get("enc_gradient", False):
                 result["enc_pred"], result["enc_gradient"] = (
-                    self.a2c_network.eval_enc_with_gradient(amp_obs, input_dict["enc_latents"])
+                    self.a2c_network.eval_enc_with_gradient(amp_obs, input_dict["amp_obs_latents"])
                 )
             else:
                 result["enc_pred"] = self.a2c_network.eval_enc(amp_obs)
             return result
+
+        def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
+            inputs = super()._disc_inputs(input_dict, kind)
+            if not self.a2c_network.disc_is_conditional:
+                return inputs
+            return (*inputs, input_dict[f"{kind}_latents"])

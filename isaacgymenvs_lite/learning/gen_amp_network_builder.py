@@ -92,12 +92,19 @@ class GenAMPBuilder(AMPBuilder):
 
         Args:
             params: the section `network:`. `enc.separate` False lets the encoder share the
-                discriminator's layers (`enc.units` is ignored then). `style.units` is this
-                project's: layers over the latent, by default ASE's [512, 256].
+                discriminator's layers (`enc.units` is ignored then). This project's are
+                `style.units`, layers over the latent, by default ASE's [512, 256], and
+                `disc.conditional`, by default False: the discriminator hears the latent, too, and
+                judges whether the motion is what the latent stands for (CALM, Tessler et al. 2023,
+                arXiv 2305.02195, section 4.2).
             kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
 
         Raises:
-            ConfigError: as AMPBuilder, no section `enc:`, or actor and critic that share layers.
+            ConfigError: as AMPBuilder, no section `enc:`, actor and critic that share layers, or a
+                conditional discriminator that shares layers with the encoder.
+
+        Attributes:
+            disc_is_conditional: whether `eval_disc` wants latents.
         """
 
         row_functions = (*AMPBuilder.Network.row_functions, "eval_enc", "eval_enc_with_gradient")
@@ -111,8 +118,9 @@ class GenAMPBuilder(AMPBuilder):
                     "train.params.network.separate=False: the actor hears the latent as a style,"
                     " the critic as it is, so that they share no layers; set it to True"
                 )
-            super().__init__(params, **kwargs)
+            # Before the discriminator is built; modules cannot be set here yet, numbers can.
             self._latent_dim = int(latent_shape[0])
+            super().__init__(params, **kwargs)
             self._build_trunks(params, obs_size)
             self._build_enc(params, amp_obs_size)
 
@@ -139,6 +147,18 @@ class GenAMPBuilder(AMPBuilder):
             )
             style_dense = self.actor_mlp._style_dense
             nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
+
+        def _build_disc(self, params: dict[str, Any], input_shape: tuple[int, ...]) -> None:
+            self.disc_is_conditional = bool(params.get("disc", {}).get("conditional", False))
+            if self.disc_is_conditional:
+                if not params.get("enc", {}).get("separate", False):
+                    raise ConfigError(
+                        "train.params.network.disc.conditional=True: such a discriminator hears the"
+                        " latent, which the encoder must find out by itself, so that they share no"
+                        " layers; set enc.separate=True"
+                    )
+                input_shape = (input_shape[0] + self._latent_dim,)
+            super()._build_disc(params, input_shape)
 
         def _build_enc(self, params: dict[str, Any], amp_obs_size: int) -> None:
             if "enc" not in params:
@@ -195,6 +215,15 @@ class GenAMPBuilder(AMPBuilder):
             """Return normalised values (n, values); arguments as `eval_actor`."""
             latents = _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
+
+        def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+            """Return logits (n, 1) for normalised AMP observations (n, F).
+
+            Args:
+                amp_obs: (n, F), normalised.
+                latents: (n, Z) if the discriminator is conditional, else none.
+            """
+            return super().eval_disc(torch.cat((amp_obs, *latents), dim=-1))
 
         def eval_enc(self, amp_obs: Tensor) -> Tensor:
             """Return the latents (n, Z), unit vectors, that normalised AMP observations suggest."""

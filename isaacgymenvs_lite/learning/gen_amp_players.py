@@ -66,6 +66,9 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         self._latents_now = self._latents(self.env.progress_buf.to(self.device))
         return {**super()._policy_inputs(), "amp_latents": self._latents_now}
 
+    def _disc_latents(self) -> tuple[Tensor, ...]:
+        return (self._latents_now,) if self.model.a2c_network.disc_is_conditional else ()
+
     def run(self) -> None:
         """As AMP's; the log says which skills there are."""
         super().run()

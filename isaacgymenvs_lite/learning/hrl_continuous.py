@@ -158,7 +158,9 @@ class HRLAgent(CommonAgent):
             obs = torch.where(playing.bool(), self._obs_tensor(raw_obs), obs)
             rewards += playing * step_rewards.to(self.ppo_device).view_as(rewards)
             if self._hrl.disc_reward_w != 0.0:
-                style = self.llc.style_reward(infos["amp_obs"].to(self.ppo_device))
+                style = self.llc.style_reward(
+                    infos["amp_obs"].to(self.ppo_device), latents_of_actions(actions)
+                )
                 self._disc_rewards += playing * style
             terminate += going_on * self._step_terminated(dones, infos)
             going_on *= 1.0 - dones.to(self.ppo_device).float()

@@ -27,6 +27,7 @@ from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
@@ -83,6 +84,7 @@ class LowLevelPolicy:
         latent_dim: numbers in a latent.
         params: the GenAMP keys of the train file.
         discriminator: its style reward.
+        encoder: reads latents in motion.
         reference: what a checkpoint of the high level says of it; see `llc_reference`.
 
     Raises:
@@ -119,6 +121,9 @@ class LowLevelPolicy:
             self.params,
             GenAMPAgent.default_disc_reward,
             self._device,
+        )
+        self.encoder = SkillEncoder(
+            self.model.a2c_network, self.discriminator.normalize, self.params
         )
         self._load(state, llc_checkpoint, llc_config)
         self.reference = make_reference(llc_checkpoint, self.model.state_dict())
@@ -221,9 +226,19 @@ class LowLevelPolicy:
 
         return act
 
-    def style_reward(self, amp_obs: Tensor) -> Tensor:
-        """Return style rewards (n, 1) of raw AMP observations (n, F)."""
-        return self.discriminator.reward(amp_obs)
+    def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
+        """Return style rewards (n, 1) of raw AMP observations (n, F).
+
+        Args:
+            amp_obs: raw.
+            latents: (n, Z), unit vectors that the motion shall express, for a conditional
+                discriminator; None: those that the encoder reads in it.
+        """
+        if not self.model.a2c_network.disc_is_conditional:
+            return self.discriminator.reward(amp_obs)
+        if latents is None:
+            latents = self.encoder.read(amp_obs)
+        return self.discriminator.reward(amp_obs, latents)
 
 
 def find_llc_checkpoint(llc_checkpoint: str) -> Path:

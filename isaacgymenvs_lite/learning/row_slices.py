@@ -13,19 +13,19 @@ from torch import Tensor
 _CHUNK_ROWS = 8192
 
 
-def evaluate_in_chunks(function: Callable[[Tensor], Tensor], rows: Tensor) -> Tensor:
-    """Return float32 function(rows), (..., D), of rows (..., F), without gradients.
+def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
+    """Return float32 function(*rows), (..., D), of rows (..., F) each, without gradients.
 
     Not all rows at once, so that activations stay in the cache.
 
     Args:
-        function: (n, F) -> (n, D), each row for itself.
-        rows: of any number of leading dimensions.
+        function: (n, F) of each -> (n, D), each row for itself.
+        rows: of any number of leading dimensions, the same ones.
     """
     with torch.no_grad():
-        chunks = rows.reshape(-1, rows.shape[-1]).split(_CHUNK_ROWS)
-        results = torch.cat([function(chunk).float() for chunk in chunks])
-    return results.view(*rows.shape[:-1], -1)
+        columns = [x.reshape(-1, x.shape[-1]).split(_CHUNK_ROWS) for x in rows]
+        results = torch.cat([function(*chunk).float() for chunk in zip(*columns, strict=True)])
+    return results.view(*rows[0].shape[:-1], -1)
 
 
 def cut_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:

@@ -141,11 +141,14 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     rows = prepared_minibatch(agent, roll_out)
     agent._count_in(rows)
     rows |= agent._derived_rows(rows)
-    pairs = agent._pair_buffer._rows["demo_pairs"][:16]
-    normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(16, 2, -1)
+    demos = agent._demo_buffer._rows
+    pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
+    normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
     triples = rows["demo_triples"]
     assert triples.shape == (4, 3, 210)
-    distances = torch.cdist(triples[:, :2].flatten(1), normalized.flatten(1))
+    exact = "donot_use_mm_for_euclid_dist"
+    found = (triples[:, :2].flatten(1), normalized.flatten(1))
+    distances = torch.cdist(*found, compute_mode=exact)
     assert distances.min(dim=1).values.max() < 1e-3
     assert torch.equal(triples[:, 2], triples[:, 0].roll(1, dims=0))
 
@@ -168,14 +171,14 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
     agent = make(f"{CONFIG}.enc_grad_penalty={penalty}", f"{CONFIG}.enc_weight_decay=0.01")
     rows = prepared_minibatch(agent, roll_out)
     assert len(rows["amp_latents"]) == 16
-    assert torch.equal(rows["enc_latents"], rows["amp_latents"][:8])
+    assert torch.equal(rows["amp_obs_latents"], rows["amp_latents"][:8])
     agent._count_in(rows)
     rows |= agent._derived_rows(rows)
     network = agent.model.a2c_network
     loss, values = agent._row_loss(dict(rows))
 
     amp_obs = agent.discriminator.normalize(rows["amp_obs"]).requires_grad_()
-    error = -(network.eval_enc(amp_obs) * rows["enc_latents"]).sum(-1)
+    error = -(network.eval_enc(amp_obs) * rows["amp_obs_latents"]).sum(-1)
     enc = error.mean() + 0.01 * sum(w.square().sum() for w in network.get_enc_weights())
     if penalty:
         (gradient,) = torch.autograd.grad(error.sum(), amp_obs, retain_graph=True)

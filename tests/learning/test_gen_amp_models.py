@@ -46,7 +46,7 @@ def training_input() -> dict[str, Any]:
         "amp_obs": random(4, AMP_OBS, seed=3),
         "amp_obs_replay": random(4, AMP_OBS, seed=4),
         "amp_obs_demo": random(4, AMP_OBS, seed=5),
-        "enc_latents": F.normalize(random(4, LATENT, seed=7), dim=-1),
+        "amp_obs_latents": F.normalize(random(4, LATENT, seed=7), dim=-1),
     }
 
 

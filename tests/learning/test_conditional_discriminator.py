@@ -1,0 +1,154 @@
+"""A discriminator that hears the latent: network, model, agent, player and low level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+import torch.nn.functional as F
+
+from isaacgymenvs_lite.errors import ConfigError
+from tests.learning.test_gen_amp import GEN_AMP, LATENT_DIM, prepared_minibatch
+from tests.learning.test_gen_amp_models import training_input
+from tests.learning.test_gen_amp_network_builder import build
+
+SIZES = (5, 3, 7, 4)  # observation, actions, AMP observation, latent
+CONFIG = "train.params.config"
+CONDITIONAL = (
+    "+train.params.network.disc.conditional=True",
+    "train.params.network.enc.separate=True",
+)
+
+
+@pytest.fixture
+def make(make_agent: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *overrides, **kwargs: make_agent(*GEN_AMP, *CONDITIONAL, *overrides, **kwargs)
+
+
+def network(**changes: Any) -> Any:
+    return build({"disc.conditional": True, "enc.separate": True, **changes}, SIZES)
+
+
+def unit(*shape: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return F.normalize(torch.randn(*shape, generator=generator), dim=-1)
+
+
+def places(rows: torch.Tensor, among: torch.Tensor) -> torch.Tensor:
+    """Where each of the rows stands among others."""
+    same = (rows.unsqueeze(1) == among.unsqueeze(0)).all(dim=-1)
+    assert same.any(dim=1).all()
+    return same.int().argmax(dim=1)
+
+
+def test_only_the_discriminator_is_wider():
+    own, plain = network(), build({"enc.separate": True}, SIZES)
+    assert own.disc_is_conditional and not plain.disc_is_conditional
+    wider = {
+        name
+        for name, weights in own.state_dict().items()
+        if weights.shape != plain.state_dict()[name].shape
+    }
+    assert wider == {"_disc_mlp.0.weight"}
+    assert own.state_dict()["_disc_mlp.0.weight"].shape[1] == 7 + 4
+
+
+def test_the_gradient_is_that_by_the_observation():
+    own = network().double()
+    amp_obs, latents = torch.ones(6, 7).double(), unit(6, 4).double()
+    logits, gradient = own.eval_disc_with_gradient(amp_obs, latents)
+    torch.testing.assert_close(logits, own.eval_disc(amp_obs, latents))
+    assert (logits - own.eval_disc(amp_obs, unit(6, 4, seed=1).double())).abs().min() > 1e-6
+    assert gradient.shape == (6, 7)
+    step = torch.zeros(6, 7).double()
+    step[:, 2] = 1e-6  # far from the kinks of the layers
+    slope = (own.eval_disc(amp_obs + step, latents) - own.eval_disc(amp_obs - step, latents)) / 2e-6
+    torch.testing.assert_close(gradient[:, 2], slope[:, 0], rtol=1e-4, atol=1e-6)
+
+
+def test_it_shares_no_layers_with_the_encoder():
+    with pytest.raises(ConfigError, match=r"disc.conditional=True.*set enc.separate=True"):
+        network(**{"enc.separate": False})
+
+
+def test_each_kind_of_rows_is_judged_under_its_own_latents(make):
+    model = make().model.eval()
+    own = model.a2c_network
+    inputs: dict[str, Any] = {
+        **training_input(),
+        "obs": torch.zeros(6, 105),
+        "prev_actions": torch.zeros(6, 28),
+        "amp_latents": unit(6, LATENT_DIM),
+    }
+    kinds = {"amp_obs": "agent", "amp_obs_replay": "agent_replay", "amp_obs_demo": "demo"}
+    for seed, kind in enumerate(kinds):
+        inputs[kind] = torch.randn(4, 210, generator=torch.Generator().manual_seed(seed))
+        inputs[f"{kind}_latents"] = unit(4, LATENT_DIM, seed=seed)
+    result = model(inputs)
+    for kind, name in kinds.items():
+        expected = own.eval_disc(inputs[kind], inputs[f"{kind}_latents"])
+        torch.testing.assert_close(result[f"disc_{name}_logit"], expected)
+
+
+def test_demonstrations_stand_for_the_latent_of_another_moment(make, roll_out):
+    agent = make()
+    rows = prepared_minibatch(agent, roll_out)
+    stored = agent._demo_buffer._rows
+    place = places(rows["amp_obs_demo"], stored["amp_obs"])
+    near = stored["amp_obs_near"][place]
+    assert (near - rows["amp_obs_demo"]).abs().max() > 0.01
+    torch.testing.assert_close(rows["amp_obs_demo_latents"], agent.encoder.read(near))
+
+
+def test_the_replay_buffer_keeps_latents_with_their_motion(make, roll_out):
+    agent = make(f"{CONFIG}.amp_replay_buffer_size=64")
+    first = roll_out(agent)
+    agent.set_train()
+    agent._before_update(first)
+    # At first the rollout itself is replayed.
+    assert torch.equal(first["amp_obs_replay_latents"], first["amp_latents"])
+    agent._after_update(first)
+    first = {name: first[name].clone() for name in ("amp_obs", "amp_latents")}
+    agent.set_eval()
+    with torch.no_grad():
+        second = agent.play_steps()
+    agent.set_train()
+    agent._before_update(second)
+    place = places(second["amp_obs_replay"], first["amp_obs"])
+    assert torch.equal(second["amp_obs_replay_latents"], first["amp_latents"][place])
+    agent.prepare_dataset(second)
+    rows = agent.dataset[0]
+    assert len(rows["amp_obs_replay_latents"]) == len(rows["amp_obs_replay"]) == 8
+
+
+def test_the_style_reward_is_for_the_latent_of_the_step(make, roll_out):
+    agent = make()
+    roll_out(agent)
+    buffer = agent.experience_buffer.tensor_dict
+    rewards = agent._calc_amp_rewards(buffer["amp_obs"])["disc_rewards"]
+    normalized = agent.discriminator.normalize(buffer["amp_obs"])
+    logits = agent.model.a2c_network.eval_disc(normalized, buffer["amp_latents"])
+    scale = agent._amp.disc_reward_scale
+    torch.testing.assert_close(rewards, scale * F.softplus(logits), rtol=1e-4, atol=1e-4)
+
+
+def test_slices_give_the_gradients_of_the_whole(make, roll_out):
+    agent = make(
+        f"{CONFIG}.minibatch_size=1024",
+        f"{CONFIG}.amp_minibatch_size=256",
+        f"{CONFIG}.amp_obs_demo_buffer_size=1024",
+        f"{CONFIG}.horizon_length=16",
+        num_envs=64,
+    )
+    rows = prepared_minibatch(agent, roll_out)
+    agent._count_in(rows)
+    rows |= agent._derived_rows(rows)
+
+    def gradients(threads: int) -> Any:
+        agent.executor.num_threads = threads
+        return agent.executor.gradients(agent._row_loss, dict(rows), agent._learned)[0]
+
+    for own, other in zip(gradients(3), gradients(1), strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-3, atol=1e-5)
