@@ -35,16 +35,17 @@ _WALK_LEFT = Move(
 
 _WALK_BACKWARD = Move(
     name="walk_backward",
-    window_s=(2.9, 2.9 + 3.0),
-    path=((0.8, 0, 0, 0), (2.0, -0.7, 0, 0)),
-    steps=Steps(count=12, first_lift_s=1.0, step_s=0.5, lift_deg=-5.0),
+    window_s=(0.5, 4.5),
+    path=((0.8, 0, 0, 0), (2.0, -1.0, 0, 0)),
+    steps=Steps(count=12, first_lift_s=1.0, step_s=0.42, lift_deg=-5.0),
 )
 
 _SIDESTEP_LEFT = Move(
     name="sidestep_left",
-    window_s=(0.5, 4.2),
-    path=((0.8, 0, 0, 0), (1.2, 0, 0.26, 0), (3.4, 0, 0.26, 0), (3.8, 0, 0, 0)),
-    steps=Steps(count=6, first_lift_s=1.0, step_s=0.45, width_m=0.24),
+    window_s=(0.5, 4.5),
+    path=((0.8, 0, 0, 0), (2.4, 0, 0.45, 0)),
+    # So wide that the following foot does not meet the leading one.
+    steps=Steps(count=14, first_lift_s=1.0, step_s=0.45, width_m=0.34),
 )
 
 _TURN_LEFT = Move(
