@@ -29,6 +29,7 @@ from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC, make_reference
+from isaacgymenvs_lite.policies.packed import with_packed_settings
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 _NETWORKS = ("gen_amp", "ase")
@@ -75,7 +76,8 @@ class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
 
     Args:
-        llc_config: the train file that it was trained with; see `load_train_file`.
+        llc_config: the train file that it was trained with; see `load_train_file`. What a packed
+            policy says of its networks and latents comes before it.
         llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
         device: where it computes.
@@ -101,7 +103,7 @@ class LowLevelPolicy:
     ) -> None:
         file = find_llc_checkpoint(llc_checkpoint)
         state = checkpoints.load_checkpoint(file)
-        train_params = _train_params(llc_config, state["model"])
+        train_params = _train_params(llc_config, state)
         network = train_params.get("network") or {}
         if network.get("name") not in _NETWORKS or "latent_dim" not in train_params["config"]:
             raise ConfigError(
@@ -260,15 +262,19 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
     )
 
 
-def _train_params(llc_config: str, weights: dict[str, Tensor]) -> dict[str, Any]:
-    """Return the section `params` of the file, of the kind of device that the weights come from.
+def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
+    """Return the section `params` that a checkpoint was trained with.
 
-    The networks of a train file may depend on where it learned.
+    A packed policy says itself what it needs. Networks of a train file may depend on where it
+    learned: of its variants the one whose layers are those of the checkpoint.
     """
-    variants = [load_train_file(llc_config, rl_device=device)["params"] for device in _RL_DEVICES]
+    variants = [
+        with_packed_settings(load_train_file(llc_config, rl_device=device)["params"], state)
+        for device in _RL_DEVICES
+    ]
     for params in variants:
         scale_units(params.get("network") or {})
-    return next((params for params in variants if _fits(params, weights)), variants[0])
+    return next((params for params in variants if _fits(params, state["model"])), variants[0])
 
 
 def _fits(params: dict[str, Any], weights: dict[str, Tensor]) -> bool:

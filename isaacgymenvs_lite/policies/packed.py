@@ -53,7 +53,8 @@ _NEEDED = (
     f"{_CONFIG}.disc_reward_scale",
     f"{_CONFIG}.enc_reward_scale",
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
-    *(f"{_CONFIG}.llc_{what}" for what in ("config", "steps")),
+    # A low level that ships says itself how it was trained, so that llc_config is of no use.
+    f"{_CONFIG}.llc_steps",
 )
 # Keys of those sections that are nobody's but the training's, or that have no effect.
 _NOT_NEEDED = (
@@ -119,6 +120,27 @@ def read_policy_info(path: Path) -> PolicyInfo:
             " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
         )
     return PolicyInfo(**info)
+
+
+def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `params` of a train file as a packed policy was trained with it.
+
+    Args:
+        params: of a train file of the same algorithm.
+        state: of a checkpoint; if it is no packed policy, `params` is returned as it is.
+    """
+    params = copy.deepcopy(dict(params))
+    if _INFO_KEY not in state:
+        return params
+    own: dict[str, Any] = {"network": {}, "config": dict(params["config"])}
+    for path, value in state[_INFO_KEY]["settings"].items():
+        *sections, key = path.split(".")
+        if sections[:2] == ["train", "params"] and sections[2] in own:
+            place = own
+            for section in sections[2:]:
+                place = place.setdefault(section, {})
+            place[key] = value
+    return {**params, **own}
 
 
 def pack_policy(

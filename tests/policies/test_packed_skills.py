@@ -47,6 +47,7 @@ def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:
 
 
 def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path) -> None:
+    """It says itself which networks and latents it has; of a checkpoint the train file does."""
     pack_policy(checkpoint, "skills")
     cfg = compose(
         ["task=HumanoidHeading", "num_envs=4", "num_threads=1", "task.env.motion_file=stand"]
@@ -60,9 +61,9 @@ def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path) -> None
         "  config: {latent_dim: 5}\n"
     )
     sizes = LowLevelSizes.of_task(task)
-    by_name, by_path = (
-        LowLevelPolicy(str(train_file), llc, sizes, "cpu") for llc in ("skills", str(checkpoint))
-    )
+    by_name = LowLevelPolicy("HumanoidASEPPO", "skills", sizes, "cpu")
+    by_path = LowLevelPolicy(str(train_file), str(checkpoint), sizes, "cpu")
+    assert by_name.params == by_path.params
     obs = torch.randn(3, task.num_obs, generator=torch.Generator().manual_seed(0))
     latents = torch.nn.functional.normalize(torch.ones(3, 5), dim=-1)
     assert torch.equal(by_name.actions(obs, latents), by_path.actions(obs, latents))
@@ -90,6 +91,7 @@ def test_a_high_level_is_packed_after_its_low_level(checkpoint, shipped_dir, tmp
     pack_policy(checkpoint, "skills")
     packed = pack_policy(high, "heading")
     assert load_checkpoint(packed)["llc"]["checkpoint"] == "skills"
+    assert str(checkpoint.parents[1]) not in str(read_policy_info(packed).settings)
     # Played with the files of its training gone.
     for file in (high, *others):
         file.unlink()
