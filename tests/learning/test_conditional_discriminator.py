@@ -13,6 +13,8 @@ from isaacgymenvs_lite.errors import ConfigError
 from tests.learning.test_gen_amp import GEN_AMP, LATENT_DIM, prepared_minibatch
 from tests.learning.test_gen_amp_models import training_input
 from tests.learning.test_gen_amp_network_builder import build
+from tests.learning.test_hrl import STEPS, Env, rows, train_low_level
+from tests.learning.test_hrl import overrides as hrl_overrides
 
 SIZES = (5, 3, 7, 4)  # observation, actions, AMP observation, latent
 CONFIG = "train.params.config"
@@ -152,3 +154,33 @@ def test_slices_give_the_gradients_of_the_whole(make, roll_out):
 
     for own, other in zip(gradients(3), gradients(1), strict=True):
         torch.testing.assert_close(own, other, rtol=1e-3, atol=1e-5)
+
+
+@pytest.fixture
+def low_level(make_agent, tmp_path) -> tuple[Any, str, str]:
+    """As `test_hrl.llc`, conditional: the agent, its train file, its checkpoint."""
+    return train_low_level(make_agent, tmp_path, *CONDITIONAL)
+
+
+def test_a_hierarchy_is_paid_for_what_its_latents_stand_for(low_level, make_agent):
+    trained = low_level[0]
+    agent = make_agent(*hrl_overrides(low_level))
+    agent.init_tensors()
+    agent.obs = agent.env_reset()
+    env = Env(agent, dones=[rows()] * STEPS, terminate=[rows()] * STEPS)
+    actions = 2.0 * unit(8, LATENT_DIM, seed=4)
+    agent.env_step(actions)
+    latents = F.normalize(actions.clamp(-1, 1), dim=-1)
+    expected = [trained.discriminator.reward(amp_obs, latents) for amp_obs in env.amp_obs]
+    mean = torch.stack(expected).mean(dim=0)
+    torch.testing.assert_close(agent._disc_rewards, mean, rtol=1e-4, atol=1e-4)
+
+
+def test_motion_without_latents_is_judged_as_what_it_looks_like(low_level, make_agent):
+    trained = low_level[0]
+    llc = make_agent(*hrl_overrides(low_level)).llc
+    amp_obs = torch.randn(6, 210, generator=torch.Generator().manual_seed(2))
+    expected = trained.discriminator.reward(amp_obs, trained.encoder.read(amp_obs))
+    torch.testing.assert_close(llc.style_reward(amp_obs), expected, rtol=1e-4, atol=1e-4)
+    others = llc.style_reward(amp_obs, unit(6, LATENT_DIM))
+    assert (others - expected).abs().min() > 1e-6

@@ -17,12 +17,13 @@ from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 STEPS = 3
 
 
-@pytest.fixture
-def llc(make_agent: Callable[..., Any], tmp_path: Path) -> tuple[Any, str, str]:
-    """A GenAMP agent after two epochs, its train file and its checkpoint."""
-    agent = make_agent(*GEN_AMP, "max_iterations=2", f"{CONFIG}.learning_rate=1e-3")
+def train_low_level(
+    make_agent: Callable[..., Any], folder: Path, *more: str
+) -> tuple[Any, str, str]:
+    """Return a GenAMP agent after two epochs, its train file and its checkpoint."""
+    agent = make_agent(*GEN_AMP, "max_iterations=2", f"{CONFIG}.learning_rate=1e-3", *more)
     agent.train()
-    agent.save(str(tmp_path / "llc"))
+    agent.save(str(folder / "llc"))
     params = {
         "network": agent.network.network_builder.params,
         "config": {
@@ -31,8 +32,13 @@ def llc(make_agent: Callable[..., Any], tmp_path: Path) -> tuple[Any, str, str]:
             if isinstance(value, (bool, int, float, str)) or value is None
         },
     }
-    OmegaConf.save(OmegaConf.create({"params": params}), tmp_path / "llc.yaml")
-    return agent, str(tmp_path / "llc.yaml"), str(tmp_path / "llc.pth")
+    OmegaConf.save(OmegaConf.create({"params": params}), folder / "llc.yaml")
+    return agent, str(folder / "llc.yaml"), str(folder / "llc.pth")
+
+
+@pytest.fixture
+def llc(make_agent: Callable[..., Any], tmp_path: Path) -> tuple[Any, str, str]:
+    return train_low_level(make_agent, tmp_path)
 
 
 def overrides(llc: tuple[Any, str, str], *more: str) -> tuple[str, ...]:
