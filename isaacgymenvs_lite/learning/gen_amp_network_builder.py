@@ -93,8 +93,9 @@ class GenAMPBuilder(AMPBuilder):
         Args:
             params: the section `network:`. `enc.separate` False lets the encoder share the
                 discriminator's layers (`enc.units` is ignored then). This project's are
-                `style.units`, layers over the latent, by default ASE's [512, 256], and
-                `disc.conditional`, by default False: the discriminator hears the latent, too, and
+                `style.units`, layers over the latent, by default ASE's [512, 256], `latent_scale`,
+                by default 1: how long the latents are that actor, critic and a conditional
+                discriminator hear, and `disc.conditional`, by default False: the discriminator hears the latent, too, and
                 judges whether the motion is what the latent stands for (CALM, Tessler et al. 2023,
                 arXiv 2305.02195, section 4.2).
             kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
@@ -120,6 +121,7 @@ class GenAMPBuilder(AMPBuilder):
                 )
             # Before the discriminator is built; modules cannot be set here yet, numbers can.
             self._latent_dim = int(latent_shape[0])
+            self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
             self._build_trunks(params, obs_size)
             self._build_enc(params, amp_obs_size)
@@ -204,6 +206,8 @@ class GenAMPBuilder(AMPBuilder):
                 use_hidden_latents: the latents are styles, the trunk's own, already.
             """
             latents = _one_of(amp_latents, ase_latents)
+            if not use_hidden_latents:
+                latents = self._latent_scale * latents
             return self._act_on(self.actor_mlp(obs, latents, use_hidden_latents))
 
         def eval_critic(
@@ -213,7 +217,7 @@ class GenAMPBuilder(AMPBuilder):
             ase_latents: Tensor | None = None,
         ) -> Tensor:
             """Return normalised values (n, values); arguments as `eval_actor`."""
-            latents = _one_of(amp_latents, ase_latents)
+            latents = self._latent_scale * _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
 
         def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
@@ -223,7 +227,8 @@ class GenAMPBuilder(AMPBuilder):
                 amp_obs: (n, F), normalised.
                 latents: (n, Z) if the discriminator is conditional, else none.
             """
-            return super().eval_disc(torch.cat((amp_obs, *latents), dim=-1))
+            heard = (self._latent_scale * z for z in latents)
+            return super().eval_disc(torch.cat((amp_obs, *heard), dim=-1))
 
         def eval_enc(self, amp_obs: Tensor) -> Tensor:
             """Return the latents (n, Z), unit vectors, that normalised AMP observations suggest."""

@@ -233,3 +233,20 @@ def test_several_threads_give_the_same(small):
 def test_networks_that_cannot_be_built(changes, words):
     with pytest.raises(ConfigError, match=words):
         build({**SMALL, **changes}, SMALL_SIZES) if "disc" not in changes else build(changes)
+
+
+def test_latents_are_heard_as_long_as_asked_for():
+    own, disc = "latent_scale", {"disc.conditional": True, "enc.separate": True}
+    plain, longer = (build({**SMALL, **disc, own: scale}, SMALL_SIZES) for scale in (1.0, 5.0))
+    longer.load_state_dict(plain.state_dict())
+    obs, amp_obs, latents = random(6, 5), random(6, 11), unit(6, 4)
+    for name, first in (("eval_actor", obs), ("eval_critic", obs), ("eval_disc", amp_obs)):
+        expected = getattr(plain, name)(first, 5.0 * latents)
+        found = getattr(longer, name)(first, latents)
+        for value, other in zip(found, expected, strict=True):  # the actor gives two tensors
+            torch.testing.assert_close(value, other)
+    styles = plain.actor_mlp.eval_style(5.0 * latents)
+    found, _ = longer.eval_actor(obs, styles, use_hidden_latents=True)
+    torch.testing.assert_close(found, longer.eval_actor(obs, latents)[0])
+    # What the encoder finds, and what the losses compare, stay unit vectors.
+    torch.testing.assert_close(longer.eval_enc(amp_obs), plain.eval_enc(amp_obs))
