@@ -58,6 +58,11 @@ class AMPParams:
     learning_rate, with its schedule."""
     disc_loss: str = setting("bce", choices=DISC_LOSSES)
     """This project's: the prediction loss; least_squares is the AMP paper's."""
+    disc_input_noise: float = setting(0.0, minimum=0)
+    """This project's: standard deviation of noise on the normalised AMP observations that the
+    discriminator learns from. It hides the jitter of exploration, by which the policy's motion is
+    told from the clips' at once, so that what is learned is the motion (instance noise: Arjovsky
+    and Bottou 2017, arXiv 1701.04862)."""
     enable_eps_greedy: bool = setting(False)
     """ASE's: some environments act without exploration noise, so that the discriminator sees
     motion free of noise; what they did does not train the policy."""

@@ -194,6 +194,10 @@ class AMPAgent(CommonAgent):
         if self._amp.enable_eps_greedy:
             mask = input_dict["rand_action_mask"]
             rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
+        if self._amp.disc_input_noise != 0.0:
+            for name in _AMP_OBS_KINDS:
+                noise = torch.randn_like(input_dict[name])
+                rows[f"{name}_noise"] = self._amp.disc_input_noise * noise
         return rows
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
@@ -204,8 +208,10 @@ class AMPAgent(CommonAgent):
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Normalise the AMP observations."""
+        """Normalise the AMP observations, and hand on the noise on them."""
         inputs = super()._training_inputs(input_dict)
+        noise = (f"{name}_noise" for name in _AMP_OBS_KINDS)
+        inputs |= {name: input_dict[name] for name in noise if name in input_dict}
         for name in _AMP_OBS_KINDS:
             inputs[name] = self.discriminator.normalize(input_dict[name])
         return inputs

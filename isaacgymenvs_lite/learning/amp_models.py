@@ -13,7 +13,8 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
 
     With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
     input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
-    (K, 1), and `disc_demo_gradient` (K, F), beside what `ModelA2CContinuousLogStd` gives.
+    (K, 1), and `disc_demo_gradient` (K, F), beside what `ModelA2CContinuousLogStd` gives. The
+    discriminator hears `amp_obs_noise` and so on (K, F) on top of them, if they are given.
     """
 
     def __init__(self, network: Any) -> None:
@@ -46,4 +47,5 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
 
         def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
             """Return what the discriminator hears of the rows of a kind."""
-            return (input_dict[kind],)
+            rows, noise = input_dict[kind], input_dict.get(f"{kind}_noise")
+            return (rows if noise is None else rows + noise,)

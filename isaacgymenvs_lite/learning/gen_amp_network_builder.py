@@ -93,11 +93,11 @@ class GenAMPBuilder(AMPBuilder):
         Args:
             params: the section `network:`. `enc.separate` False lets the encoder share the
                 discriminator's layers (`enc.units` is ignored then). This project's are
-                `style.units`, layers over the latent, by default ASE's [512, 256], `latent_scale`,
-                by default 1: how long the latents are that actor, critic and a conditional
-                discriminator hear, and `disc.conditional`, by default False: the discriminator hears the latent, too, and
-                judges whether the motion is what the latent stands for (CALM, Tessler et al. 2023,
-                arXiv 2305.02195, section 4.2).
+                `style.units`, layers over the latent, by default ASE's [512, 256]; `latent_scale`,
+                by default 1, how long the latents are that actor, critic and a conditional
+                discriminator hear; `disc.conditional`, by default False: the discriminator hears
+                the latent, too, and judges whether the motion is what it stands for (CALM, Tessler
+                et al. 2023, arXiv 2305.02195, section 4.2).
             kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
 
         Raises:

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_continuous import _AMP_OBS_KINDS
 
 CONFIG = "train.params.config"
 
@@ -388,3 +389,28 @@ def test_checkpoints_of_one_group_resume_with_a_learning_rate_for_the_discrimina
         if own.requires_grad:
             moments = (a.optimizer.state[p] for a, p in ((agent, own), (former, other)))
             assert same(*moments)
+
+
+# --- noise on what the discriminator learns from ------------------------------------------------
+
+
+def test_noise_is_drawn_for_what_the_discriminator_learns_from(make_agent, roll_out):
+    agent = make_agent(f"+{CONFIG}.disc_input_noise=0.5")
+    batch = roll_out(agent)
+    agent.set_train()
+    agent._before_update(batch)
+    agent.prepare_dataset(batch)
+    rows = agent.dataset[0]
+    derived = agent._derived_rows(rows)
+    noise = torch.stack([derived[f"{kind}_noise"] for kind in _AMP_OBS_KINDS])
+    assert noise.shape == (3, 8, 210)
+    # 5040 numbers: standard errors 0.007 and 0.005
+    assert noise.mean().item() == pytest.approx(0.0, abs=0.035)
+    assert noise.std().item() == pytest.approx(0.5, abs=0.025)
+    inputs = agent._training_inputs({**rows, **derived})
+    for i, kind in enumerate(_AMP_OBS_KINDS):
+        assert torch.equal(inputs[f"{kind}_noise"], noise[i])
+        assert torch.equal(inputs[kind], agent.discriminator.normalize(rows[kind]))
+    # A reward is for the motion as it is.
+    amp_obs = batch["amp_obs"]
+    assert torch.equal(agent.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs))

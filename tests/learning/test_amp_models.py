@@ -185,3 +185,18 @@ def test_training_updates_the_statistics_before_it_uses_them(make_model):
     np.testing.assert_allclose(
         inputs["obs"].numpy(), (obs - mean) / np.sqrt(var + 1e-5), rtol=1e-5, atol=1e-5
     )
+
+
+def test_the_discriminator_alone_hears_the_noise(make_model):
+    model = make_model()
+    kinds = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
+    inputs = training_input()
+    noise = {
+        f"{kind}_noise": torch.full_like(inputs[kind], i + 0.5) for i, kind in enumerate(kinds)
+    }
+    shifted = {kind: inputs[kind] + noise[f"{kind}_noise"] for kind in kinds}
+    found, expected = model({**inputs, **noise}), model({**inputs, **shifted})
+    assert set(found) == set(expected)
+    for name in ("disc_agent_logit", "disc_agent_replay_logit", "disc_demo_logit"):
+        torch.testing.assert_close(found[name], expected[name])
+        assert (found[name] - model(inputs)[name]).abs().max() > 1e-3
