@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.schema import check_unknown_keys, missing_key, read_section, setting
+from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, read_section, setting
 
 # The names in the factories of rl_games' network builder.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
@@ -31,7 +31,8 @@ _KEYS = frozenset(
         *_LAYER_SECTIONS,
         *("name", "separate", "space", "rnn", "cnn", "inputs", "normalization", "value_shape"),
         *("value_activation", "central_value", "joint_obs_actions", "permute_input"),
-        *("use_hidden_latents", "latent_dim", "style", "log_std_bounds", "layer_norm"),
+        *("use_hidden_latents", "latent_dim", "latent_scale", "style"),
+        *("log_std_bounds", "layer_norm"),
     )
 )
 
@@ -49,8 +50,18 @@ class LayerSettings:
     norm_only_first_layer: bool = setting(False)
     separate: bool = setting(False)
     """Encoder: False shares the discriminator's layers."""
+    conditional: bool = setting(False)
+    """Discriminator: hears the latent, too."""
     model_size_multiplier: float = setting(1, above=0)
     """Factor on all units, applied before the network is built."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatentSettings:
+    """Keys of the network itself that are about latents."""
+
+    latent_scale: float = setting(1.0, above=0)
+    """How long the latents are that it hears."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +86,8 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
         check_unknown_keys(network, _KEYS, where)
         if "mlp" not in network:
             raise missing_key("mlp", network, _KEYS, where, "expected the hidden layers' section")
+    own = {key: network[key] for key in keys_of(LatentSettings) if key in network}
+    read_section(LatentSettings, own, where)
     for section in _LAYER_SECTIONS:
         if section in network:
             path = f"{where}.{section}"

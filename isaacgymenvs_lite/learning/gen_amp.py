@@ -7,6 +7,7 @@ An encoder must tell the latent from the motion, so that different latents becom
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -126,7 +127,7 @@ class GenAMPAgent(AMPAgent):
         return {**super()._policy_inputs(), "amp_latents": self.schedule.latents}
 
     def _evaluation_inputs(self, env: Any) -> Callable[[], dict[str, Tensor]]:
-        latents = PlayedLatents(make_schedule(self._amp, env.num_envs, self.ppo_device))
+        latents = PlayedLatents(played_schedule(self._amp, env, self.encoder, self.ppo_device))
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
@@ -252,3 +253,24 @@ def make_schedule(
     """
     steps = (params.latent_steps_min, params.latent_steps_max)
     return LatentSchedule(num_envs, params.latent_dim, *steps, device, draw)
+
+
+def played_schedule(
+    params: GenAMPParams, env: Any, encoder: SkillEncoder, device: str | torch.device
+) -> LatentSchedule:
+    """Return the schedule of a task that is played: latents as in training, those of its clips.
+
+    Args:
+        params: the keys.
+        env: the task; for latents of clips it has `fetch_amp_obs_demo(n)`.
+        encoder: reads the latents.
+        device: where they are wanted.
+    """
+    clip_latents = ClipLatents(
+        params.clip_latents,
+        params.latent_dim,
+        read=encoder.read,
+        fetch=lambda n: env.fetch_amp_obs_demo(n).to(device),
+    )
+    draw = partial(clip_latents.draw, device=device)
+    return make_schedule(params, env.num_envs, device, draw)

@@ -15,7 +15,7 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
-from isaacgymenvs_lite.learning.gen_amp import make_schedule
+from isaacgymenvs_lite.learning.gen_amp import played_schedule
 from isaacgymenvs_lite.learning.latents import PlayedLatents
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.skill_probe import SkillProbe, SkillResult
@@ -27,11 +27,12 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
     Keys of `train.params.config.player` beside CommonPlayer's: `latent`, which `train.py` has as
-    `latent=`: `random` (by default: new ones at resets and after a random number of steps),
-    `interpolate` (moves from one to the next) or a .npy file (K, latent_dim): environment i acts
-    under row i mod K for ever.
+    `latent=`: `random` (by default: new ones at resets and after a random number of steps, drawn
+    as in training), `interpolate` (moves from one to the next) or a .npy file (K, latent_dim):
+    environment i acts under row i mod K for ever.
 
     Attributes:
+        encoder: reads latents in motion.
         skills: what `run` saw of the skills; None before, or if all episodes were too short.
 
     Raises:
@@ -44,10 +45,10 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
+        self.encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
-        encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
-        self._probe = SkillProbe(self.env, encoder)
+        self._probe = SkillProbe(self.env, self.encoder)
         self.skills: SkillResult | None = None
 
     def _build_net_config(self) -> dict[str, Any]:
@@ -56,7 +57,7 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
         num_envs = self.env.num_envs
         if latent in ("random", "interpolate"):
-            schedule = make_schedule(self._amp, num_envs, self.device)
+            schedule = played_schedule(self._amp, self.env, self.encoder, self.device)
             return PlayedLatents(schedule, interpolate=latent == "interpolate")
         rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
         fixed = rows[torch.arange(num_envs, device=self.device) % len(rows)]

@@ -43,6 +43,8 @@ def test_published_networks_pass():
     check_network(changed("mlp.d2rl", False), "n")
     check_network(changed("mlp.regularizer", {"name": "None"}), "n")
     check_network(changed("enc", {**LAYERS, "separate": False}), "n")
+    check_network(changed("latent_scale", 8), "n")
+    check_network(changed("disc.conditional", True), "n")
     check_network(changed("rnn", {"name": "lstm", "units": 8, "layers": 1}), "n")
 
 
@@ -52,6 +54,8 @@ def test_published_networks_pass():
         ("mlp.units", [64, -1], r"n\.mlp\.units: got \[64, -1\]"),
         ("mlp.units", "64", r"n\.mlp\.units: got '64', expected a list of whole numbers"),
         ("disc.units", [1.5], r"n\.disc\.units"),
+        ("latent_scale", 0, r"n\.latent_scale: got 0, expected .*above 0"),
+        ("disc.conditional", "perhaps", r"n\.disc\.conditional: got 'perhaps'"),
         ("mlp.activation", "rely", r"n\.mlp\.activation: got 'rely', expected one of relu, tanh"),
         ("mlp.activation", ABSENT, r"'n\.mlp\.activation' is missing"),
         ("mlp.initializer", {"name": "deflt"}, r"n\.mlp\.initializer\.name: .*mean 'default'"),

@@ -109,6 +109,29 @@ def test_another_task_is_played_under_latents_of_its_own(make, make_runner):
     assert torch.equal(agent.schedule.latents, before)
 
 
+@pytest.mark.parametrize("share", [0, 1])
+def test_a_player_draws_latents_as_the_training_did(share, make_runner):
+    words = (*GEN_AMP, f"+{CONFIG}.clip_latents={share}", "task.env.motion_file=stand")
+    player = make_runner(*words, num_envs=16).create_player()
+    player.env.reset()
+    player.act(player.env.reset_done()[0])
+    windows = torch.cat(player.env.windows_of_clips())
+    # The start of an episode is between two of the windows, which are 33 ms apart.
+    distances = torch.cdist(player._latents_now, player.encoder.read(windows)).min(dim=1).values
+    assert bool((distances < 0.05).all()) == bool(share)
+
+
+@pytest.mark.parametrize("share", [0, 1])
+def test_a_measured_policy_acts_under_latents_as_in_training(share, make, make_runner):
+    agent = make(f"+{CONFIG}.clip_latents={share}", "task.env.motion_file=stand")
+    env = make_runner("task.env.motion_file=stand", num_envs=16).create_player().env
+    env.reset()
+    latents = agent._evaluation_inputs(env)()["amp_latents"]
+    found = agent.encoder.read(torch.cat(env.windows_of_clips()))
+    distances = torch.cdist(latents, found).min(dim=1).values
+    assert bool((distances < 0.05).all()) == bool(share)
+
+
 def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     agent = make(f"+{CONFIG}.clip_latents=1", "task.env.stateInit=Random")
     record(agent, falls=((1, 3),))

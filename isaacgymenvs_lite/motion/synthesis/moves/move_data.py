@@ -35,14 +35,14 @@ _WALK_LEFT = Move(
 
 _WALK_BACKWARD = Move(
     name="walk_backward",
-    window_s=(0.5, 4.5),
+    window_s=(2.68, 2.68 + 2.52),
     path=((0.8, 0, 0, 0), (2.0, -1.0, 0, 0)),
-    steps=Steps(count=12, first_lift_s=1.0, step_s=0.42, lift_deg=-5.0),
+    steps=Steps(count=14, first_lift_s=1.0, step_s=0.42, lift_deg=-5.0),
 )
 
 _SIDESTEP_LEFT = Move(
     name="sidestep_left",
-    window_s=(0.5, 4.5),
+    window_s=(2.8, 2.8 + 2.7),
     path=((0.8, 0, 0, 0), (2.4, 0, 0.45, 0)),
     # So wide that the following foot does not meet the leading one.
     steps=Steps(count=14, first_lift_s=1.0, step_s=0.45, width_m=0.34),
@@ -50,9 +50,9 @@ _SIDESTEP_LEFT = Move(
 
 _TURN_LEFT = Move(
     name="turn_left",
-    window_s=(0.5, 4.2),
-    path=((0.8, 0, 0, 0), (1.2, 0, 0, 55), (3.4, 0, 0, 55), (3.8, 0, 0, 0)),
-    steps=Steps(count=6, first_lift_s=1.0, step_s=0.45, width_m=0.2),
+    window_s=(2.35, 2.35 + 2.7),
+    path=((0.8, 0, 0, 0), (1.2, 0, 0, 55)),
+    steps=Steps(count=12, first_lift_s=1.0, step_s=0.45, width_m=0.2),
 )
 
 _CROUCH_WALK = Move(
