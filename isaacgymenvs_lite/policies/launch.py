@@ -28,7 +28,8 @@ def playing_overrides(name: str) -> list[str]:
     info = read_policy_info(shipped_policies()[name])
     log.info("%s: %s", name, info)
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
-    return [f"task={info.task}", *settings]
+    # All of the network is packed: what it has no word of is not what the train file says today.
+    return [f"task={info.task}", "~train.params.network", *settings]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:

@@ -53,6 +53,7 @@ _NEEDED = (
     f"{_CONFIG}.disc_reward_scale",
     f"{_CONFIG}.enc_reward_scale",
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
+    f"{_CONFIG}.clip_latents",
     # A low level that ships says itself how it was trained, so that llc_config is of no use.
     f"{_CONFIG}.llc_steps",
 )

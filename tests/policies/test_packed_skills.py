@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.checkpoints import load_checkpoint, write_atomically
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.learning.low_level_policy import LowLevelPolicy, LowLevelSizes
@@ -44,6 +45,22 @@ def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:
     cfg = compose([*playing_overrides("skills"), "num_envs=2"])
     assert cfg.train.params.config.latent_dim == 5
     assert cfg.task.env.goal == "none"
+
+
+def test_its_network_is_the_packed_one_whatever_the_train_file_says(
+    checkpoint, shipped_dir
+) -> None:
+    packed = pack_policy(checkpoint, "skills")
+    state = load_checkpoint(packed)
+    settings = state["policy"]["settings"]
+    del settings["train.params.network.latent_scale"]  # of a version that had no such key
+    write_atomically(packed, state)
+    network = compose([*playing_overrides("skills"), "num_envs=2"]).train.params.network
+    assert "latent_scale" not in network
+    for path, value in settings.items():
+        if path.startswith("train.params.network."):
+            key = path.removeprefix("train.params.network.")
+            assert OmegaConf.select(network, key) == value
 
 
 def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path) -> None:
