@@ -23,6 +23,9 @@ class HRLParams:
     """Weight of the task's reward."""
     disc_reward_w: float = setting(0.0)
     """Weight of the low-level controller's style reward."""
+    exploration_correlation: float = setting(0.0, minimum=0, maximum=0.99)
+    """This project's: correlation of the exploration noise of two steps that follow each other; see
+    `correlated_noise`."""
 
 
 def read_hrl_params(config: Mapping[str, Any]) -> HRLParams:

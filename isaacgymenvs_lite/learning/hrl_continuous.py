@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.flat_config import complete_params
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
@@ -70,6 +71,7 @@ class HRLAgent(CommonAgent):
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
         self._hrl: HRLParams = read_hrl_params(config)
+        self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
         self._setup_action_space()
         self.control_steps_per_action = self._hrl.llc_steps
@@ -114,6 +116,14 @@ class HRLAgent(CommonAgent):
         warn_of_another_llc(weights, self.llc.reference, self._restored_from)
 
     # --- rollout ---------------------------------------------------------------------------
+
+    def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
+        """As CommonAgent; with `exploration_correlation` the noise lasts over several steps."""
+        result = super().get_action_values(obs)
+        if self._hrl.exploration_correlation != 0.0:
+            given = (result[name] for name in ("actions", "mus", "sigmas"))
+            result["actions"], result["neglogpacs"] = self._noise.apply(*given)
+        return result
 
     def preprocess_actions(self, actions: Tensor) -> Tensor:
         """Return actions (N, Z) clamped to +-1."""

@@ -82,6 +82,21 @@ def test_the_low_level_acts_as_the_policy_that_was_trained(agent, llc):
     torch.testing.assert_close(agent.llc.style_reward(amp_obs), expected, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("correlation", [0.0, 0.9])
+def test_exploration_may_last(correlation, llc, make_agent, roll_out):
+    more = (f"+{CONFIG}.exploration_correlation={correlation}", f"{CONFIG}.horizon_length=32")
+    agent = make_agent(*overrides(llc, *more))
+    roll_out(agent)
+    buffer = agent.experience_buffer.tensor_dict
+    sigma = torch.tensor(-1.0).exp()
+    noise = (buffer["actions"] - buffer["mus"]) / sigma
+    # 31 * 8 * 6 products, few of them independent of each other
+    assert (noise[1:] * noise[:-1]).mean().item() == pytest.approx(correlation, abs=0.3)
+    normal = torch.distributions.Normal(buffer["mus"], sigma)
+    expected = -normal.log_prob(buffer["actions"]).sum(dim=-1)
+    torch.testing.assert_close(buffer["neglogpacs"], expected, rtol=1e-4, atol=1e-4)
+
+
 class Env:
     """Stands in for the vec-env's step: what it returns is given, what it is asked is kept."""
 
