@@ -4,11 +4,11 @@
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
-`skills` plays low-level controllers under random latents: which clips of the data set their motion
-is nearest to, what the encoder makes of it, how many episodes end without a fall. `goal` plays
-policies on a task: the task's return, 1 for the full reward in every step. Targets are those of
-`benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose, the same goals for all
-policies; mean actions. `--random-latents` plays a hierarchy's low level without its high level.
+`skills` plays low-level controllers under latents as in training: which clips of the data set their
+motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `goal`
+plays policies on a task: the task's return, 1 for the full reward in every step. Targets are those
+of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose, the same goals for
+all policies; mean actions. `--random-latents` plays a hierarchy's low level without its high level.
 `--write` adds the numbers to benchmarks/results.
 """
 

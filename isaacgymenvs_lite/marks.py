@@ -9,7 +9,7 @@ Point = tuple[float, float, float]
 Colour = tuple[float, float, float]
 """Red, green, blue, 0 to 1."""
 
-# The ground of the humanoids' scenes is grey and blue.
+# Unlike anything in the scenes of the humanoids, whose ground is grey and sky is blue.
 GO_COLOUR: Colour = (0.9, 0.15, 0.1)
 FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
 
@@ -35,14 +35,18 @@ class Ball:
 Mark = Arrow | Ball
 
 
-def ground_arrow(xy_w: tuple[float, float], direction: tuple[float, float], mark: Colour) -> Arrow:
+def ground_arrow(
+    xy_w: tuple[float, float], direction: tuple[float, float], colour: Colour
+) -> Arrow:
     """Return an arrow just above the ground that begins beside a character.
 
     Args:
         xy_w: m, where the character is.
         direction: unit, where it shall go or look.
-        mark: colour.
+        colour: of the arrow.
     """
     (x, y), (dx, dy) = xy_w, direction
     near, far, height = 0.3, 1.0, 0.03
-    return Arrow((x + near * dx, y + near * dy, height), (x + far * dx, y + far * dy, height), mark)
+    return Arrow(
+        (x + near * dx, y + near * dy, height), (x + far * dx, y + far * dy, height), colour
+    )

@@ -25,6 +25,7 @@ INITIALIZERS = (
 
 # Networks made of an `mlp` section, and the sections of hidden layers that they may have.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
+_LATENT_NETWORKS = ("gen_amp", "ase")
 _LAYER_SECTIONS = ("mlp", "disc", "enc")
 _KEYS = frozenset(
     (
@@ -93,6 +94,11 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
             path = f"{where}.{section}"
             layers = read_section(LayerSettings, network[section], path)
             _check_initializer(layers.initializer, f"{path}.initializer")
+    if network.get("disc", {}).get("conditional") and network["name"] not in _LATENT_NETWORKS:
+        raise ConfigError(
+            f"{where}.disc.conditional=True: the network {network['name']} has no latents that a"
+            f" discriminator could hear; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
+        )
     space = network.get("space") or {}
     if isinstance(space, Mapping) and "continuous" in space:
         path = f"{where}.space.continuous"

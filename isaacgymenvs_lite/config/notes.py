@@ -38,6 +38,11 @@ _CPU_SETTINGS = {
     "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",
     "train.params.network.disc.units": "disc.units",
+    "train.params.network.disc.conditional": "disc.conditional",
+    "train.params.network.enc.separate": "enc.separate",
+    "train.params.network.latent_scale": "latent_scale",
+    "train.params.config.gamma": "gamma",
+    "train.params.config.disc_input_noise": "disc_input_noise",
     **{
         f"train.params.config.{key}": key
         for key in (

@@ -265,6 +265,9 @@ def played_schedule(
         env: the task; for latents of clips it has `fetch_amp_obs_demo(n)`.
         encoder: reads the latents.
         device: where they are wanted.
+
+    Raises:
+        ConfigError: as `make_schedule`.
     """
     clip_latents = ClipLatents(
         params.clip_latents,

@@ -136,7 +136,7 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
     own: dict[str, Any] = {"network": {}, "config": dict(params["config"])}
     for path, value in state[_INFO_KEY]["settings"].items():
         *sections, key = path.split(".")
-        if sections[:2] == ["train", "params"] and sections[2] in own:
+        if sections[:2] == ["train", "params"] and sections[2:3] in (["network"], ["config"]):
             place = own
             for section in sections[2:]:
                 place = place.setdefault(section, {})

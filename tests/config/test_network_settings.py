@@ -44,7 +44,7 @@ def test_published_networks_pass():
     check_network(changed("mlp.regularizer", {"name": "None"}), "n")
     check_network(changed("enc", {**LAYERS, "separate": False}), "n")
     check_network(changed("latent_scale", 8), "n")
-    check_network(changed("disc.conditional", True), "n")
+    check_network({**changed("disc.conditional", True), "name": "gen_amp"}, "n")
     check_network(changed("rnn", {"name": "lstm", "units": 8, "layers": 1}), "n")
 
 
@@ -55,6 +55,7 @@ def test_published_networks_pass():
         ("mlp.units", "64", r"n\.mlp\.units: got '64', expected a list of whole numbers"),
         ("disc.units", [1.5], r"n\.disc\.units"),
         ("latent_scale", 0, r"n\.latent_scale: got 0, expected .*above 0"),
+        ("disc.conditional", True, r"no latents .*; expected n\.name: gen_amp or ase"),
         ("disc.conditional", "perhaps", r"n\.disc\.conditional: got 'perhaps'"),
         ("mlp.activation", "rely", r"n\.mlp\.activation: got 'rely', expected one of relu, tanh"),
         ("mlp.activation", ABSENT, r"'n\.mlp\.activation' is missing"),

@@ -169,3 +169,45 @@ def scramble() -> Callable[[Any], None]:
             normalizer.count.fill_(100.0)
 
     return scramble_normalisers
+
+
+def prepared_minibatch(agent: Any, roll_out: Callable[[Any], Any]) -> dict[str, torch.Tensor]:
+    batch = roll_out(agent)
+    agent.set_train()
+    agent._before_update(batch)
+    agent.prepare_dataset(batch)
+    return agent.dataset[0]
+
+
+def check_slices(
+    make: Callable[..., Any], roll_out: Callable[[Any], Any], *overrides: str
+) -> dict[str, torch.Tensor]:
+    """Check that three slices of a minibatch give the losses and gradients of the whole.
+
+    Returns:
+        The rows of the minibatch, derived ones included.
+    """
+    config = "train.params.config"
+    agent = make(
+        *overrides,
+        f"{config}.minibatch_size=1024",
+        f"{config}.amp_minibatch_size=256",
+        f"{config}.amp_obs_demo_buffer_size=1024",
+        f"{config}.horizon_length=16",
+        num_envs=64,
+    )
+    rows = prepared_minibatch(agent, roll_out)
+    agent._count_in(rows)
+    rows |= agent._derived_rows(rows)
+
+    def gradients(threads: int) -> tuple[Any, Any]:
+        agent.executor.num_threads = threads
+        return agent.executor.gradients(agent._row_loss, dict(rows), agent._learned)
+
+    whole, values = gradients(1)
+    sliced, sliced_values = gradients(3)
+    for name, value in values.items():
+        torch.testing.assert_close(sliced_values[name], value, rtol=1e-4, atol=1e-5)
+    for own, other in zip(sliced, whole, strict=True):
+        torch.testing.assert_close(own, other, rtol=1e-3, atol=1e-5)
+    return rows

@@ -10,6 +10,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_continuous import _AMP_OBS_KINDS
+from tests.learning.conftest import prepared_minibatch
 
 CONFIG = "train.params.config"
 
@@ -396,11 +397,7 @@ def test_checkpoints_of_one_group_resume_with_a_learning_rate_for_the_discrimina
 
 def test_noise_is_drawn_for_what_the_discriminator_learns_from(make_agent, roll_out):
     agent = make_agent(f"+{CONFIG}.disc_input_noise=0.5")
-    batch = roll_out(agent)
-    agent.set_train()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
-    rows = agent.dataset[0]
+    rows = prepared_minibatch(agent, roll_out)
     derived = agent._derived_rows(rows)
     noise = torch.stack([derived[f"{kind}_noise"] for kind in _AMP_OBS_KINDS])
     assert noise.shape == (3, 8, 210)
@@ -412,5 +409,5 @@ def test_noise_is_drawn_for_what_the_discriminator_learns_from(make_agent, roll_
         assert torch.equal(inputs[f"{kind}_noise"], noise[i])
         assert torch.equal(inputs[kind], agent.discriminator.normalize(rows[kind]))
     # A reward is for the motion as it is.
-    amp_obs = batch["amp_obs"]
+    amp_obs = rows["amp_obs"]
     assert torch.equal(agent.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs))

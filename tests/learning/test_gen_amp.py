@@ -13,6 +13,7 @@ import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_continuous import exploration_probs
+from tests.learning.conftest import check_slices, prepared_minibatch
 
 CONFIG = "train.params.config"
 LATENT_DIM = 6
@@ -39,14 +40,6 @@ GEN_AMP = (
 @pytest.fixture
 def make(make_agent: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *overrides, **kwargs: make_agent(*GEN_AMP, *overrides, **kwargs)
-
-
-def prepared_minibatch(agent: Any, roll_out: Callable[[Any], Any]) -> dict[str, torch.Tensor]:
-    batch = roll_out(agent)
-    agent.set_train()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
-    return agent.dataset[0]
 
 
 # --- rollout ----------------------------------------------------------------------------------
@@ -231,29 +224,8 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
 
 
 def test_slices_give_the_gradients_of_the_whole(make, roll_out):
-    agent = make(
-        f"+{CONFIG}.enable_eps_greedy=True",
-        f"{CONFIG}.minibatch_size=1024",
-        f"{CONFIG}.amp_minibatch_size=256",
-        f"{CONFIG}.amp_obs_demo_buffer_size=1024",
-        f"{CONFIG}.horizon_length=16",
-        num_envs=64,
-    )
-    rows = prepared_minibatch(agent, roll_out)
-    agent._count_in(rows)
-    rows |= agent._derived_rows(rows)
+    rows = check_slices(make, roll_out, f"+{CONFIG}.enable_eps_greedy=True")
     assert rows["row_weights"].mean().item() == pytest.approx(1.0)
-
-    def gradients(threads: int) -> tuple[Any, Any]:
-        agent.executor.num_threads = threads
-        return agent.executor.gradients(agent._row_loss, dict(rows), agent._learned)
-
-    whole, values = gradients(1)
-    sliced, sliced_values = gradients(3)
-    for name, value in values.items():
-        torch.testing.assert_close(sliced_values[name], value, rtol=1e-4, atol=1e-5)
-    for own, other in zip(sliced, whole, strict=True):
-        torch.testing.assert_close(own, other, rtol=1e-3, atol=1e-5)
 
 
 # --- exploration mask -------------------------------------------------------------------------
