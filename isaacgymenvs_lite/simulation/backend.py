@@ -103,6 +103,29 @@ class SimulationBackend(Protocol):
         ...
 
     @property
+    def dof_forces(self) -> Tensor:
+        """(N, D) torques (Nm; N of slides) of actuators, springs and dampers on the joints.
+
+        Of the last physics step; zero for environments written since then. Ball joints: in the
+        child frame.
+        """
+        ...
+
+    def sensor(self, name: str) -> Tensor:
+        """Return (N, k) what the model's sensor measured in the last physics step.
+
+        Zero for environments written since then. MuJoCo's units, and world axes unless the sensor
+        has a frame of its own; forces of `contact` sensors are those that their first body exerts.
+
+        Args:
+            name: as in the model.
+
+        Raises:
+            ConfigError: the model has no such sensor.
+        """
+        ...
+
+    @property
     def object_states(self) -> Tensor:
         """(N, K, 13) as `root_states`, of the objects."""
         ...

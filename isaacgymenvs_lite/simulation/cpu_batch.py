@@ -17,7 +17,7 @@ import torch
 from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.kinematic_tree import Floats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_planes import (
@@ -38,7 +38,7 @@ _MAX_SPEED = 1000.0
 # Attributes that look into the batch's own memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
-    *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts"),
+    *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
 )
 
 
@@ -93,6 +93,8 @@ class CpuBatchSimulation:
         )
         self._warmstart_rows = batch.bind("qacc_warmstart")
         self._ctrl64 = torch.from_numpy(batch.bind("ctrl"))
+        self._sensor_rows = batch.bind("sensordata")
+        self._force_rows: list[np.ndarray] | None = None
         # (N, warnings, [last info, count]) -> counts
         self._warnings = batch.warning[:, _DIVERGED, 1]
         layout, planes = self.layout, self._planes
@@ -103,7 +105,7 @@ class CpuBatchSimulation:
         ):
             if columns is not None:
                 _check_order(columns, what)
-                rows = batch.bind("sensordata")[:, columns[0, 0] : columns[-1, -1] + 1]
+                rows = self._sensor_rows[:, columns[0, 0] : columns[-1, -1] + 1]
                 self._contacts.append((forces, rows.reshape(self.num_envs, -1, 3)))
 
     def _allocate(self) -> None:
@@ -120,6 +122,8 @@ class CpuBatchSimulation:
         self._body_lin_vel = tensor_of_planes(self._planes.body_lin_vel)
         self._body_ang_vel = tensor_of_planes(self._planes.body_ang_vel)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
+        # Environments written since the last step: nothing was measured there yet.
+        self._written = np.zeros(self.num_envs, dtype=bool)
         self._speeds = [self._planes.velocities]
         if self.object_names:
             self._speeds.append(self._planes.object_states[7:].reshape(-1, self.num_envs))
@@ -146,6 +150,32 @@ class CpuBatchSimulation:
         self._require_body_velocities()
         return self._body_ang_vel
 
+    @property
+    def dof_forces(self) -> Tensor:
+        """(N, D) torques of actuators, springs and dampers; see `SimulationBackend.dof_forces`."""
+        batch = self._require_batch()
+        if self._force_rows is None:
+            # Asked for when somebody first wants them: the batch copies them out at every step.
+            self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
+        dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
+        actuators, passive = (rows.T[dofs] for rows in self._force_rows)
+        return self._measured(actuators + passive)
+
+    def sensor(self, name: str) -> Tensor:
+        """Return (N, k) what a sensor measured; see `SimulationBackend.sensor`."""
+        self._require_batch()
+        columns = self.layout.sensor_columns
+        if name not in columns:
+            raise ConfigError(unknown("sensor of the model", name, columns))
+        return self._measured(self._sensor_rows.T[columns[name]])
+
+    def _measured(self, planes: np.ndarray) -> Tensor:
+        """Return planes (k, N) of the last physics step as a tensor (N, k)."""
+        values = planes.astype(np.float32)
+        if self._written.any():
+            values[:, self._written] = 0.0
+        return tensor_of_planes(values)
+
     def _require_body_velocities(self) -> None:
         self._require_batch()
         if not self._planes.has_body_velocities:
@@ -165,6 +195,7 @@ class CpuBatchSimulation:
         except SimulationError as error:
             log.debug("%s", error)
             raised = error.ids
+        self._written[:] = False
         self._refresh()
         self._recover(batch, raised)
 
@@ -186,6 +217,7 @@ class CpuBatchSimulation:
         self.num_failures += len(rows)
         batch.reset(rows, stage=_STAGE_NONE)
         self._warnings[rows] = 0
+        self._written[rows] = True
         self._refresh_rows(rows, self._qpos_rows[rows], self._qvel_rows[rows])
 
     def write_state(
@@ -201,6 +233,7 @@ class CpuBatchSimulation:
         self._state_rows[rows] = self._default_state
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
+        self._written[rows] = True
         self._refresh_rows(rows, qpos, qvel)
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:

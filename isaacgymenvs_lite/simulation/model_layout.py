@@ -40,6 +40,7 @@ class ModelLayout:
         has_free_root: whether the first joint is a free joint.
         object_names: K names; object tensors use this order.
         object_contact_columns: (K, 3) as `contact_columns`, of the objects.
+        sensor_columns: where in sensordata the values of each named sensor are.
     """
 
     body_names: tuple[str, ...]
@@ -55,6 +56,7 @@ class ModelLayout:
     has_free_root: bool
     object_names: tuple[str, ...]
     object_contact_columns: np.ndarray | None
+    sensor_columns: dict[str, slice]
 
     @property
     def num_dofs(self) -> int:
@@ -116,6 +118,7 @@ class ModelLayout:
             has_free_root=has_free_root,
             object_names=object_names,
             object_contact_columns=_contact_columns(model, object_names, "object", "objects"),
+            sensor_columns=_sensor_columns(model),
         )
 
 
@@ -139,6 +142,14 @@ def _count_objects(model: mujoco.MjModel) -> int:
                 " free bodies other than the robot after all other bodies: move it to the end"
             )
     return len(objects)
+
+
+def _sensor_columns(model: mujoco.MjModel) -> dict[str, slice]:
+    ends = model.sensor_adr + model.sensor_dim
+    return {
+        model.sensor(i).name: slice(int(model.sensor_adr[i]), int(ends[i]))
+        for i in range(model.nsensor)
+    }
 
 
 def _contact_columns(

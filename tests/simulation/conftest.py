@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config, read_sim_config
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config
 from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
+from isaacgymenvs_lite.tasks.base.task_config import read_sim_config
 
 MakeSimulation = Callable[..., CpuBatchSimulation]
 RandomState = Callable[[int, int], tuple[Tensor, Tensor, Tensor]]

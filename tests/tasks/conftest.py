@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from torch import Tensor
 
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
@@ -87,6 +89,24 @@ def make_ase(make_humanoid: MakeHumanoid, armed_walk_clip: Path) -> MakeASE:
         return make_humanoid(num_envs, cls=cls, sim={"dt": 1.0 / 60.0, **(sim or {})}, **env)
 
     return make
+
+
+@pytest.fixture
+def make_task() -> Iterator[Callable[..., Any]]:
+    """Return `make_task(*overrides, num_envs=4)`, a maker by the command line's overrides.
+
+    As `make_task("task=Ant", "task.env.episodeLength=50")`; closes the tasks at the end.
+    """
+    made: list[VecTask] = []
+
+    def make(*overrides: str, num_envs: int = 4) -> Any:
+        cfg = compose([f"num_envs={num_envs}", "num_threads=1", *overrides])
+        made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
+        return made[-1]
+
+    yield make
+    for task in made:
+        task.close()
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import torch
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
+from isaacgymenvs_lite.tasks.base.classic_task import ClassicTask
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 NUM_ENVS = 5
@@ -20,6 +21,11 @@ NUM_ENVS = 5
 
 # What these show does not depend on chance.
 DETERMINISTIC = {"HumanoidViewMotion"}
+CLASSIC = sorted(
+    name
+    for name, task in isaacgym_task_map.items()
+    if isinstance(task, type) and issubclass(task, ClassicTask)
+)
 
 
 @pytest.fixture(params=sorted(isaacgym_task_map))
@@ -29,13 +35,18 @@ def task_name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask]]:
-    """Return `make_task(*overrides, seed=0)`, a maker of the task, with a clip of the test."""
+    """Return `make_task(*overrides, seed=0, num_envs=5)`, a maker of the task.
+
+    Tasks with clips show one of the test, from its beginning to its end.
+    """
     made: list[VecTask] = []
 
-    def make(*overrides: str, seed: int = 0) -> VecTask:
+    def make(*overrides: str, seed: int = 0, num_envs: int = NUM_ENVS) -> VecTask:
         torch.manual_seed(seed)
-        fixed = (f"num_envs={NUM_ENVS}", "num_threads=1", f"task.env.motion_file={walk_clip}")
-        cfg = compose([f"task={task_name}", *fixed, *overrides])
+        fixed = [f"task={task_name}", f"num_envs={num_envs}", "num_threads=1"]
+        if task_name not in CLASSIC:
+            fixed += [f"task.env.motion_file={walk_clip}", "task.env.stateInit=Random"]
+        cfg = compose([*fixed, *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
         return made[-1]
 
@@ -47,15 +58,22 @@ def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask
 def _random_steps(task: VecTask, count: int) -> Iterator[tuple]:
     generator = torch.Generator().manual_seed(1)
     for _ in range(count):
-        actions = 2.0 * torch.rand(NUM_ENVS, task.num_actions, generator=generator) - 1.0
+        actions = 2.0 * torch.rand(task.num_envs, task.num_actions, generator=generator) - 1.0
         yield task.step(actions)
-        task.reset_done()
+        if task.resets_on_request:
+            task.reset_done()
 
 
 def test_the_class_is_a_vec_task(make_task) -> None:
     task = make_task()
     assert isinstance(task, VecTask)
     assert task.num_envs == task.simulation.num_envs == NUM_ENVS
+
+
+def test_the_default_file_composes_with_its_train_file(task_name: str) -> None:
+    cfg = compose([f"task={task_name}"])
+    assert cfg.task.name == task_name
+    assert cfg.train.params.config.num_actors == cfg.task.env.numEnvs
 
 
 def test_steps_meet_the_spaces(make_task) -> None:
@@ -77,15 +95,75 @@ def test_steps_meet_the_spaces(make_task) -> None:
         assert not (time_outs & (dones == 0)).any()
 
 
+def test_a_thousand_random_steps_give_numbers(make_task) -> None:
+    task = make_task(num_envs=64)
+    task.reset()
+    for observations, rewards, _, _ in _random_steps(task, 1000):
+        assert observations["obs"].isfinite().all()
+        assert rewards.isfinite().all()
+
+
 def test_the_same_seed_gives_the_same_course(make_task, task_name: str) -> None:
     def course(seed: int) -> list[bytes]:
-        task = make_task("task.env.stateInit=Random", seed=seed)
+        task = make_task(seed=seed)
         task.reset_done()
         return [step[0]["obs"].numpy().tobytes() for step in _random_steps(task, 20)]
 
     first = course(0)
     assert course(0) == first
     assert (course(1) == first) == (task_name in DETERMINISTIC)
+
+
+def test_resets_touch_only_their_rows(make_task) -> None:
+    task = make_task()
+    task.reset()
+    for _ in _random_steps(task, 3):
+        pass
+    task.progress_buf[:] = 7
+    others = torch.tensor([0, 2, 4])
+    before = [state[others].clone() for state in _states(task)]
+    task.reset_idx(torch.tensor([1, 3]))
+    for was, state in zip(before, _states(task), strict=True):
+        assert torch.equal(was, state[others])
+    assert (task.progress_buf[[1, 3]] == 0).all()
+
+
+def _states(task: VecTask) -> list[torch.Tensor]:
+    sim = task.simulation
+    return [sim.root_states, sim.dof_pos, sim.dof_vel, sim.object_states, task.progress_buf]
+
+
+def test_time_outs_come_at_the_limit_only(make_task) -> None:
+    task = make_task()
+    limit = task.max_episode_length - 1
+    task.reset()
+    for _, _, _, infos in _random_steps(task, 5):
+        assert not infos["time_outs"].any()
+    task.progress_buf[:] = limit - 1
+    _, _, dones, infos = task.step(task.zero_actions())
+    assert dones.any()
+    assert torch.equal(infos["time_outs"], (dones != 0) & ~task.failures())
+
+
+@pytest.mark.parametrize("task_name", CLASSIC)
+def test_the_terms_sum_to_the_reward(make_task) -> None:
+    task = make_task(num_envs=32)
+    task.reset()
+    for _, rewards, _, _ in _random_steps(task, 50):
+        assert len(task.reward_terms) > 1
+        paid = sum(term.double() for term in task.reward_terms.values())
+        # float32 sums of terms of either sign: an error of their magnitudes, not of the sum's.
+        largest = max(term.abs().max().item() for term in task.reward_terms.values())
+        assert torch.allclose(rewards.double(), paid, rtol=1e-5, atol=1e-5 * max(1.0, largest))
+
+
+@pytest.mark.parametrize("task_name", CLASSIC)
+def test_an_asymmetric_critic_is_given_the_observation(make_task) -> None:
+    task = make_task("task.env.asymmetric_observations=True")
+    task.reset()
+    assert task.state_space.shape == (task.num_obs,)
+    for observations, *_ in _random_steps(task, 3):
+        assert observations["states"].shape == (NUM_ENVS, task.num_obs)
 
 
 def test_a_closed_task_cannot_be_stepped(make_task) -> None:

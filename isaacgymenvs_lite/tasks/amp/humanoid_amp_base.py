@@ -14,11 +14,10 @@ from isaacgymenvs_lite.simulation.factory import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
     HumanoidAMPConfig,
-    SimConfig,
     read_env_config,
-    read_sim_config,
 )
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, dof_limits, shipped_assets
+from isaacgymenvs_lite.tasks.amp.humanoid_model import OWN_ASSET, build_model, dof_limits
+from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     compute_humanoid_reset,
@@ -27,6 +26,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     num_humanoid_obs,
     pd_action_offset_scale,
 )
+from isaacgymenvs_lite.tasks.base.task_config import SimConfig, read_sim_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 __all__ = [
@@ -139,8 +139,9 @@ class HumanoidAMPBase(VecTask):
         num_dofs, num_actuators = self._layout.num_dofs, self._model.nu
         if num_dofs not in self.num_dofs_of_assets or num_actuators != num_dofs:
             expected = " or ".join(str(n) for n in self.num_dofs_of_assets)
+            name = self.env_cfg.asset.asset_file_name or OWN_ASSET
             raise ConfigError(
-                f"task.env.asset.assetFileName='{self.env_cfg.asset.asset_file_name}' has"
+                f"task.env.asset.assetFileName='{name}' has"
                 f" {num_dofs} degrees of freedom and {num_actuators} actuators;"
                 f" {type(self).__name__} expects {expected} of both ({shipped_assets()})"
             )

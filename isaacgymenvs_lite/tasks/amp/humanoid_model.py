@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig, SimConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model, hinge_limits
+from isaacgymenvs_lite.tasks.base.task_config import SimConfig
 
-log = logging.getLogger(__name__)
-
-
-def asset_path(env: HumanoidAMPConfig) -> Path:
-    """Return the MJCF that `task.env.asset` names.
-
-    Raises:
-        ConfigError: there is no such file.
-    """
-    root = Path(env.asset.asset_root) if env.asset.asset_root else assets_dir()
-    if not root.is_dir() and (assets_dir() / env.asset.asset_file_name).is_file():
-        # Published files name the assets folder of their own project.
-        log.info("task.env.asset.assetRoot=%s does not exist: using %s", root, assets_dir())
-        root = assets_dir()
-    path = root / env.asset.asset_file_name
-    if not path.is_file():
-        raise ConfigError(
-            f"task.env.asset.assetFileName='{env.asset.asset_file_name}': no file {path};"
-            f" shipped: {shipped_assets()}"
-        )
-    return path
-
-
-def shipped_assets() -> str:
-    """Return the names of the MJCF files that come with the project, for messages."""
-    return ", ".join(
-        sorted(str(p.relative_to(assets_dir())) for p in assets_dir().glob("mjcf/*.xml"))
-    )
+OWN_ASSET = "mjcf/amp_humanoid.xml"
 
 
 def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
@@ -52,12 +23,9 @@ def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.flo
     of its rotation vector's components are the length ranges of the three actuators on it, 0 in a
     file that does not give them. Actuators are in the order of the degrees of freedom.
     """
-    limits = np.zeros((layout.num_dofs, 2))
-    for dof, name in enumerate(layout.dof_names):
-        if dof in layout.scalar_dofs:
-            limits[dof] = model.joint(name).range
-        else:
-            limits[dof] = model.actuator_lengthrange[dof]
+    limits = hinge_limits(model, layout)
+    balls = layout.ball_dofs.ravel()
+    limits[balls] = model.actuator_lengthrange[balls]
     return limits
 
 
@@ -76,20 +44,8 @@ def build_model(
     Raises:
         ConfigError: the file is missing or MuJoCo refuses it.
     """
-    path = asset_path(env)
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        change(spec)
-        model = spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error
-    model.opt.timestep = sim.dt / sim.substeps
-    model.opt.gravity[:] = sim.gravity
-    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
-    # MuJoCo takes the larger coefficient of two touching geoms: set all to the plane's value.
-    if floor >= 0:
-        model.geom_friction[:, 0] = env.plane.dynamic_friction
+    path = asset_path(env.asset, OWN_ASSET)
+    model = compile_model(path, sim, env.plane.dynamic_friction, change)
     if not env.pd_control:
         _make_torque_actuators(model)
         return model

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
-    UNREAD_ENV_KEYS,
-    HumanoidAMPConfig,
-)
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.ase.goals import GOAL_NAMES, goal_keys
+from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config, read_sim_config
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config
 from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
+from isaacgymenvs_lite.tasks.base.task_config import read_sim_config
 
 # name, parent, offset in the parent (m), mass (kg)
 BODIES = [

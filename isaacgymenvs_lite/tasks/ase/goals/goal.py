@@ -162,11 +162,6 @@ class TimedGoal(Goal):
         raise NotImplementedError
 
 
-def uniform(env_ids: Tensor, low: float, high: float, size: tuple[int, ...] = ()) -> Tensor:
-    """Return (n, *size) random numbers in [low, high) for environments (n,)."""
-    return low + (high - low) * torch.rand(len(env_ids), *size, device=env_ids.device)
-
-
 def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:
     """Check that a range of `task.env` is one.
 

@@ -11,13 +11,14 @@ from torch import Tensor
 from isaacgymenvs_lite.marks import GO_COLOUR, Ball, Mark
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, uniform
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal
 from isaacgymenvs_lite.tasks.ase.goals.planar import (
     facing_reward,
     planar_velocity,
     speed_reward,
     xy_in_heading_frame,
 )
+from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.utils.rotations import normalize
 
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0

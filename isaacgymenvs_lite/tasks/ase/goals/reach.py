@@ -11,8 +11,9 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.marks import GO_COLOUR, Ball, Mark
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range, uniform
+from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range
 from isaacgymenvs_lite.tasks.ase.goals.planar import in_heading_frame
+from isaacgymenvs_lite.tasks.base.random_values import uniform
 
 _DISTANCE_SCALE = 4.0
 # The bodies to reach with that nobody named, the first that the character has.

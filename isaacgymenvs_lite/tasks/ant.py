@@ -1,0 +1,144 @@
+"""Ant: four legs that shall run along +x. As IsaacGymEnvs.
+
+Quirks that are kept because policies and curves depend on them: yaw and roll jump between 0 and
+2 pi; `angle_to_target` (see `locomotion`); the cost of joints at their limits counts upper limits
+only; the cost of energy uses the scaled joint velocity.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.base.locomotion import (
+    LocomotionConfig,
+    LocomotionTask,
+    TorsoState,
+    heading_reward,
+    unscale,
+    up_reward,
+)
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
+
+_ALIVE_REWARD = 0.5
+_AT_LIMIT = 0.99
+
+
+def compute_ant_observations(
+    torso: TorsoState,
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    foot_wrenches: Tensor,
+    actions: Tensor,
+    cfg: LocomotionConfig,
+) -> Tensor:
+    """Return the observations (N, 60).
+
+    Height, velocities in the torso's frame, yaw, roll, angle to the target, `up_proj`,
+    `heading_proj`, 8 joint positions as shares of their ranges, 8 joint velocities, 4 x 6 forces
+    and torques on the feet, 8 actions.
+
+    Args:
+        torso: see `compute_torso_state`.
+        dof_pos: (N, 8) rad.
+        dof_vel: (N, 8) rad/s.
+        lower: (8,) rad.
+        upper: (8,) rad.
+        foot_wrenches: (24, N) N and Nm, in the feet's frames.
+        actions: (N, 8) of the last step.
+        cfg: the scales.
+    """
+    return torch.cat(
+        (
+            torso.height[None],
+            torso.lin_vel,
+            torso.ang_vel * cfg.angular_velocity_scale,
+            torch.stack(
+                (
+                    torso.yaw,
+                    torso.roll,
+                    torso.angle_to_target,
+                    torso.up_proj,
+                    torso.heading_proj,
+                )
+            ),
+            unscale(dof_pos, lower, upper).t(),
+            dof_vel.t() * cfg.dof_velocity_scale,
+            foot_wrenches * cfg.contact_force_scale,
+            actions.t(),
+        )
+    ).t()
+
+
+def compute_ant_reward(
+    torso: TorsoState,
+    progress_m_s: Tensor,
+    actions: Tensor,
+    dof_pos_share: Tensor,
+    dof_vel_scaled: Tensor,
+    cfg: LocomotionConfig,
+) -> Terms:
+    """Return the terms (N,) of the reward.
+
+    Args:
+        torso: see `compute_torso_state`.
+        progress_m_s: (N,) speed towards the target.
+        actions: (N, 8).
+        dof_pos_share: (N, 8) joint positions in their ranges, -1 to 1.
+        dof_vel_scaled: (N, 8) joint velocities times dofVelocityScale.
+        cfg: weights and costs.
+    """
+    terms = {
+        "progress": progress_m_s,
+        "alive": torch.full_like(progress_m_s, _ALIVE_REWARD),
+        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
+        "up": up_reward(torso.up_proj, cfg.up_weight),
+        "actions": actions.square().sum(-1) * -cfg.actions_cost,
+        "energy": (actions * dof_vel_scaled).abs().sum(-1) * -cfg.energy_cost,
+        "joints_at_limit": (dof_pos_share > _AT_LIMIT).sum(-1) * -cfg.joints_at_limit_cost,
+    }
+    return replace_where(terms, torso.height < cfg.termination_height, "fall", cfg.death_cost)
+
+
+class Ant(LocomotionTask):
+    """N ants: 60 observations, 8 joint torques. Keys: `LocomotionConfig`.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = LocomotionConfig
+    own_asset = "mjcf/ant.xml"
+    published_assets = ("mjcf/nv_ant.xml",)
+    actor_name = "ant"
+    num_features = 60
+    num_controls = 8
+    foot_names = ("front_left_foot", "front_right_foot", "left_back_foot", "right_back_foot")
+    torques_nm = (15.0,) * 8
+
+    def observe(self) -> Tensor:
+        """See `compute_ant_observations`."""
+        sim = self.simulation
+        return compute_ant_observations(
+            self.torso_state(),
+            sim.dof_pos,
+            sim.dof_vel,
+            self.dof_limits_lower,
+            self.dof_limits_upper,
+            self.foot_wrenches(),
+            self.actions,
+            self.env_cfg,
+        )
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_ant_reward`."""
+        return compute_ant_reward(
+            self.torso_state(),
+            self.potentials - self.prev_potentials,
+            self.actions,
+            self.obs_buf[:, 12:20],
+            self.obs_buf[:, 20:28],
+            self.env_cfg,
+        )

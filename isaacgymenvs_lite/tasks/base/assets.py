@@ -1,0 +1,94 @@
+"""From the MJCF that a task's configuration names to the model that is simulated."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, SimConfig
+
+log = logging.getLogger(__name__)
+
+
+def asset_path(asset: AssetConfig, own: str, published: Collection[str] = ()) -> Path:
+    """Return the MJCF that `task.env.asset` names.
+
+    Args:
+        asset: the section.
+        own: the task's own file, relative to assets/.
+        published: names that published task files give to their project's file; where there is
+            no such file, `own` stands for it.
+
+    Raises:
+        ConfigError: there is no such file.
+    """
+    name = asset.asset_file_name or own
+    root = Path(asset.asset_root) if asset.asset_root else assets_dir()
+    if not root.is_dir() and (assets_dir() / name).is_file():
+        # Published files name the assets folder of their own project.
+        log.info("task.env.asset.assetRoot=%s does not exist: using %s", root, assets_dir())
+        root = assets_dir()
+    path = root / name
+    if path.is_file():
+        return path
+    if name in published:
+        log.info("task.env.asset: %s is not part of this project, whose model is %s", name, own)
+        return assets_dir() / own
+    raise ConfigError(
+        f"task.env.asset.assetFileName='{name}': no file {path}; shipped: {shipped_assets()}"
+    )
+
+
+def shipped_assets() -> str:
+    """Return the names of the MJCF files that come with the project, for messages."""
+    return ", ".join(
+        sorted(str(p.relative_to(assets_dir())) for p in assets_dir().glob("mjcf/*.xml"))
+    )
+
+
+def compile_model(
+    path: Path,
+    sim: SimConfig,
+    dynamic_friction: float,
+    change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+) -> mujoco.MjModel:
+    """Compile an MJCF with the task's time step, gravity and friction.
+
+    Args:
+        path: the file.
+        sim: `task.sim`.
+        dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
+        change: what a task adds to the file, or changes in it, before it is compiled.
+
+    Raises:
+        ConfigError: MuJoCo refuses the file.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        change(spec)
+        model = spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error
+    model.opt.timestep = sim.dt / sim.substeps
+    model.opt.gravity[:] = sim.gravity
+    # MuJoCo takes the larger coefficient of two touching geoms: set all to the plane's value.
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor") >= 0:
+        model.geom_friction[:, 0] = dynamic_friction
+    return model
+
+
+def hinge_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
+    """Return the lower and upper limits (D, 2) of hinges (rad) and slides (m); 0 of all others."""
+    limits = np.zeros((layout.num_dofs, 2))
+    for dof in layout.scalar_dofs:
+        limits[dof] = model.joint(layout.dof_names[dof]).range
+    return limits

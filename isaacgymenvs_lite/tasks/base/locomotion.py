@@ -1,0 +1,227 @@
+"""What Ant and Humanoid share: a body that is driven by joint torques and shall run along +x.
+
+Formulas as IsaacGymEnvs (its torch_jit_utils and tasks), over named quantities of N environments.
+Quirks that are kept because policies and curves depend on them: `angle_to_target` takes the height
+of the target for its way to the side, so that it is nearly minus the yaw.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.assets import hinge_limits
+from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.utils.rotations import cross_components, get_euler_xyz, rotate_components
+
+_TARGET_X_M = 1000.0
+_START_POS_NOISE_RAD = 0.2
+_START_VEL_NOISE_RAD_S = 0.1
+# From here on heading and uprightness are paid in full.
+_FULL_HEADING = 0.8
+_UPRIGHT = 0.93
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocomotionConfig(ClassicConfig):
+    """Keys of `task.env` that Ant and Humanoid share; their own defaults differ."""
+
+    episode_length: int = setting(1000, key="episodeLength", minimum=2)
+    """Control steps of an episode."""
+    power_scale: float = setting(1.0, key="powerScale", minimum=0)
+    """Factor on the torques."""
+    heading_weight: float = setting(0.5, key="headingWeight")
+    """Reward of facing the target."""
+    up_weight: float = setting(0.1, key="upWeight")
+    """Reward of an upright torso."""
+    actions_cost: float = setting(0.005, key="actionsCost")
+    """Of the squared actions."""
+    energy_cost: float = setting(0.05, key="energyCost")
+    """Of action times (observed) speed of the joint."""
+    dof_velocity_scale: float = setting(0.2, key="dofVelocityScale")
+    """Factor on joint velocities in the observation."""
+    angular_velocity_scale: float = setting(1.0, key="angularVelocityScale")
+    """Factor on the torso's angular velocity in the observation."""
+    contact_force_scale: float = setting(0.1, key="contactForceScale")
+    """Factor on forces and torques in the observation."""
+    joints_at_limit_cost: float = setting(0.1, key="jointsAtLimitCost")
+    """Of joints at their limits."""
+    death_cost: float = setting(-2.0, key="deathCost")
+    """Reward of a step that ends in a fall."""
+    termination_height: float = setting(0.31, key="terminationHeight")
+    """Height of the torso (m) below which it fell."""
+
+
+class TorsoState(NamedTuple):
+    """How the torso moves, (N,) or (3, N) each; velocities in its own axes."""
+
+    height: Tensor
+    lin_vel: Tensor
+    ang_vel: Tensor
+    yaw: Tensor
+    roll: Tensor
+    angle_to_target: Tensor
+    up_proj: Tensor
+    heading_proj: Tensor
+
+
+def compute_torso_state(root_states: Tensor) -> TorsoState:
+    """Return how torsos with `root_states` (N, 13) move and face a target at (1000, 0, 0) m.
+
+    `yaw` and `roll` are in [0, 2 pi) and `angle_to_target` is not wrapped (rad); `up_proj` is the
+    height of the torso's z axis, `heading_proj` the share of its x axis that points at the target.
+    """
+    px, py, height, x, y, z, w, *velocities = root_states.unbind(-1)
+    back = (-x, -y, -z, w)
+    roll, _, yaw = get_euler_xyz(root_states[:, 3:7])
+    to_x, to_y = _TARGET_X_M - px, -py
+    heading_x, heading_y = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    distance = torch.hypot(to_x, to_y)
+    return TorsoState(
+        height,
+        torch.stack(rotate_components(back, velocities[:3])),
+        torch.stack(rotate_components(back, velocities[3:])),
+        yaw,
+        roll,
+        torch.atan2(-height, to_x) - yaw,
+        1.0 - 2.0 * (x * x + y * y),
+        (heading_x * to_x + heading_y * to_y) / distance,
+    )
+
+
+def compute_potentials(root_pos: Tensor, dt: float) -> Tensor:
+    """Return (N,) minus the distance over the ground to the target (1000, 0, 0) m, over dt (s).
+
+    What it grows by in a step is the speed towards the target (m/s).
+
+    Args:
+        root_pos: (N, 3) m.
+        dt: s.
+    """
+    return torch.hypot(_TARGET_X_M - root_pos[:, 0], root_pos[:, 1]) / -dt
+
+
+def heading_reward(heading_proj: Tensor, weight: float) -> Tensor:
+    """Return `weight` where the torso faces the target within 37 degrees, less elsewhere, (N,)."""
+    return (weight / _FULL_HEADING * heading_proj).masked_fill(heading_proj > _FULL_HEADING, weight)
+
+
+def up_reward(up_proj: Tensor, weight: float) -> Tensor:
+    """Return `weight` where the torso is upright within 22 degrees, else 0, (N,)."""
+    return (up_proj > _UPRIGHT).float() * weight
+
+
+def unscale(values: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+    """Return values (N, D) with lower (D,) as -1 and upper (D,) as 1."""
+    return (2.0 * values - (upper + lower)) / (upper - lower)
+
+
+def body_wrenches(contacts: Tensor, body_pos: Tensor, body_rot: Tensor) -> Tensor:
+    """Return (6, K, N) contact force and torque on K bodies, about and in the frames of the bodies.
+
+    Args:
+        contacts: (9, K, N) what `contact` sensors measure, in world axes: the force that the body
+            exerts, its torque about a point, and that point.
+        body_pos: (3, K, N) m.
+        body_rot: (4, K, N) xyzw.
+    """
+    back = (*(-body_rot[:3]).unbind(), body_rot[3])
+    exerted, points = contacts[:3].unbind(), (contacts[6:] - body_pos).unbind()
+    moved = cross_components(points, exerted)
+    torques = [-(own + lever) for own, lever in zip(contacts[3:6], moved, strict=True)]
+    forces = [-force for force in exerted]
+    return torch.stack((*rotate_components(back, forces), *rotate_components(back, torques)))
+
+
+class LocomotionTask(ClassicTask):
+    """N bodies with torque motors that shall run along +x."""
+
+    foot_names: ClassVar[tuple[str, ...]]
+    """Bodies of the model with a sensor `wrench_<body>`."""
+    torques_nm: ClassVar[tuple[float, ...]]
+    """Of full actions, by joint."""
+
+    def create_sim(self) -> None:
+        """Make the simulations, and what is known of the joints."""
+        super().create_sim()
+        device = self.device
+        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
+        self.dof_limits_lower, self.dof_limits_upper = limits.unbind(-1)
+        # A joint starts at zero, or at the limit that is nearest to it.
+        self.initial_dof_pos = limits.clamp(min=0.0)[:, 0] + limits.clamp(max=0.0)[:, 1]
+        self.motor_efforts = torch.tensor(self.torques_nm, device=device)
+        bodies = self.simulation.body_names
+        self._foot_ids = torch.tensor([bodies.index(name) for name in self.foot_names])
+        self._initial_root = torch.zeros(13, device=device)
+        self._initial_root[:3] = torch.from_numpy(self._model.qpos0[:3])
+        self._initial_root[6] = 1.0
+
+    def allocate_buffers(self) -> None:
+        """Add the potentials of this step and the one before."""
+        super().allocate_buffers()
+        self.potentials = torch.zeros(self.num_envs, device=self.device)
+        self.prev_potentials = torch.zeros_like(self.potentials)
+
+    def _episode_length(self) -> int:
+        return self.env_cfg.episode_length
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return the joint torques (N, D) in Nm."""
+        return actions * self.motor_efforts * self.env_cfg.power_scale
+
+    def advance(self) -> None:
+        """See `compute_potentials`."""
+        self.prev_potentials, self.potentials = self.potentials, self.prev_potentials
+        self.potentials.copy_(compute_potentials(self.simulation.root_states[:, :3], self.dt))
+        self._torso: TorsoState | None = None
+
+    def torso_state(self) -> TorsoState:
+        """See `compute_torso_state`."""
+        if self._torso is None:
+            self._torso = compute_torso_state(self.simulation.root_states)
+        return self._torso
+
+    def foot_wrenches(self) -> Tensor:
+        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames."""
+        sim = self.simulation
+        contacts = [sim.sensor(f"wrench_{name}").t() for name in self.foot_names]
+        feet = self._foot_ids
+        wrenches = body_wrenches(
+            torch.stack(contacts, dim=1),
+            sim.body_pos.permute(2, 1, 0).index_select(1, feet),
+            sim.body_rot.permute(2, 1, 0).index_select(1, feet),
+        )
+        return wrenches.transpose(0, 1).flatten(0, 1)
+
+    @abstractmethod
+    def compute_reward_terms(self) -> Terms:
+        """Return the terms (N,) of the reward."""
+
+    def compute_failures(self) -> Tensor:
+        """Return (N,) bool: the torso is too low."""
+        return self.simulation.root_states[:, 2] < self.env_cfg.termination_height
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Upright at the origin and at rest, with the joints near their initial positions."""
+        size = (self.num_actions,)
+        pos = self.initial_dof_pos + uniform(
+            env_ids, -_START_POS_NOISE_RAD, _START_POS_NOISE_RAD, size
+        )
+        pos = pos.clamp(self.dof_limits_lower, self.dof_limits_upper)
+        vel = uniform(env_ids, -_START_VEL_NOISE_RAD_S, _START_VEL_NOISE_RAD_S, size)
+        root = self._initial_root.repeat(len(env_ids), 1)
+        self.simulation.write_state(env_ids, root, pos, vel)
+        # The way to the target starts here, so that no progress is paid for the reset.
+        self.potentials.index_copy_(0, env_ids, compute_potentials(root[:, :3], self.dt))
+        self._torso = None
+
+    def infos(self) -> dict[str, Any]:
+        """Return the speed along x (N,) in m/s as the objective of population-based training."""
+        return {"true_objective": self._for_trainer(self.simulation.root_states[:, 7])}

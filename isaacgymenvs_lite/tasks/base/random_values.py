@@ -1,0 +1,11 @@
+"""Random numbers as tasks draw them."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def uniform(env_ids: Tensor, low: float, high: float, size: tuple[int, ...] = ()) -> Tensor:
+    """Return (n, *size) random numbers in [low, high) for environments (n,)."""
+    return low + (high - low) * torch.rand(len(env_ids), *size, device=env_ids.device)

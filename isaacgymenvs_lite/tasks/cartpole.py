@@ -1,0 +1,112 @@
+"""Cartpole: a pole hinged to a cart is kept upright by pushing the cart. As IsaacGymEnvs.
+
+Not kept from the original: a published URDF of the asset is not read, its model is ours.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
+
+_EPISODE_LENGTH = 500
+_MAX_ANGLE_RAD = math.pi / 2.0
+_FAILURE_REWARD = -2.0
+_START_POS = 0.1  # m and rad
+_START_VEL = 0.25  # m/s and rad/s
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartpoleConfig(ClassicConfig):
+    """`task.env` of Cartpole."""
+
+    reset_dist: float = setting(3.0, key="resetDist", above=0)
+    """Distance of the cart from the middle of the rail (m) at which the episode ends."""
+    max_effort: float = setting(400.0, key="maxEffort", minimum=0)
+    """Force on the cart (N) of a full action."""
+
+
+def compute_cartpole_observations(
+    cart_pos: Tensor, cart_vel: Tensor, pole_angle: Tensor, pole_vel: Tensor
+) -> Tensor:
+    """Return the observations (N, 4) of quantities (N,) in m, m/s, rad, rad/s."""
+    return torch.stack((cart_pos, cart_vel, pole_angle, pole_vel), dim=-1)
+
+
+def compute_cartpole_reward(
+    pole_angle: Tensor, pole_vel: Tensor, cart_vel: Tensor, cart_pos: Tensor, reset_dist: float
+) -> Terms:
+    """Return the reward's terms (N,): upright and slow, or a failure.
+
+    Args:
+        pole_angle: (N,) rad, 0 upright.
+        pole_vel: (N,) rad/s.
+        cart_vel: (N,) m/s.
+        cart_pos: (N,) m.
+        reset_dist: as the key resetDist, m.
+    """
+    terms = {
+        "upright": 1.0 - pole_angle.square(),
+        "cart_speed": -0.01 * cart_vel.abs(),
+        "pole_speed": -0.005 * pole_vel.abs(),
+    }
+    failed = compute_cartpole_failures(pole_angle, cart_pos, reset_dist)
+    return replace_where(terms, failed, "failure", _FAILURE_REWARD)
+
+
+def compute_cartpole_failures(pole_angle: Tensor, cart_pos: Tensor, reset_dist: float) -> Tensor:
+    """Return (N,) bool: the cart (m) went too far or the pole (rad) fell."""
+    return (cart_pos.abs() > reset_dist) | (pole_angle.abs() > _MAX_ANGLE_RAD)
+
+
+class Cartpole(ClassicTask):
+    """N cart-poles: 4 observations, 1 action. Keys: `CartpoleConfig`.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = CartpoleConfig
+    own_asset = "mjcf/cartpole.xml"
+    published_assets = ("urdf/cartpole.urdf",)
+    actor_name = "cartpole"
+    num_features = 4
+    num_controls = 1
+
+    def _episode_length(self) -> int:
+        return _EPISODE_LENGTH
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return the force on the cart (N, 1) in N."""
+        return actions * self.env_cfg.max_effort
+
+    def observe(self) -> Tensor:
+        """See `compute_cartpole_observations`."""
+        pos, vel = self.simulation.dof_pos, self.simulation.dof_vel
+        return compute_cartpole_observations(pos[:, 0], vel[:, 0], pos[:, 1], vel[:, 1])
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_cartpole_reward`."""
+        pos, vel = self.simulation.dof_pos, self.simulation.dof_vel
+        return compute_cartpole_reward(
+            pos[:, 1], vel[:, 1], vel[:, 0], pos[:, 0], self.env_cfg.reset_dist
+        )
+
+    def compute_failures(self) -> Tensor:
+        """See `compute_cartpole_failures`."""
+        pos = self.simulation.dof_pos
+        return compute_cartpole_failures(pos[:, 1], pos[:, 0], self.env_cfg.reset_dist)
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Near the middle, nearly upright, nearly at rest."""
+        n = len(env_ids)
+        pos = uniform(env_ids, -_START_POS, _START_POS, (2,))
+        vel = uniform(env_ids, -_START_VEL, _START_VEL, (2,))
+        self.simulation.write_state(env_ids, torch.zeros(n, 13, device=self.device), pos, vel)
