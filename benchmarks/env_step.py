@@ -1,6 +1,7 @@
 """How much of the physics' speed is left in a task: env.step against raw Batch.step.
 
-    python -m benchmarks.env_step [--num-envs 1024] [--threads 2] [--rounds 30] [motion_file]
+    python -m benchmarks.env_step [--task HumanoidAMP] [--num-envs 1024] [--threads 2] [--rounds 30]
+        [key=value ...]
 
 env.step is what an agent pays for: reset_done, actions, physics, observations, AMP history,
 rewards, resets. The raw side is a `mujoco.batch.Batch` of its own with the same model, substeps and
@@ -26,26 +27,25 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 
 _STEPS_PER_ROUND = 10
-_ACTION_NOISE = 0.055  # the exploration noise of AMP's policy, exp(-2.9)
+# The exploration noise of AMP's policy, exp(-2.9), and a policy of the classic tasks at its start.
+_ACTION_NOISE = {"HumanoidAMP": 0.055}
+_OTHER_NOISE = 1.0
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("motion_file", nargs="?", default="walk.npz")
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    parser.add_argument("--task", default="HumanoidAMP")
     parser.add_argument("--num-envs", type=int, default=1024)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=30)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     seed_everything(0)
-    cfg = compose(
-        [
-            f"num_envs={args.num_envs}",
-            f"num_threads={args.threads}",
-            f"task.env.motion_file={args.motion_file}",
-        ]
-    )
+    sizes = [f"num_envs={args.num_envs}", f"num_threads={args.threads}"]
+    cfg = compose([f"task={args.task}", *sizes, *args.overrides])
+    noise = _ACTION_NOISE.get(args.task, _OTHER_NOISE)
     env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
     simulation = env.simulation
     raw = Batch(simulation.model, args.num_envs, args.threads)
@@ -57,10 +57,11 @@ def main() -> None:
         """Return the times of the task and of the raw batch for some steps."""
         env_s = raw_s = 0.0
         for _ in range(_STEPS_PER_ROUND):
-            actions = _ACTION_NOISE * torch.randn(args.num_envs, 28)
-            start = time.perf_counter()
-            env.reset_done()
-            env_s += time.perf_counter() - start
+            actions = noise * torch.randn(args.num_envs, env.num_actions)
+            if env.resets_on_request:
+                start = time.perf_counter()
+                env.reset_done()
+                env_s += time.perf_counter() - start
 
             raw.state[:] = batch.state
             start = time.perf_counter()
@@ -79,7 +80,7 @@ def main() -> None:
     frames = args.num_envs * _STEPS_PER_ROUND
     print(describe_machine())
     print(
-        f"HumanoidAMP, {args.num_envs} envs, {args.threads} threads, {simulation.substeps}"
+        f"{args.task}, {args.num_envs} envs, {args.threads} threads, {simulation.substeps}"
         " substeps:"
         f" env.step {frames / statistics.median(env_s):,.0f} frames/s,"
         f" raw Batch.step {frames / statistics.median(raw_s):,.0f} frames/s,"

@@ -52,11 +52,14 @@ def find_experiment(
         if variant not in entries["variants"]:
             raise ConfigError(unknown("variant", variant, entries["variants"]))
     entry = entries["experiments"][clip_name]
-    clip = entry["motion_file"] or _given_clip(clip_name, motion_file)
+    clip = []
+    if "motion_file" in entry:
+        file = entry["motion_file"] or _given_clip(clip_name, motion_file)
+        clip.append(override(_MOTION_KEY, file))
     settings = [
         override("task", entry.get("task", "HumanoidAMP")),
         *entries["common"],
-        override(_MOTION_KEY, clip),
+        *clip,
         *entry.get("settings", []),
         *(setting for variant in variants for setting in entries["variants"][variant]),
         *extra,
@@ -67,7 +70,7 @@ def find_experiment(
 def needs_motion_file(name: str, table: Path = TABLE) -> bool:
     """Return whether the experiment's clip is given on the command line."""
     entry = read_yaml(table).experiments.get(name.split("+")[0])
-    return entry is not None and entry.motion_file is None
+    return entry is not None and "motion_file" in entry and entry.motion_file is None
 
 
 def _given_clip(name: str, motion_file: str | None) -> str:

@@ -15,11 +15,10 @@ all policies; mean actions. `--random-latents` plays a hierarchy's low level wit
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,9 @@ from typing import Any
 import torch
 
 from benchmarks.evaluate import RESULTS_DIR
-from benchmarks.machine import describe_machine
-from benchmarks.protocol import EPISODE_STEPS, SEED, play_checkpoint
-from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from benchmarks.played import append_result, find_targets
+from benchmarks.protocol import IMITATION_SETTINGS, SEED, play_checkpoint
+from benchmarks.runs import DEFAULT_RUNS_DIR
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.learning.evaluation import evaluate
 from isaacgymenvs_lite.learning.latents import sample_latents
@@ -93,7 +91,8 @@ class GoalReached:
 
 def fixed_settings() -> dict[str, Any]:
     """Return what differs from the protocol of imitation."""
-    return {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
+    own = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
+    return {**IMITATION_SETTINGS, **own}
 
 
 def measure_skills(player: Any, env: Any) -> Skills:
@@ -175,7 +174,7 @@ def main(words: list[str] | None = None) -> None:
     elif args.random_latents:
         sys.exit("error: --random-latents belongs to goal")
     try:
-        for run, checkpoint in _targets(args.what, args.runs_dir):
+        for run, checkpoint in find_targets(args.what, args.runs_dir):
             found = play_checkpoint(
                 checkpoint,
                 measure,
@@ -187,51 +186,11 @@ def main(words: list[str] | None = None) -> None:
             print(f"{run.label}: {found}", flush=True)
             if args.write:
                 name = f"{run.experiment}{'+random_latents' if args.random_latents else ''}"
-                row = _row(name, run, checkpoint, asdict(found), args.evaluation_seed)
-                args.results_dir.mkdir(parents=True, exist_ok=True)
-                with (args.results_dir / f"{name}.jsonl").open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row, allow_nan=False) + "\n")
+                append_result(
+                    args.results_dir, name, run, checkpoint, found, args.evaluation_seed, EPISODES
+                )
     except UserError as error:
         sys.exit(f"error: {error}")
-
-
-def _targets(words: Sequence[str], runs_dir: Path) -> list[tuple[Run, Path]]:
-    """Return runs and checkpoints for the words that are no overrides."""
-    found = []
-    for word in words:
-        if "=" in word:
-            continue
-        if word.endswith(".pth"):
-            found.append((Run.at(Path(word).absolute().parent.parent), Path(word)))
-            continue
-        for run in find_runs(word, runs_dir):
-            checkpoint = run.newest_checkpoint()
-            if checkpoint is None:
-                raise CheckpointError(f"{run.folder}: no checkpoint in nn/")
-            found.append((run, checkpoint))
-    if not found:
-        raise ConfigError("give a checkpoint, a run folder or an experiment")
-    return found
-
-
-def _row(
-    name: str, run: Run, checkpoint: Path, found: dict[str, Any], evaluation_seed: int
-) -> dict[str, Any]:
-    """Return a line of the results: what was found, and of what."""
-    starts = run.starts()
-    return {
-        "experiment": name,
-        "seed": run.seed,
-        "checkpoint": checkpoint.name,
-        "frames": int(load_checkpoint(checkpoint).get("frame", 0)),
-        **found,
-        "evaluation_seed": evaluation_seed,
-        "num_episodes": EPISODES,
-        "episode_steps": EPISODE_STEPS,
-        "machine": starts[-1].machine if starts else describe_machine(),
-        "commit": ", ".join(dict.fromkeys(start.commit for start in starts)) or None,
-        "settings": starts[-1].settings if starts else None,
-    }
 
 
 if __name__ == "__main__":

@@ -30,6 +30,15 @@ EPISODE_STEPS = 300
 SEED = 1234
 """Of the starts of the episodes; every policy gets the same ones."""
 
+IMITATION_SETTINGS = {
+    "num_envs": EPISODES,
+    "task.env.numEnvs": EPISODES,
+    "task.env.episodeLength": EPISODE_STEPS,
+    "task.env.stateInit": "Random",
+    "task.env.enableEarlyTermination": True,
+}
+"""How policies that imitate are played."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -106,7 +115,12 @@ def evaluate_checkpoint(
         UserError: the checkpoint or the run's settings cannot be used.
     """
     return play_checkpoint(
-        checkpoint, _measure_imitation, {}, seed, num_threads=num_threads, overrides=overrides
+        checkpoint,
+        _measure_imitation,
+        IMITATION_SETTINGS,
+        seed,
+        num_threads=num_threads,
+        overrides=overrides,
     )
 
 
@@ -153,14 +167,9 @@ def _protocol_config(
     protocol = {
         "test": True,
         "checkpoint": str(checkpoint),
-        "num_envs": EPISODES,
         "num_threads": num_threads,
         "max_iterations": "",
         "wandb_activate": False,
-        "task.env.numEnvs": EPISODES,
-        "task.env.episodeLength": EPISODE_STEPS,
-        "task.env.stateInit": "Random",
-        "task.env.enableEarlyTermination": True,
         "train.params.torch_threads": num_threads,
         **fixed,
     }
@@ -190,17 +199,17 @@ class _Evaluation(Session):
         self.measured: list[Any] = []
 
     def _play(self) -> None:
-        env: Any = self._task
-        if not hasattr(env, "motion_lib"):
-            raise ConfigError(
-                f"task={env.cfg['name']}: only tasks with reference motions can be measured"
-            )
         player = self.make_player()
         seed_everything(self._seed)  # whatever making the player drew
-        self.measured.append(self._measure(player, env))
+        self.measured.append(self._measure(player, self._task))
 
 
 def _measure_imitation(player: Any, env: Any) -> Outcome:
+    if not hasattr(env, "motion_lib"):
+        raise ConfigError(
+            f"task={env.cfg['name']}: no reference motions to be compared with; expected a policy"
+            " of a task that has them, or python -m benchmarks.returns"
+        )
     speed = SpeedProbe(env.num_envs, env.dt)
     result = evaluate(
         env,

@@ -136,7 +136,7 @@ def find_runs(target: str, runs_dir: Path) -> list[Run]:
         return [Run.at(Path(target))]
     runs = [
         Run(target, int(seed[1]), folder)
-        for folder in runs_dir.glob(f"{target}_seed*")
+        for folder in runs_dir.glob("*")
         if (seed := re.fullmatch(re.escape(target) + r"_seed(\d+)", folder.name))
     ]
     if not runs:

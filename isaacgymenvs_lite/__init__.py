@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 from isaacgymenvs_lite._version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from omegaconf import DictConfig
 
     from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
-__all__ = ["__version__", "make"]
+__all__ = ["__version__", "make", "register_task"]
 
 
 def make(
@@ -65,3 +67,20 @@ def make(
         force_render=force_render,
         cfg=cfg,
     )
+
+
+def register_task(name: str, task: Callable[..., VecTask], *, replace: bool = False) -> None:
+    """Make `name: <name>` of a task file mean a task of one's own; see docs/own_task.md.
+
+    Args:
+        name: as in the task file.
+        task: a subclass of `tasks.base.vec_task.VecTask`, or what makes a task of the same keyword
+            arguments.
+        replace: take the place of a task of this name.
+
+    Raises:
+        ConfigError: there is another task of this name.
+    """
+    from isaacgymenvs_lite.tasks import registry
+
+    registry.register_task(name, task, replace=replace)

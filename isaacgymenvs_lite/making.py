@@ -12,8 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
-from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.tasks import isaacgym_task_map
+from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 
@@ -76,10 +75,7 @@ def make_from_config(
         MotionFileError: a motion clip that cannot be used.
     """
     task_cfg: Any = OmegaConf.to_container(cfg.task, resolve=True)
-    name = str(task_cfg["name"])
-    if name not in isaacgym_task_map:
-        raise ConfigError(unknown("task.name", name, isaacgym_task_map))
-    return isaacgym_task_map[name](
+    return find_task(str(task_cfg["name"]))(
         cfg=task_cfg,
         rl_device=rl_device,
         sim_device=sim_device,

@@ -36,6 +36,7 @@ from isaacgymenvs_lite.learning.hrl_network_builder import HRLBuilder
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
 from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
 from isaacgymenvs_lite.learning.ppo_players import PPOPlayer
+from isaacgymenvs_lite.learning.sac import SACAgent, SACPlayer
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
@@ -48,6 +49,7 @@ _ALGORITHMS: dict[str, tuple[type, type]] = {
     "ase": (GenAMPAgent, GenAMPPlayerContinuous),
     "hrl": (HRLAgent, HRLPlayer),
     "hrl_continuous": (HRLAgent, HRLPlayer),
+    "sac": (SACAgent, SACPlayer),
 }
 _MODELS: dict[str, type] = {
     "continuous_amp": ModelAMPContinuous,

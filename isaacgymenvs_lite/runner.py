@@ -15,8 +15,10 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
+from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.notes import startup_notes
 from isaacgymenvs_lite.config.seeds import resolve_seed
@@ -57,6 +59,7 @@ def run(cfg: DictConfig) -> None:
         UserError: anything that the user can mend; nothing was trained then.
     """
     settings = check_config(cfg)
+    apply_wrapper_limits(cfg)
     for note in startup_notes(cfg):
         log.info("%s", note)
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
@@ -111,7 +114,6 @@ class Session:
 
     def _prepare(self) -> dict[str, Any]:
         runner = build_runner()
-        names = known_names(runner)
         params = prepare_train_params(
             self._cfg,
             num_envs=self._task.num_envs,
@@ -119,17 +121,8 @@ class Session:
             run_name=self._run_name,
             rl_device=self._settings.rl_device,
             num_agents=self._task.num_agents,
-            names=KnownNames(
-                algos=names["algo"],
-                models=names["model"],
-                networks=names["network"],
-                config_keys=[
-                    *keys_of(GenAMPParams),
-                    *keys_of(HRLParams),
-                    *UNREAD_KEYS,
-                    *_RUNNER_KEYS,
-                ],
-            ),
+            num_states=self._task.num_states,
+            names=registered_names(runner),
         )
         if self._checkpoint:  # the file that `last` or a name means, for agents that look into it
             params |= {"load_checkpoint": True, "load_path": self._checkpoint}
@@ -230,7 +223,8 @@ class Session:
     def _save(self, suffix: str) -> None:
         agent = self._agent_holder.agent
         if agent is not None:
-            agent.save(str(self._folder.checkpoints / f"{self._name}_{suffix}"))
+            with _output_to_log():
+                agent.save(str(self._folder.checkpoints / f"{self._name}_{suffix}"))
 
     def _report_end(self) -> None:
         """Say where the newest checkpoint is and how to see what it can do."""
@@ -247,7 +241,15 @@ class Session:
         agent = self._agent_holder.agent
         plain = self._folder.checkpoints / f"{self._name}.pth"
         if agent is not None and not plain.exists():
-            agent.save(str(plain.with_suffix("")))
+            with _output_to_log():
+                agent.save(str(plain.with_suffix("")))
+
+
+def registered_names(runner: Runner) -> KnownNames:
+    """Return what train files may name and which keys its agents read, to check them against."""
+    names = known_names(runner)
+    keys = [*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS, *_RUNNER_KEYS]
+    return KnownNames(names["algo"], names["model"], names["network"], keys)
 
 
 def _new_run_name(train_dir: Path, name: str) -> str:

@@ -19,6 +19,7 @@ from tqdm import tqdm
 from isaacgymenvs_lite.config.compose import CONFIG_NAME, HYDRA_VERSION_BASE, make_loader
 from isaacgymenvs_lite.config.explain import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.outside_files import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError, UserError
@@ -71,7 +72,8 @@ def _run_hydra() -> None:
     decorate = hydra.main(
         config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
     )
-    with tolerant_hydra():
+    with tolerant_hydra(), outside_files(sys.argv[1:]) as arguments:
+        sys.argv[1:] = arguments
         try:
             decorate(job)()
         except ComposeError as error:

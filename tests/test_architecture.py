@@ -29,8 +29,8 @@ FORBIDDEN = {
     "policies": {"tasks", "learning", "simulation", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
-# Nobody imports those that stand above: demo, train.py -> runner -> registration -> rooms.
-ABOVE = ("demo", "train", "runner", "registration")
+# Nobody imports those that stand above: demo, train.py, check -> runner -> registration -> rooms.
+ABOVE = ("demo", "train", "check", "runner", "registration")
 
 
 @cache

@@ -15,6 +15,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
 from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.config.outside_files import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError
@@ -34,7 +35,8 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
     choices of task and train file have no influence on the result.
 
     Args:
-        overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`.
+        overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
+            `train=` and `task=` may name files by their paths.
         config_dir: a folder with further task/ and train/ files, as `--config-dir`.
 
     Returns:
@@ -45,14 +47,12 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
     """
     register_resolvers()
     setup_globals()
-    with tolerant_hydra(), _version_base():
+    with tolerant_hydra(), _version_base(), outside_files(overrides) as named:
         loader = make_loader(config_dir)
         try:
-            cfg = loader.load_configuration(
-                CONFIG_NAME, list(overrides), RunMode.RUN, from_shell=False
-            )
+            cfg = loader.load_configuration(CONFIG_NAME, named, RunMode.RUN, from_shell=False)
         except ComposeError as error:
-            raise explain(error, overrides, loader, CONFIG_NAME) from error
+            raise explain(error, named, loader, CONFIG_NAME) from error
     with open_dict(cfg):
         del cfg["hydra"]
     return cfg

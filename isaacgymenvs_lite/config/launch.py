@@ -136,7 +136,6 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
         "multi_gpu": (settings.multi_gpu, "data-parallel training"),
         "capture_video": (settings.capture_video, "recording videos"),
         "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
-        "task.task.randomize": (_select(cfg, "task.task.randomize"), "domain randomisation"),
     }
     for key, (value, feature) in asked.items():
         if value:

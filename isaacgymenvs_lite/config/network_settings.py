@@ -25,6 +25,7 @@ INITIALIZERS = (
 
 # Networks made of an `mlp` section, and the sections of hidden layers that they may have.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
+_SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
 _LAYER_SECTIONS = ("mlp", "disc", "enc")
 _KEYS = frozenset(
@@ -100,7 +101,8 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
             f" discriminator could hear; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
         )
     space = network.get("space") or {}
-    if isinstance(space, Mapping) and "continuous" in space:
+    # Soft actor-critic's distribution has no settings: its files leave the section empty.
+    if isinstance(space, Mapping) and "continuous" in space and network["name"] != _SAC_NETWORK:
         path = f"{where}.space.continuous"
         gaussian = read_section(GaussianSettings, space["continuous"], path)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")

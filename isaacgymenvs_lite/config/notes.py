@@ -55,6 +55,7 @@ _CPU_SETTINGS = {
             "enc_uniformity_coef",
             "clip_latents",
             "amp_diversity_bonus",
+            "exploration_correlation",
         )
     },
 }

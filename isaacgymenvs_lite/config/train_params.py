@@ -5,21 +5,29 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite.config.isaac_lab import SECTION as ISAAC_LAB_SECTION
 from isaacgymenvs_lite.config.minibatch import fit_minibatch
 from isaacgymenvs_lite.config.network_settings import check_network, scale_units
 from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.config.sac_settings import OTHER_KEYS as SAC_OTHER_KEYS
+from isaacgymenvs_lite.config.sac_settings import SACSettings
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
 
 _log = logging.getLogger(__name__)
 
+T = TypeVar("T", PPOSettings, SACSettings)
+
 _WHERE = "train.params"
 _PARAMS_KEYS = frozenset(
-    ("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path", "torch_threads")
+    (
+        *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
+        *("torch_threads", ISAAC_LAB_SECTION),
+    )
 )
 # Agents with a gradient penalty: torch.compile cannot differentiate twice.
 _DOUBLE_BACKWARD = frozenset(
@@ -55,6 +63,7 @@ def prepare_train_params(
     run_name: str | None = None,
     rl_device: str | None = None,
     num_agents: int = 1,
+    num_states: int | None = None,
     names: KnownNames | None = None,
 ) -> dict[str, Any]:
     """Return `cfg.train.params` as a plain, complete, checked dictionary: `Runner.load`'s "params".
@@ -69,6 +78,7 @@ def prepare_train_params(
         run_name: exact name of the run folder; None lets rl_games add a time stamp to the name.
         rl_device: device of the agent; None takes the tree's.
         num_agents: agents in each environment.
+        num_states: size of the task's privileged observation; None if it is not known.
         names: registered names to check against.
 
     Raises:
@@ -78,6 +88,7 @@ def prepare_train_params(
     params = plain(cfg.train.params)
     _check_params(params, names)
     config = params["config"]
+    _check_central_value(config, num_states)
     params["seed"] = seed
     device = str(rl_device or cfg.rl_device)
     config["device"] = config["device_name"] = device
@@ -90,7 +101,8 @@ def prepare_train_params(
     config["player"] = _PLAYER_DEFAULTS | (config.get("player") or {})
     scale_units(params["network"])
     algo = params["algo"]["name"]
-    if algo == "sac":  # its keys are its own: rl_games reads them
+    if algo == "sac":
+        _check_keys(SACSettings, config, SAC_OTHER_KEYS)
         return params
     recurrent = "rnn" in params["network"]
     _translate_former_keys(config, recurrent)
@@ -127,9 +139,37 @@ def _check_params(params: dict[str, Any], names: KnownNames) -> None:
             raise missing_key("name", keys, ["name"], where, hint)
         if choices and value["name"] not in choices:
             raise ConfigError(f"{where}.name: " + unknown(section, str(value["name"]), choices))
+    _check_continuous(params)
     check_network(params["network"], f"{_WHERE}.network")
     if not isinstance(params.get("config"), dict):
         raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
+
+
+def _check_continuous(params: dict[str, Any]) -> None:
+    """Refuse agents that choose among actions: every task here has continuous ones."""
+    space = params["network"].get("space") or {}
+    discrete = {
+        f"{section}.name={params[section]['name']}": "discrete" in str(params[section]["name"])
+        for section in ("algo", "model")
+    }
+    discrete |= {f"network.space.{key}": key in space for key in ("discrete", "multi_discrete")}
+    for key, found in discrete.items():
+        if found:
+            raise ConfigError(
+                f"{_WHERE}.{key}: made for discrete actions, but the tasks' actions are continuous;"
+                " expected algo a2c_continuous, model continuous_a2c_logstd and"
+                " network.space.continuous"
+            )
+
+
+def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:
+    """Refuse an asymmetric critic where there is nothing for it to see."""
+    if config.get("central_value_config") and num_states == 0:
+        raise ConfigError(
+            f"{_WHERE}.config.central_value_config: a critic of its own wants privileged"
+            " observations (states), and this task gives none; add"
+            " task.env.asymmetric_observations=True if the task has that key, or remove the section"
+        )
 
 
 def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
@@ -152,15 +192,21 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
 def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
     where = f"{_WHERE}.config"
-    settings = read_section(PPOSettings, config, where, ignored=OTHER_KEYS | set(agent_keys))
-    for key in keys_of(PPOSettings) & set(config):
-        config[key] = getattr(settings, key)
+    settings = _check_keys(PPOSettings, config, OTHER_KEYS | set(agent_keys))
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"
         raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
     if settings.lr_schedule == "adaptive" and settings.kl_threshold is None:
         hint = "lr_schedule adaptive needs it, for example 0.008"
         raise missing_key("kl_threshold", config, keys_of(PPOSettings), where, hint)
+
+
+def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) -> T:
+    """Check and convert the keys of an agent in place; `ignored` are read elsewhere."""
+    settings = read_section(cls, config, f"{_WHERE}.config", ignored=ignored)
+    for key in keys_of(cls) & set(config):
+        config[key] = getattr(settings, key)
+    return settings
 
 
 def _torch_compile(asked: Any, algo: str, device: str) -> Any:

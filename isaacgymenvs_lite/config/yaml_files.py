@@ -70,7 +70,7 @@ def tolerant_hydra() -> Iterator[None]:
     registry = SourcesRegistry.instance().types
     scheme = FileConfigSource.scheme()
     former = registry[scheme]
-    registry[scheme] = _TolerantFileSource
+    registry[scheme] = TolerantFileSource
     try:
         yield
     finally:
@@ -82,11 +82,15 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-class _TolerantFileSource(FileConfigSource):
+class TolerantFileSource(FileConfigSource):
     """Hydra's reader of folders, with `read_yaml` for the files."""
 
     def load_config(self, config_path: str) -> ConfigResult:
-        path = Path(self.path, self._normalize_file_name(config_path)).resolve()
+        """Read a file below the folder."""
+        return self.read(Path(self.path, self._normalize_file_name(config_path)).resolve())
+
+    def read(self, path: Path) -> ConfigResult:
+        """Read one file."""
         config = read_yaml(path)
         _add_launch_key(config)
         with path.open(encoding="utf-8") as file:

@@ -95,6 +95,9 @@ class GenAMPParams(AMPParams):
     clip_latents: float = setting(0.0, minimum=0, maximum=1)
     """This project's: share of the latents that the encoder reads from the clips; see
     `clip_latents`."""
+    latent_sharpness: float = setting(0.0, minimum=0)
+    """This project's, for a conditional discriminator: above 0 random latents stand for motions of
+    the clips whose own latents are near, the more exclusively the larger it is."""
     enc_alignment_coef: float = setting(0.0, minimum=0)
     """This project's: weight of the loss that brings together what the encoder reads at moments of
     a clip that are near each other."""

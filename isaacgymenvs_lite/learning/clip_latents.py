@@ -45,25 +45,41 @@ class ClipLatents:
 
     def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
         """Return n latents (n, Z), those of clips from anywhere in them."""
-        latents, chosen = self._random(n, device)
+        latents, chosen = self.random(n, device)
         if len(chosen) > 0:
             latents[chosen] = self._read(self._fetch(len(chosen)))
         return latents
 
     def of_starts(self, amp_obs: Tensor) -> Tensor:
         """Return latents (n, Z) of episodes that start with AMP observations (n, F)."""
-        latents, chosen = self._random(len(amp_obs), amp_obs.device)
+        latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
             latents[chosen] = self._read(amp_obs[chosen])
         return latents
 
-    def _random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
-        """Return random latents (n, Z), and the places that those of clips shall have."""
+    def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
+        """Return random latents (n, Z), and the places (k,) that those of clips shall have."""
         latents = sample_latents(n, self._latent_dim, device)
         if self._share == 0.0:  # nor shall it use up random numbers
             return latents, torch.empty(0, dtype=torch.int64, device=device)
         chosen = torch.rand(n, device=device) < self._share
         return latents, chosen.nonzero().flatten()
+
+
+def neighbours(latents: Tensor, found: Tensor, sharpness: float) -> Tensor:
+    """Draw for each of m latents a row of the clips that it may stand for: (m,) places in `found`.
+
+    The nearer, the likelier: by exp(sharpness * z . q), the density of von Mises and Fisher.
+
+    Args:
+        latents: (m, Z) unit vectors z.
+        found: (n, Z) unit vectors q that the encoder found in n rows of the clips.
+        sharpness: 0: any row is as good as any other.
+    """
+    scores = sharpness * latents @ found.t()
+    # The largest of scores with Gumbel noise is a draw by their exponentials.
+    noise = torch.empty_like(scores).exponential_().log_()
+    return (scores - noise).argmax(dim=-1)
 
 
 def alignment_loss(found: Tensor, near: Tensor) -> Tensor:

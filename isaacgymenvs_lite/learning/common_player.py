@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -12,10 +11,8 @@ from rl_games.common.player import BasePlayer
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate_and_log
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
-
-log = logging.getLogger(__name__)
 
 DEFAULT_EPISODES = 32
 
@@ -75,14 +72,13 @@ class CommonPlayer(PpoPlayerContinuous):
 
     def run(self) -> None:
         """Play `games_num` episodes and log reward, episode length and imitation."""
-        self.result = evaluate(
+        self.result = evaluate_and_log(
             self.env,
             self.act,
             self.games_num,
             style_reward=self._style_reward_function(),
             on_step=self._on_step,
         )
-        log.info("played %s", self.result)
 
     def get_action(self, obs: Any, is_deterministic: bool = False) -> Tensor:
         """Return actions (N, A) for raw observations (N, O), within the action space's limits."""

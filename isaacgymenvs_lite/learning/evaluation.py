@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,8 @@ from isaacgymenvs_lite.imitation import (
     PoseErrorMetric,
     ReferencePoses,
 )
+
+log = logging.getLogger(__name__)
 
 Policy = Callable[[dict[str, Tensor]], Tensor]
 """Observations -> actions (N, A) as the task's `step` takes them."""
@@ -123,3 +126,12 @@ def evaluate(
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
     )
+
+
+def evaluate_and_log(
+    env: Any, policy: Policy, num_episodes: int, **probes: Any
+) -> EvaluationResult:
+    """Play as `evaluate` does, and tell a user in one line what was reached."""
+    result = evaluate(env, policy, num_episodes, **probes)
+    log.info("played %s", result)
+    return result

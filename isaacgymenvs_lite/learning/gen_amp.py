@@ -19,6 +19,7 @@ from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.clip_latents import (
     ClipLatents,
     alignment_loss,
+    neighbours,
     uniformity_loss,
 )
 from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
@@ -26,6 +27,8 @@ from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 
+# Rows of the clips that a random latent is compared with.
+_NEIGHBOURS = 512
 # What a conditional discriminator hears of rows that the policy did not just make.
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
@@ -164,7 +167,23 @@ class GenAMPAgent(AMPAgent):
         rows = super()._demo_rows(demos)
         if self._disc_is_conditional:
             rows["amp_obs_demo_latents"] = self.encoder.read(demos["amp_obs_near"])
+            if self._amp.latent_sharpness > 0.0:
+                self._give_random_latents(rows)
         return rows
+
+    def _give_random_latents(self, rows: dict[str, Tensor]) -> None:
+        """Let as many rows have random latents as the policy acts under, in place.
+
+        Each latent goes with a row that it is near to, so that all latents mean something that
+        the clips show, not only those that the encoder finds in them.
+        """
+        demos, latents = rows["amp_obs_demo"], rows["amp_obs_demo_latents"]
+        fresh, chosen = self._clip_latents.random(len(latents), latents.device)
+        near = neighbours(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
+        of_clips = torch.zeros(len(latents), 1, dtype=torch.bool, device=latents.device)
+        of_clips[chosen] = True
+        rows["amp_obs_demo"] = torch.where(of_clips, demos, demos[near])
+        rows["amp_obs_demo_latents"] = torch.where(of_clips, latents, fresh)
 
     def _fakes(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         fakes = super()._fakes(batch_dict)

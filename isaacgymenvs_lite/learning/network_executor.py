@@ -63,11 +63,12 @@ class NetworkExecutor:
         """
         if any(isinstance(layer, _UNSLICED_LAYERS) for layer in network.modules()):
             self.num_threads = 1
+        recurrent = any(isinstance(layer, nn.RNNBase) for layer in network.modules())
         whole = network.forward
 
         @functools.wraps(whole)
         def forward(inputs: dict[str, Any]) -> tuple[Any, ...]:
-            if not isinstance(inputs["obs"], Tensor):
+            if recurrent or not isinstance(inputs["obs"], Tensor):
                 return self._whole(whole, inputs)
             return self._forward_rows(network, whole, inputs)
 
@@ -133,7 +134,7 @@ class NetworkExecutor:
     def _whole(self, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
         with self.autocast():
             outputs = function(*arguments)
-        return tuple(x.float() if isinstance(x, Tensor) else x for x in outputs)
+        return tuple(_as_float32(output) for output in outputs)
 
     def autocast(self) -> torch.autocast:
         """Return the context in which networks compute."""
@@ -223,6 +224,13 @@ def attach_executor(
     executor = NetworkExecutor(device, bfloat16, torch.get_num_threads())
     executor.attach(network)
     return executor
+
+
+def _as_float32(output: Any) -> Any:
+    """Return an output of a network, or the tuple of its recurrent states, in float32."""
+    if isinstance(output, tuple):
+        return tuple(_as_float32(state) for state in output)
+    return output.float() if isinstance(output, Tensor) else output
 
 
 class _Sliced(torch.autograd.Function):

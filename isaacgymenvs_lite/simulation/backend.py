@@ -6,10 +6,10 @@ axes relative to the environment's own origin, and the positions of a 3-DoF ball
 rotation vector (exponential map) in the child frame.
 
 The state tensors are preallocated and updated in place by `step` and by writes: keep the
-reference, copy what must outlive the next step. Only `body_lin_vel` and `body_ang_vel` are computed
-when they are read: read the property again after each step or write. A backend may keep each
-component of all environments together in memory (`cpu_batch` does): take `reshape` or `flatten`,
-not `view`.
+reference, copy what must outlive the next step. Only the tensors of bodies (`body_...`), joint
+forces and sensors are computed when they are read: read the property again after each step or
+write. A backend may keep each component of all environments together in memory (`cpu_batch` does):
+take `reshape` or `flatten`, not `view`.
 
 Beside the robot a model may have objects: bodies without children that hang in the world by a free
 joint of their own and stand after all bodies of the robot in the file. Body and DOF tensors do not
@@ -18,9 +18,11 @@ contain them.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -145,6 +147,20 @@ class SimulationBackend(Protocol):
 
         It was put back to its default state; the task should end the episode.
         """
+        ...
+
+    def expand(self, field: str) -> npt.NDArray[Any]:
+        """Give a field of the model a value for each environment; return them, (N, ...), to write.
+
+        Poses of bodies and joints (`body_pos`, `jnt_axis`, ...) must stay those of the model.
+
+        Args:
+            field: as in `MjModel`, or `opt.<field>` of its options.
+        """
+        ...
+
+    def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
+        """Bring up to date what MuJoCo derives from fields such as masses, of `env_ids` (n,)."""
         ...
 
     def set_controls(self, controls: Tensor) -> None:

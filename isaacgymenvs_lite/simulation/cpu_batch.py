@@ -1,7 +1,8 @@
 """Physics on the CPU: `mujoco.batch.Batch` behind the backend Protocol.
 
 The batch keeps float64 rows; each step converts what tasks read into preallocated float32 tensors
-once. Body velocities, which only some tasks need, are computed on first use after a step.
+once. Where the bodies are and how they move, which not all tasks need, is computed on first use
+after a step.
 
 The batch is not asked where the bodies are and how they move: after a step that would take its
 whole stages of positions and velocities, several times the work of our own kinematics.
@@ -10,9 +11,11 @@ whole stages of positions and velocities, several times the work of our own kine
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import torch
 from mujoco.batch import Batch, SimulationError
 from torch import Tensor
@@ -114,8 +117,8 @@ class CpuBatchSimulation:
         self.root_states = tensor_of_planes(self._planes.root_states)
         self.dof_pos = tensor_of_planes(self._planes.dof_pos)
         self.dof_vel = tensor_of_planes(self._planes.dof_vel)
-        self.body_pos = tensor_of_planes(self._planes.body_pos)
-        self.body_rot = tensor_of_planes(self._planes.body_rot)
+        self._body_pos = tensor_of_planes(self._planes.body_pos)
+        self._body_rot = tensor_of_planes(self._planes.body_rot)
         self.contact_forces = tensor_of_planes(self._planes.contact_forces)
         self.object_states = tensor_of_planes(self._planes.object_states)
         self.object_contact_forces = tensor_of_planes(self._planes.object_contact_forces)
@@ -137,6 +140,18 @@ class CpuBatchSimulation:
     def num_threads(self) -> int:
         """Worker threads in use."""
         return self._require_batch().nthread
+
+    @property
+    def body_pos(self) -> Tensor:
+        """(N, B, 3) world positions of the body origins (m)."""
+        self._require_bodies()
+        return self._body_pos
+
+    @property
+    def body_rot(self) -> Tensor:
+        """(N, B, 4) world rotations of the bodies, xyzw."""
+        self._require_bodies()
+        return self._body_rot
 
     @property
     def body_lin_vel(self) -> Tensor:
@@ -176,10 +191,23 @@ class CpuBatchSimulation:
             values[:, self._written] = 0.0
         return tensor_of_planes(values)
 
-    def _require_body_velocities(self) -> None:
+    def _require_bodies(self) -> None:
         self._require_batch()
+        if not self._planes.has_bodies:
+            self._converter.fill_bodies(self._planes)
+
+    def _require_body_velocities(self) -> None:
+        self._require_bodies()
         if not self._planes.has_body_velocities:
             self._converter.fill_body_velocities(self._planes)
+
+    def expand(self, field: str) -> npt.NDArray[Any]:
+        """Return a field's values for each environment; see `SimulationBackend.expand`."""
+        return self._require_batch().expand(field)
+
+    def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
+        """See `SimulationBackend.update_constants`."""
+        self._require_batch().set_const(env_ids)
 
     def set_controls(self, controls: Tensor) -> None:
         """Set the actuators' controls, (N, U), for the next steps."""
@@ -260,6 +288,8 @@ class CpuBatchSimulation:
         """The same for environments (n,) that were written: they have no contact forces yet."""
         planes = StatePlanes(self.layout, len(rows))
         self._converter.fill(planes, qpos, qvel)
+        if self._planes.has_bodies:
+            self._converter.fill_bodies(planes)
         if self._planes.has_body_velocities:
             self._converter.fill_body_velocities(planes)
         self._planes.replace(rows, planes)

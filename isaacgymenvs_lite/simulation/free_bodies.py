@@ -23,21 +23,17 @@ QVEL_SIZE = 6
 _QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 
 
-def fill_free_states(
-    states: Floats, qpos: Floats | Doubles, qvel: Doubles, rotations: Floats | None = None
-) -> None:
+def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Doubles) -> None:
     """Compute states from the coordinates of free joints.
 
     Args:
         states: (13, ..., n), filled in.
         qpos: (7, ..., n).
         qvel: (6, ..., n).
-        rotations: (4, ..., n) xyzw, those in `qpos` but of unit length, if known.
     """
     states[:7] = qpos[_QPOS_ROWS]
     states[7:] = qvel
-    if rotations is None:
-        rotations = unit_quats(states[3:7].copy())
+    rotations = unit_quats(states[3:7].copy())
     states[10:] = rotate_components(rotations, states[10:])
 
 

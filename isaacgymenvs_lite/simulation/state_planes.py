@@ -46,7 +46,8 @@ class StatePlanes:
         object_contact_forces: (3, K, n).
         body_lin_vel: (3, B, n).
         body_ang_vel: (3, B, n).
-        has_body_velocities: whether the two are those of the rest; they are made on demand.
+        has_bodies: whether `body_pos` and `body_rot` are those of the rest; made on demand.
+        has_body_velocities: whether the body velocities are; they are made on demand, too.
     """
 
     def __init__(self, layout: ModelLayout, num_envs: int) -> None:
@@ -70,12 +71,13 @@ class StatePlanes:
         self.object_states, self.object_contact_forces = objects[:STATE_SIZE], objects[STATE_SIZE:]
         self._body_velocities = np.zeros((6, num_bodies, num_envs), dtype=np.float32)
         self.body_lin_vel, self.body_ang_vel = self._body_velocities[:3], self._body_velocities[3:]
+        self.has_bodies = False
         self.has_body_velocities = False
 
     def replace(self, env_ids: npt.NDArray[np.integer], others: StatePlanes) -> None:
         """Put the n environments of `others` in place of `env_ids` (n,).
 
-        Where these have body velocities the others must have them, too.
+        Where these have bodies and their velocities the others must have them, too.
         """
         _replace_columns(self._all, env_ids, others._all)
         if self.has_body_velocities:
@@ -119,12 +121,11 @@ class StateConverter:
         self._body_velocities = BodyVelocities(tree)
         self._ball_qpos = layout.ball_qpos.T
         self._ball_dofs = layout.ball_dofs.T
-        self._root_body = int(model.jnt_bodyid[0]) - 1 if layout.has_free_root else 0
         self._objects_qpos0 = model.qpos0[layout.num_qpos :].copy()
 
     @np.errstate(all="ignore")  # a simulation may be on its way to infinity
     def fill(self, planes: StatePlanes, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
-        """Fill in all but the contact forces and the body velocities.
+        """Fill in all but the contact forces and the bodies.
 
         Args:
             planes: of n environments.
@@ -132,14 +133,12 @@ class StateConverter:
             qvel_rows: (n, nv) in MuJoCo's conventions.
         """
         layout = self._layout
-        planes.has_body_velocities = False
+        planes.has_bodies = planes.has_body_velocities = False
         qpos = planes.qpos
         qpos[:] = qpos_rows.T[: layout.num_qpos]
-        self._kinematics(qpos, planes.body_pos, planes.body_rot)
         planes.dof_vel[:] = qvel_rows.T[layout.dof_vel_adr : layout.num_qvel]
         if layout.has_free_root:
-            root_rot = planes.body_rot[:, self._root_body]
-            fill_free_states(planes.root_states, qpos[:7], qvel_rows.T[:6], root_rot)
+            fill_free_states(planes.root_states, qpos[:7], qvel_rows.T[:6])
         planes.dof_pos[layout.scalar_dofs] = qpos[layout.scalar_qpos]
         if self._ball_qpos.size > 0:
             quats = torch.from_numpy(qpos[self._ball_qpos]).permute(2, 1, 0)
@@ -148,8 +147,14 @@ class StateConverter:
             planes.object_states[:] = self.states_of_objects(*self.of_objects(qpos_rows, qvel_rows))
 
     @np.errstate(all="ignore")
+    def fill_bodies(self, planes: StatePlanes) -> None:
+        """Fill in where the bodies are, from what `fill` has filled in."""
+        planes.has_bodies = True
+        self._kinematics(planes.qpos, planes.body_pos, planes.body_rot)
+
+    @np.errstate(all="ignore")
     def fill_body_velocities(self, planes: StatePlanes) -> None:
-        """Fill in the body velocities, from what `fill` has filled in."""
+        """Fill in the body velocities, from what `fill_bodies` has filled in."""
         planes.has_body_velocities = True
         # The velocities of a root that is not free are no part of qvel.
         qvel = planes.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.ant import Ant
+from isaacgymenvs_lite.tasks.anymal import Anymal
+from isaacgymenvs_lite.tasks.anymal_terrain import AnymalTerrain
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
     HumanoidASE,
     HumanoidHeading,
@@ -16,12 +16,27 @@ from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
 from isaacgymenvs_lite.tasks.ase.humanoid_perturb import HumanoidPerturb
 from isaacgymenvs_lite.tasks.ase.humanoid_view_motion import HumanoidViewMotion
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.ball_balance import BallBalance
 from isaacgymenvs_lite.tasks.cartpole import Cartpole
+from isaacgymenvs_lite.tasks.humanoid import Humanoid
+from isaacgymenvs_lite.tasks.ingenuity import Ingenuity
+from isaacgymenvs_lite.tasks.quadcopter import Quadcopter
+from isaacgymenvs_lite.tasks.registry import (
+    TaskMaker,
+    find_task,
+    isaacgym_task_map,
+    register_task,
+)
 
-isaacgym_task_map: dict[str, Callable[..., VecTask]] = {
+__all__ = ["find_task", "isaacgym_task_map", "register_task"]
+
+_OWN: dict[str, TaskMaker] = {
     "Ant": Ant,
+    "Anymal": Anymal,
+    "AnymalTerrain": AnymalTerrain,
+    "BallBalance": BallBalance,
     "Cartpole": Cartpole,
+    "Humanoid": Humanoid,
     "HumanoidAMP": HumanoidAMP,
     "HumanoidASE": HumanoidASE,
     "HumanoidASEGetup": HumanoidASEGetup,
@@ -31,4 +46,7 @@ isaacgym_task_map: dict[str, Callable[..., VecTask]] = {
     "HumanoidReach": HumanoidReach,
     "HumanoidStrike": HumanoidStrike,
     "HumanoidViewMotion": HumanoidViewMotion,
+    "Ingenuity": Ingenuity,
+    "Quadcopter": Quadcopter,
 }
+isaacgym_task_map.update(_OWN)

@@ -25,9 +25,14 @@ def compose_experiment(name: str, clip: Path) -> DictConfig:
 def test_every_experiment_composes(name, walk_clip):
     cfg = compose_experiment(name, walk_clip)
     entry = _TABLE.experiments[name]
-    assert cfg.task.name == entry.get("task", "HumanoidAMP")
-    expected = str(walk_clip) if needs_motion_file(name) else entry.motion_file
-    assert cfg.task.env.motion_file == expected
+    task = entry.get("task", "HumanoidAMP")
+    assert cfg.task.name == compose([f"task={task}", "train=AntPPO"]).task.name
+    if "motion_file" in entry:
+        expected = str(walk_clip) if needs_motion_file(name) else entry.motion_file
+        assert cfg.task.env.motion_file == expected
+    else:
+        assert not needs_motion_file(name)
+        assert "motion_file" not in cfg.task.env
 
 
 def test_every_variant_composes(walk_clip):

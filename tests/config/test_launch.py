@@ -74,7 +74,6 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),
         ("capture_video=True", "capture_video=True: recording videos is not implemented"),
         ("pbt.enabled=True", "pbt.enabled=True: population-based training is not implemented"),
-        ("task.task.randomize=True", "task.task.randomize=True: domain randomisation is not"),
     ],
 )
 def test_wrong_values(no_gpu, override, expected):

@@ -242,15 +242,29 @@ def test_keys_that_nothing_reads_are_named(prepare, caplog):
     assert "nothing reads train.params.config.unheard_of" in caplog.text
 
 
-def test_soft_actor_critic_has_keys_of_its_own(prepare):
-    params = prepare(
-        "train.params.algo.name=sac",
-        "~train.params.config.minibatch_size",
-        "+train.params.config.batch_size=4096",
-        names=None,
-    )
-    assert params["config"]["device"] == "cpu"
-    assert params["config"]["batch_size"] == 4096
+def test_soft_actor_critic_has_keys_of_its_own():
+    cfg = compose(["task=AntSAC", "train=AntSAC", "rl_device=cpu"])
+    config = prepare_train_params(cfg, num_envs=64, seed=1)["config"]
+    assert config["device"] == "cpu"
+    assert (config["batch_size"], config["actor_lr"]) == (4096, 5e-4)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("~train.params.config.batch_size", "batch_size' is missing"),
+        ("train.params.config.batch_size=0", "batch_size: got 0, expected .*at least 1"),
+        ("+train.params.config.crtic_tau=0.1", "nothing"),
+    ],
+)
+def test_mistakes_in_keys_of_soft_actor_critic_are_named(override, said, caplog):
+    cfg = compose(["task=AntSAC", "train=AntSAC", "rl_device=cpu", override])
+    if said == "nothing":  # beside the correct key: taken for another one
+        prepare_train_params(cfg, num_envs=64, seed=1)
+        assert "crtic_tau" in caplog.text
+        return
+    with pytest.raises(ConfigError, match=said):
+        prepare_train_params(cfg, num_envs=64, seed=1)
 
 
 def test_tree_is_left_as_it_was(config_dir):

@@ -73,6 +73,46 @@ def make_runner(tmp_path: Path, walk_clip: Path) -> Iterator[Callable[..., Any]]
 
 
 @pytest.fixture
+def make_classic_runner(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Return make(*overrides), a Runner that has loaded a classic task and its train file."""
+    tasks = []
+
+    def make(*overrides: str) -> Any:
+        cfg = compose(["num_threads=1", "rl_device=cpu", *overrides])
+        torch.manual_seed(0)
+        task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+        tasks.append(task)
+        register_env(lambda **kwargs: task)
+        params = prepare_train_params(
+            cfg, num_envs=task.num_envs, seed=1, run_name=f"run{len(tasks)}", rl_device="cpu"
+        )
+        params["config"]["train_dir"] = str(tmp_path / "runs")
+        params["torch_threads"] = 1
+        runner = build_runner()
+        runner.load({"params": params})
+        return runner
+
+    yield make
+    register_env()
+    for task in tasks:
+        task.close()
+
+
+@pytest.fixture
+def make_classic_agent(make_classic_runner: Callable[..., Any]) -> Callable[..., Any]:
+    """Return make(*overrides) as `make_classic_runner`, an agent before its first epoch."""
+
+    def make(*overrides: str) -> Any:
+        runner = make_classic_runner(*overrides)
+        params = runner.params
+        agent = runner.algo_factory.create(runner.algo_name, base_name="run", params=params)
+        runner.algo_observer.before_init("run", params["config"], agent.experiment_name)
+        return agent
+
+    return make
+
+
+@pytest.fixture
 def make_agent(make_runner: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
     """Return make(*overrides, ...) as `make_runner`, an agent before its first epoch."""
     agents = []

@@ -6,7 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.clip_latents import ClipLatents, alignment_loss, uniformity_loss
+from isaacgymenvs_lite.learning.clip_latents import (
+    ClipLatents,
+    alignment_loss,
+    neighbours,
+    uniformity_loss,
+)
 
 DIM = 4
 
@@ -60,3 +65,15 @@ def test_losses_by_hand():
     expected = torch.tensor([1.0, math.exp(-4), math.exp(-8)])
     torch.testing.assert_close(uniformity_loss(found, others), expected)
     torch.testing.assert_close(alignment_loss(found, others), torch.tensor([0.0, 2.0, 4.0]))
+
+
+def test_neighbours_are_drawn_by_the_density_of_von_mises_and_fisher():
+    torch.manual_seed(0)
+    found = read(torch.tensor([[0.0], [1.0], [2.0]]))
+    latent = read(torch.tensor([[0.5]])).expand(30_000, -1)
+    picked = neighbours(latent, found, sharpness=2.0)
+    weights = torch.tensor([math.exp(2.0 * math.cos(0.5 - a)) for a in (0.0, 1.0, 2.0)])
+    shares = torch.bincount(picked, minlength=3) / 30_000
+    # binomial: standard error below 0.003
+    torch.testing.assert_close(shares, weights / weights.sum(), rtol=0, atol=0.015)
+    assert (neighbours(latent[:50], found, sharpness=1e4) < 2).all()

@@ -169,3 +169,33 @@ def test_motion_without_latents_is_judged_as_what_it_looks_like(low_level, make_
     torch.testing.assert_close(llc.style_reward(amp_obs), expected, rtol=1e-4, atol=1e-4)
     others = llc.style_reward(amp_obs, unit(6, LATENT_DIM))
     assert (others - expected).abs().min() > 1e-6
+
+
+def test_random_latents_go_with_moments_that_are_near(make):
+    sharp = (f"{CONFIG}.clip_latents=0.5", f"{CONFIG}.latent_sharpness=1e7")
+    agent = make(*(f"++{word}" for word in sharp))
+    agent.init_tensors()
+    agent._store_demos()
+    demos = agent._demo_buffer.sample(64)
+    rows = agent._demo_rows(demos)
+    latents, found = rows["amp_obs_demo_latents"], agent.encoder.read(demos["amp_obs_near"])
+    of_clips = (latents == found).all(dim=-1)
+    assert 0 < of_clips.sum() < 64
+    torch.testing.assert_close(rows["amp_obs_demo"][of_clips], demos["amp_obs"][of_clips])
+    # So sharp that every other one goes with a row whose latent is as near as any.
+    nearness = latents[~of_clips] @ found.t()
+    taken = places(rows["amp_obs_demo"][~of_clips], demos["amp_obs"])
+    chosen = nearness.gather(1, taken.unsqueeze(1)).squeeze(1)
+    torch.testing.assert_close(chosen, nearness.amax(dim=1), rtol=0, atol=1e-5)
+    torch.testing.assert_close(latents.norm(dim=-1), torch.ones(64))
+
+
+def test_without_it_all_rows_keep_their_own_latents(make):
+    agent = make(f"++{CONFIG}.clip_latents=0.5")
+    agent.init_tensors()
+    agent._store_demos()
+    demos = agent._demo_buffer.sample(16)
+    rows = agent._demo_rows(demos)
+    expected = agent.encoder.read(demos["amp_obs_near"])
+    torch.testing.assert_close(rows["amp_obs_demo_latents"], expected)
+    torch.testing.assert_close(rows["amp_obs_demo"], demos["amp_obs"])

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from rl_games.algos_torch.players import PpoPlayerContinuous
 
 PPO = (
     "train.params.algo.name=a2c_continuous",
@@ -35,14 +34,6 @@ def test_mean_actions_unless_asked_otherwise(player) -> None:
     assert (player.act(obs) == player.act(obs)).all()
     player.is_deterministic = False
     assert (player.act(obs) != player.act(obs)).any()
-
-
-def test_tasks_that_reset_themselves_are_played_by_rl_games(player, monkeypatch) -> None:
-    calls: list[Any] = []
-    monkeypatch.setattr(PpoPlayerContinuous, "run", lambda self: calls.append(self))
-    monkeypatch.setattr(type(player.env), "resets_on_request", False)
-    player.run()
-    assert calls == [player]
 
 
 def test_training_sees_one_episode_after_another(make_agent) -> None:

@@ -23,6 +23,7 @@ def _velocities(
     layout = ModelLayout.from_model(model)
     planes, converter = StatePlanes(layout, len(qpos)), StateConverter(model, layout)
     converter.fill(planes, qpos, qvel)
+    converter.fill_bodies(planes)
     assert not planes.has_body_velocities
     converter.fill_body_velocities(planes)
     assert planes.has_body_velocities

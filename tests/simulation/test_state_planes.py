@@ -61,6 +61,8 @@ def test_rows_and_back(humanoid_model, random_state) -> None:
         (planes.dof_vel, dof_vel),
     ):
         torch.testing.assert_close(tensor_of_planes(planes_of), expected, rtol=0.0, atol=2e-6)
+    assert not planes.has_bodies
+    converter.fill_bodies(planes)
     np.testing.assert_allclose(planes.body_pos[:, 0], root[:, :3].T, atol=1e-6)
 
 

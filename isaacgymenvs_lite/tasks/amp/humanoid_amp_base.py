@@ -97,6 +97,7 @@ class HumanoidAMPBase(VecTask):
         self._failures_reported = 0
 
     resets_on_request = True
+    actor_name = "humanoid"
 
     # --- what a kind of humanoid says of itself ---------------------------------------------
 
@@ -188,6 +189,7 @@ class HumanoidAMPBase(VecTask):
     def post_physics_step(self) -> None:
         """Count the step; observe; reward; end episodes at falls and at the time limit."""
         self.progress_buf += 1
+        self.randomize_buf += 1
         self.compute_observations()
         self.rew_buf.copy_(self._task_reward())
         self.compute_reset()
@@ -266,6 +268,7 @@ class HumanoidAMPBase(VecTask):
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """Start new episodes in environments `env_ids` (n,)."""
+        self.randomize(env_ids)
         self._reset_actors(env_ids)
         for counter in (self.progress_buf, self.reset_buf, self._terminate_buf):
             counter.index_fill_(0, env_ids, 0)

@@ -18,7 +18,12 @@ from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, SimConfig
 log = logging.getLogger(__name__)
 
 
-def asset_path(asset: AssetConfig, own: str, published: Collection[str] = ()) -> Path:
+def asset_path(
+    asset: AssetConfig,
+    own: str,
+    published: Collection[str] = (),
+    key: str = "task.env.asset.assetFileName",
+) -> Path:
     """Return the MJCF that `task.env.asset` names.
 
     Args:
@@ -26,6 +31,7 @@ def asset_path(asset: AssetConfig, own: str, published: Collection[str] = ()) ->
         own: the task's own file, relative to assets/.
         published: names that published task files give to their project's file; where there is
             no such file, `own` stands for it.
+        key: where the name stands, for messages.
 
     Raises:
         ConfigError: there is no such file.
@@ -40,11 +46,9 @@ def asset_path(asset: AssetConfig, own: str, published: Collection[str] = ()) ->
     if path.is_file():
         return path
     if name in published:
-        log.info("task.env.asset: %s is not part of this project, whose model is %s", name, own)
+        log.info("%s: %s is not part of this project, whose model is %s", key, name, own)
         return assets_dir() / own
-    raise ConfigError(
-        f"task.env.asset.assetFileName='{name}': no file {path}; shipped: {shipped_assets()}"
-    )
+    raise ConfigError(f"{key}='{name}': no file {path}; shipped: {shipped_assets()}")
 
 
 def shipped_assets() -> str:

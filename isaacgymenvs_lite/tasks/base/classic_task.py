@@ -6,7 +6,8 @@ observed and what is paid; the order in which that happens stands here once.
 Where an episode ends the step returns its last observation, as in IsaacGymEnvs. The next step
 starts a new episode: before the physics (`resets_before_physics`), or after it, so that the action
 of that step has no effect and what is returned is the first state of the new episode. Trainers that
-want a new episode in the same step call `reset_done` after each step.
+want a new episode in the same step call `reset_done` after each step; a task may do so by itself
+(`resets_in_same_step`): the step that ends an episode returns the first observation of the next.
 """
 
 from __future__ import annotations
@@ -64,6 +65,8 @@ class ClassicTask(VecTask):
         num_features: numbers in an observation.
         num_controls: numbers in an action.
         resets_before_physics: where in a step episodes start.
+        resets_in_same_step: episodes start in the step that ended the one before, after its reward
+            and before its observation.
         actions: (N, A) of the last step, clamped.
         reward_terms: (N,) each, whose sum is `rew_buf`.
 
@@ -78,6 +81,7 @@ class ClassicTask(VecTask):
     num_features: ClassVar[int]
     num_controls: ClassVar[int]
     resets_before_physics: ClassVar[bool] = False
+    resets_in_same_step: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -144,6 +148,14 @@ class ClassicTask(VecTask):
     def advance(self) -> None:
         """Update what the task remembers from step to step, after physics and resets."""
 
+    def measured(self, observations: Tensor) -> Tensor:
+        """Return what the policy hears of observations (n, num_features): by default the same."""
+        return observations
+
+    def simulator_calls(self) -> int:
+        """Return the simulator calls of `sim.dt` in a control step."""
+        return self.env_cfg.control_freq_inv
+
     def infos(self) -> dict[str, Any]:
         """Return what `step` tells beside `time_outs`; nothing by default."""
         return {}
@@ -161,21 +173,26 @@ class ClassicTask(VecTask):
         self.simulation = make_simulation(
             self._model,
             self.num_envs,
-            substeps=self.sim_cfg.substeps * self.env_cfg.control_freq_inv,
+            substeps=self.sim_cfg.substeps * self.simulator_calls(),
             num_threads=int(physx.get("num_threads", 0)),
         )
 
     def allocate_buffers(self) -> None:
-        """Add the actions and failures of the last step."""
+        """Add the actions of the last step, and how episodes ended in it."""
         super().allocate_buffers()
         self.actions = torch.zeros(self.num_envs, self.num_actions, device=self.device)
-        self._failure_buf = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self._done_buf = torch.zeros_like(self.reset_buf)
+        self._failure_buf = torch.zeros_like(self.timeout_buf)
+        self._time_out_buf = torch.zeros_like(self.timeout_buf)
         self.reward_terms: Terms = {}
 
     # --- step -------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set the controls of clamped actions (N, A)."""
+        if self.resets_in_same_step:
+            # Nothing to do but in a first step that no `reset` went before.
+            self._reset_finished()
         self.actions = actions
         if self.resets_before_physics:
             self._reset_finished()
@@ -185,19 +202,29 @@ class ClassicTask(VecTask):
         """Count the step; start episodes; observe; reward; end episodes."""
         self.progress_buf += 1
         self.randomize_buf += 1
-        if not self.resets_before_physics:
+        if self.resets_in_same_step:
+            self.advance()
+            self.compute_reset()
+            self.compute_reward()
             self._reset_finished()
-        self.advance()
-        self.compute_observations()
-        self.compute_reward()
-        self.compute_reset()
+            self.compute_observations()
+        else:
+            if not self.resets_before_physics:
+                self._reset_finished()
+            self.advance()
+            self.compute_observations()
+            self.compute_reward()
+            self.compute_reset()
+        # What was told of the last step is not true of this one.
+        self.extras.clear()
         self.extras.update(self.infos())
 
     def compute_observations(self) -> None:
         """Write the observations of all environments into `obs_buf`."""
-        self.obs_buf.copy_(self.observe())
+        observations = self.observe()
         if self.num_states > 0:
-            self.states_buf.copy_(self.obs_buf)
+            self.states_buf.copy_(observations)
+        self.obs_buf.copy_(self.measured(observations))
 
     def compute_reward(self) -> None:
         """Write the rewards of all environments into `rew_buf`."""
@@ -209,7 +236,18 @@ class ClassicTask(VecTask):
         torch.logical_or(self.compute_failures(), self.simulation.failed, out=self._failure_buf)
         at_limit = self.progress_buf >= self.max_episode_length - 1
         self.reset_buf.copy_(self._failure_buf | at_limit)
+        # Kept apart, as episodes that start in this step clear `reset_buf` and `progress_buf`.
+        self._done_buf.copy_(self.reset_buf)
+        torch.logical_and(at_limit, ~self._failure_buf, out=self._time_out_buf)
         self._report_diverged()
+
+    def dones(self) -> Tensor:
+        """Return (N,) int64, 1 where the last step ended an episode."""
+        return self._done_buf
+
+    def compute_time_outs(self) -> Tensor:
+        """Return (N,) bool: the episode ended, by its length and not by a failure."""
+        return self._time_out_buf.clone()
 
     def failures(self) -> Tensor:
         """Return (N,) bool: the last step ended the episode by a failure."""
@@ -231,6 +269,7 @@ class ClassicTask(VecTask):
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """Start new episodes in environments `env_ids` (n,)."""
+        self.randomize(env_ids)
         self.reset_state(env_ids)
         self.progress_buf.index_fill_(0, env_ids, 0)
         self.reset_buf.index_fill_(0, env_ids, 0)
@@ -246,5 +285,8 @@ class ClassicTask(VecTask):
             env_ids = self.reset_buf.nonzero().flatten()
             if len(env_ids) > 0:
                 self.reset_idx(env_ids)
-                self.obs_buf.index_copy_(0, env_ids, self.observe().index_select(0, env_ids))
+                observations = self.observe().index_select(0, env_ids)
+                if self.num_states > 0:
+                    self.states_buf.index_copy_(0, env_ids, observations)
+                self.obs_buf.index_copy_(0, env_ids, self.measured(observations))
             return self._observations(), env_ids.to(self.rl_device)

@@ -19,7 +19,8 @@ from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.utils.rotations import cross_components, get_euler_xyz, rotate_components
+from isaacgymenvs_lite.tasks.base.wrenches import body_wrenches
+from isaacgymenvs_lite.utils.rotations import get_euler_xyz, rotate_components
 
 _TARGET_X_M = 1000.0
 _START_POS_NOISE_RAD = 0.2
@@ -123,28 +124,11 @@ def unscale(values: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     return (2.0 * values - (upper + lower)) / (upper - lower)
 
 
-def body_wrenches(contacts: Tensor, body_pos: Tensor, body_rot: Tensor) -> Tensor:
-    """Return (6, K, N) contact force and torque on K bodies, about and in the frames of the bodies.
-
-    Args:
-        contacts: (9, K, N) what `contact` sensors measure, in world axes: the force that the body
-            exerts, its torque about a point, and that point.
-        body_pos: (3, K, N) m.
-        body_rot: (4, K, N) xyzw.
-    """
-    back = (*(-body_rot[:3]).unbind(), body_rot[3])
-    exerted, points = contacts[:3].unbind(), (contacts[6:] - body_pos).unbind()
-    moved = cross_components(points, exerted)
-    torques = [-(own + lever) for own, lever in zip(contacts[3:6], moved, strict=True)]
-    forces = [-force for force in exerted]
-    return torch.stack((*rotate_components(back, forces), *rotate_components(back, torques)))
-
-
 class LocomotionTask(ClassicTask):
     """N bodies with torque motors that shall run along +x."""
 
     foot_names: ClassVar[tuple[str, ...]]
-    """Bodies of the model with a sensor `wrench_<body>`."""
+    """Bodies of the model with sensors `wrench_<body>`, `position_<body>`, `rotation_<body>`."""
     torques_nm: ClassVar[tuple[float, ...]]
     """Of full actions, by joint."""
 
@@ -157,8 +141,6 @@ class LocomotionTask(ClassicTask):
         # A joint starts at zero, or at the limit that is nearest to it.
         self.initial_dof_pos = limits.clamp(min=0.0)[:, 0] + limits.clamp(max=0.0)[:, 1]
         self.motor_efforts = torch.tensor(self.torques_nm, device=device)
-        bodies = self.simulation.body_names
-        self._foot_ids = torch.tensor([bodies.index(name) for name in self.foot_names])
         self._initial_root = torch.zeros(13, device=device)
         self._initial_root[:3] = torch.from_numpy(self._model.qpos0[:3])
         self._initial_root[6] = 1.0
@@ -189,15 +171,17 @@ class LocomotionTask(ClassicTask):
         return self._torso
 
     def foot_wrenches(self) -> Tensor:
-        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames."""
-        sim = self.simulation
-        contacts = [sim.sensor(f"wrench_{name}").t() for name in self.foot_names]
-        feet = self._foot_ids
-        wrenches = body_wrenches(
-            torch.stack(contacts, dim=1),
-            sim.body_pos.permute(2, 1, 0).index_select(1, feet),
-            sim.body_rot.permute(2, 1, 0).index_select(1, feet),
+        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames.
+
+        The frames are those in which the forces were measured, at the start of the last physics
+        step, so that the kinematics of the whole body are not needed.
+        """
+        sensor, feet = self.simulation.sensor, self.foot_names
+        contacts, positions, rotations = (
+            torch.stack([sensor(f"{what}_{name}").t() for name in feet], dim=1)
+            for what in ("wrench", "position", "rotation")
         )
+        wrenches = body_wrenches(contacts, positions, rotations.roll(-1, dims=0))
         return wrenches.transpose(0, 1).flatten(0, 1)
 
     @abstractmethod

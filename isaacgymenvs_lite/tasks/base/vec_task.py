@@ -22,6 +22,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 log = logging.getLogger(__name__)
@@ -114,7 +116,7 @@ class VecTask(Env):
         obs_buf: (N, numObs) float32.
         states_buf: (N, numStates) float32, privileged observations of asymmetric critics.
         rew_buf: (N,) float32.
-        reset_buf: (N,) int64, 1 where an episode ended; starts at 1.
+        reset_buf: (N,) int64, 1 where an episode ended and none began since; starts at 1.
         progress_buf: (N,) int64, control steps of the running episode.
         timeout_buf: (N,) bool, ended by the time limit.
         extras: what `step` returns as infos; the same dictionary at every step.
@@ -124,6 +126,8 @@ class VecTask(Env):
     simulation: SimulationBackend
     max_episode_length: int
     progress_buf: Tensor
+    actor_name: ClassVar[str] = "robot"
+    """Name of the robot in `task.task.randomization_params.actor_params`."""
     resets_on_request: ClassVar[bool] = False
     """Whether episodes start when somebody calls `reset_done`, and not by themselves in `step`."""
 
@@ -148,6 +152,15 @@ class VecTask(Env):
         self.dt = float(_required(self.sim_params, "task.sim.dt"))
         self.create_sim()
         self.allocate_buffers()
+        self.randomizer = self._make_randomizer(config.get("task") or {})
+
+    def _make_randomizer(self, section: dict[str, Any]) -> DomainRandomizer | None:
+        """Return what `task.task` asks for, None if it is off."""
+        if not section.get("randomize", False):
+            return None
+        params = section.get("randomization_params") or {}
+        layout = ModelLayout.from_model(self.simulation.model)
+        return DomainRandomizer(params, self.simulation, layout, [self.actor_name])
 
     # --- what a task fills in -------------------------------------------------------------
 
@@ -193,19 +206,33 @@ class VecTask(Env):
             (N,) int64 and infos, on rl_device. `infos["time_outs"]` is (N,) bool.
         """
         with one_torch_thread():
-            actions = actions.to(self.device).clamp(-self.clip_actions, self.clip_actions)
-            self.pre_physics_step(actions)
+            actions = actions.to(self.device)
+            if self.randomizer is not None:
+                actions = self.randomizer.noisy_actions(actions)
+            self.pre_physics_step(actions.clamp(-self.clip_actions, self.clip_actions))
             self.simulation.step()
             self.post_physics_step()
             self.control_steps += 1
             self.timeout_buf = self.compute_time_outs()
+            if self.randomizer is not None:
+                self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
             self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
             return (
                 self._observations(),
                 self._for_trainer(self.rew_buf),
-                self._for_trainer(self.reset_buf),
+                self._for_trainer(self.dones()),
                 self.extras,
             )
+
+    def randomize(self, env_ids: Tensor) -> None:
+        """Draw what is due where new episodes start, in environments `env_ids` (n,)."""
+        if self.randomizer is not None:
+            frame = self.control_steps * self.control_freq_inv
+            self.randomizer.on_reset(env_ids, self.randomize_buf, frame)
+
+    def dones(self) -> Tensor:
+        """Return (N,) int64, 1 where the last step ended an episode."""
+        return self.reset_buf
 
     def compute_time_outs(self) -> Tensor:
         """Return (N,) bool: the episode ended, by its length and not by a failure."""

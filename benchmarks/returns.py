@@ -1,0 +1,102 @@
+"""Measures policies of the classic tasks by their returns.
+
+    python -m benchmarks.returns TARGET [TARGET ...] [key=value ...]
+        [--runs-dir runs/benchmarks] [--write]
+
+Targets are those of `benchmarks.evaluate`. 128 episodes, one in each environment, the same starts
+for all policies; mean actions, no noise. The return is the sum of the task's rewards of an episode,
+as the task pays them. `--write` adds the numbers to benchmarks/results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import statistics
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.evaluate import RESULTS_DIR
+from benchmarks.played import append_result, find_targets
+from benchmarks.protocol import SEED, play_checkpoint
+from benchmarks.runs import DEFAULT_RUNS_DIR
+from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.learning.evaluation import evaluate
+
+EPISODES = 128
+
+
+@dataclass(frozen=True, kw_only=True)
+class Returns:
+    """What a policy reached, as means over the episodes.
+
+    Attributes:
+        episode_return: sum of the task's rewards.
+        steps: control steps.
+        max_steps: of an episode that nothing ends early.
+    """
+
+    episode_return: float
+    steps: float
+    max_steps: int
+
+    def __str__(self) -> str:
+        return f"return {self.episode_return:.2f}, {self.steps:.0f} of {self.max_steps} steps"
+
+
+def measure_returns(player: Any, env: Any) -> Returns:
+    """Play a policy; see the module docstring."""
+    result = evaluate(env, player.act, EPISODES, on_step=getattr(player, "on_step", None))
+    return Returns(
+        episode_return=result.reward, steps=result.steps, max_steps=env.max_episode_length - 1
+    )
+
+
+def main(words: list[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--evaluation-seed", type=int, default=SEED)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--write", action="store_true", help="add the numbers to --results-dir")
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
+    args = parser.parse_intermixed_args(words)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    found_of: dict[str, list[Returns]] = {}
+    fixed = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.task.randomize": False}
+    try:
+        for run, checkpoint in find_targets(args.what, args.runs_dir):
+            found = play_checkpoint(
+                checkpoint,
+                measure_returns,
+                fixed,
+                args.evaluation_seed,
+                num_threads=args.threads,
+                overrides=tuple(word for word in args.what if "=" in word),
+            )
+            found_of.setdefault(run.experiment, []).append(found)
+            print(f"{run.label}: {found}", flush=True)
+            if args.write:
+                append_result(
+                    args.results_dir,
+                    run.experiment,
+                    run,
+                    checkpoint,
+                    found,
+                    args.evaluation_seed,
+                    EPISODES,
+                    found.max_steps,
+                )
+    except UserError as error:
+        sys.exit(f"error: {error}")
+    for experiment, group in found_of.items():
+        if len(group) > 1:
+            median = statistics.median(found.episode_return for found in group)
+            print(f"{experiment}, median of {len(group)}: return {median:.2f}")
+
+
+if __name__ == "__main__":
+    main()

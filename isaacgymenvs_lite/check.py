@@ -1,0 +1,242 @@
+"""Says what a task or train file asks for, without training.
+
+    python -m isaacgymenvs_lite.check FILE.yaml [task=<name>] [key=value ...]
+
+FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
+task whose name it begins with, or with the one that `task=` names. Told are the algorithm, the
+network, samples and length, the keys that have no effect here, and what would be changed to fit.
+What is wrong is told in one line, as train.py would, with exit code 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.notes import physx_only_keys
+from isaacgymenvs_lite.config.train_files import merge_defaults
+from isaacgymenvs_lite.config.train_params import prepare_train_params
+from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.paths import cfg_dir
+
+EXIT_USER_ERROR = 2
+# Keys of train files that were read by IsaacGymEnvs or rl_games once, by nothing here.
+_UNREAD = ("load_checkpoint", "load_path")
+_UNREAD_CONFIG = (
+    *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),
+    *("lr_threshold", "use_others_experience", "num_seed_steps", "max_env_steps"),
+)
+# Where the name of a train file begins with no task's: by its algorithm, or the last.
+_TASKS_OF_ALGORITHMS = {
+    "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
+    "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
+}
+_DEFAULT_TASK = "Ant"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check the file that the command line names; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.check",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", help="a task or train file, or its name")
+    parser.add_argument("settings", nargs="*", metavar="key=value")
+    args = parser.parse_args(arguments)
+    try:
+        sys.stdout.write("\n".join([*describe(args.file, args.settings), ""]))
+    except UserError as error:
+        parser.exit(EXIT_USER_ERROR, f"error: {error}\n")
+    return 0
+
+
+def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
+    """Return what the file asks for, line by line.
+
+    Args:
+        file: path or name of a task or train file.
+        overrides: further words of train.py's command line.
+
+    Raises:
+        UserError: what train.py would refuse.
+    """
+    path = _find(file)
+    with _log_lines() as said:
+        kind, content = _kind(path)
+        words = [f"{kind}={path}", *overrides]
+        guessed = kind == "train" and not any(word.startswith("task=") for word in overrides)
+        if guessed:
+            words.insert(0, f"task={_task_of(path, content)}")
+        cfg = compose(words)
+        check_config(cfg)
+        apply_wrapper_limits(cfg)
+        lines = [_title(path, kind, cfg, guessed)]
+        lines += _describe_composed(cfg, kind)
+    for line in dict.fromkeys(said):
+        lines.append(f"note: {line}")
+    lines.append("nothing is wrong with it")
+    return lines
+
+
+def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
+    # torch, MuJoCo and rl_games: once the configuration is known to compose
+    from isaacgymenvs_lite.making import make_from_config
+    from isaacgymenvs_lite.registration import build_runner
+    from isaacgymenvs_lite.runner import registered_names
+
+    small = cfg.copy()
+    small.task.env.numEnvs = 2
+    task = make_from_config(small, sim_device="cpu", rl_device="cpu")
+    try:
+        lines = _task_lines(cfg, task)
+        params = prepare_train_params(
+            cfg,
+            num_envs=int(cfg.task.env.numEnvs),
+            seed=1,
+            num_agents=task.num_agents,
+            num_states=task.num_states,
+            names=registered_names(build_runner()),
+        )
+    finally:
+        task.close()
+    lines += _train_lines(params)
+    unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
+    if unread:
+        lines.append(f"no effect here: {', '.join(unread)}")
+    return lines
+
+
+def _find(file: str) -> Path:
+    given = Path(file).expanduser()
+    if given.is_file():
+        return given.resolve()
+    named = [cfg_dir() / group / f"{given.stem}.yaml" for group in ("train", "task")]
+    for path in named:
+        if given.name == file and path.is_file():
+            return path
+    raise ConfigError(
+        f"{file}: no such file, and no name of a file in {cfg_dir() / 'train'} or"
+        f" {cfg_dir() / 'task'}"
+    )
+
+
+def _kind(path: Path) -> tuple[str, DictConfig]:
+    content = merge_defaults(path)
+    if "params" in content:
+        return "train", content
+    if "env" in content:
+        return "task", content
+    raise ConfigError(
+        f"{path} is neither a train file (a mapping below 'params') nor a task file ('name', 'env',"
+        " 'sim')"
+    )
+
+
+def _task_of(path: Path, content: DictConfig) -> str:
+    """Return the task whose name the train file's begins with (the longest), or one that fits."""
+    names = [file.stem for file in (cfg_dir() / "task").glob("*.yaml")]
+    fitting = [name for name in names if path.stem.startswith(name)]
+    if fitting:
+        return max(fitting, key=len)
+    algorithm = OmegaConf.select(content, "params.algo.name")
+    for task, algorithms in _TASKS_OF_ALGORITHMS.items():
+        if algorithm in algorithms:
+            return task
+    return _DEFAULT_TASK
+
+
+def _title(path: Path, kind: str, cfg: DictConfig, guessed: bool) -> str:
+    if kind == "task":
+        return f"{path.name}: a task file, of the task {cfg.task.name}"
+    hint = "; task=<name> checks it with another" if guessed else ""
+    return f"{path.name}: a train file, checked with task={cfg.task.name}{hint}"
+
+
+def _task_lines(cfg: DictConfig, task: Any) -> list[str]:
+    states = f", {task.num_states} privileged observations" if task.num_states else ""
+    step_s = task.dt if task.resets_on_request else task.dt * task.control_freq_inv
+    return [
+        f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
+        f" {task.max_episode_length} control steps of {step_s:g} s at most,"
+        f" {int(cfg.task.env.numEnvs):,} environments"
+    ]
+
+
+def _train_lines(params: Mapping[str, Any]) -> list[str]:
+    config, network = params["config"], params["network"]
+    names = f"{params['algo']['name']}, model {params['model']['name']}"
+    lines = [f"algorithm: {names}", f"network: {_network_line(network)}"]
+    if config.get("central_value_config"):
+        critic = config["central_value_config"].get("network", {})
+        lines.append(f"asymmetric critic: {_network_line(critic)}")
+    envs, epochs = config["num_actors"], config.get("max_epochs", -1)
+    steps = config.get("horizon_length") or config.get("num_steps_per_episode", 1)
+    samples = envs * steps
+    line = f"samples: {envs:,} environments x {steps} steps = {samples:,} in an epoch"
+    if "minibatch_size" in config:
+        count = samples // config["minibatch_size"]
+        line += (
+            f"; {config['mini_epochs']} times {count} minibatches of {config['minibatch_size']:,}"
+        )
+    elif "batch_size" in config:
+        line += f"; batches of {config['batch_size']:,} from the replay buffer"
+    lines.append(line)
+    length = "no limit" if epochs < 0 else f"{epochs:,} epochs, {epochs * samples:,} steps"
+    lines.append(f"length: {length}")
+    return lines
+
+
+def _network_line(network: Mapping[str, Any]) -> str:
+    parts = [str(network.get("name", ""))]
+    mlp = network.get("mlp") or {}
+    if mlp:
+        units = ", ".join(str(units) for units in mlp.get("units", []))
+        parts.append(f"[{units}] {mlp.get('activation', '')}")
+    if rnn := network.get("rnn"):
+        parts.append(f"{rnn.get('name')} of {rnn.get('units')} units")
+    if network.get("separate"):
+        parts.append("actor and critic share no layers")
+    return ", ".join(parts)
+
+
+def _unread_train_keys(cfg: DictConfig) -> list[str]:
+    params = cfg.train.params
+    unread = [f"params.{key}" for key in _UNREAD if key in params]
+    return unread + [f"params.config.{key}" for key in _UNREAD_CONFIG if key in params.config]
+
+
+@contextmanager
+def _log_lines() -> Iterator[list[str]]:
+    """Collect what the package says, instead of showing it."""
+    lines: list[str] = []
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines.append(record.getMessage())
+
+    logger = logging.getLogger("isaacgymenvs_lite")
+    former = (logger.level, logger.propagate)
+    collector = Collector(logging.INFO)
+    logger.addHandler(collector)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield lines
+    finally:
+        logger.removeHandler(collector)
+        logger.level, logger.propagate = former
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""rl_games' soft actor-critic, with checkpoints that a training can go on from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
+from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.common_player import DEFAULT_EPISODES
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate_and_log
+
+
+class SACAgent(RLGamesSACAgent):
+    """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
+
+    Its checkpoints hold the temperature and the best reward, too, which rl_games' leave out: a
+    resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
+    MB): a resumed run acts by its policy until a batch is there, and learns then.
+
+    Args:
+        base_name: name for rl_games' bookkeeping.
+        params: the section `params` of a train file, prepared by the Runner.
+    """
+
+    @property
+    def curr_frames(self) -> int:
+        """Environment steps of an epoch, under the name that rl_games' other agents have for it."""
+        return self.num_frames_per_epoch
+
+    def get_full_state_weights(self) -> dict[str, Any]:
+        """Return what goes into a checkpoint."""
+        return {
+            **super().get_full_state_weights(),
+            "log_alpha": self.log_alpha.detach(),
+            "last_mean_rewards": self.last_mean_rewards,
+            "env_state": self.vec_env.get_env_state(),
+        }
+
+    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
+        """Take back what `get_full_state_weights` gave; rl_games' files lack the temperature."""
+        super().set_full_state_weights(weights, set_epoch=set_epoch)
+        if "log_alpha" in weights:
+            with torch.no_grad():
+                self.log_alpha.copy_(weights["log_alpha"])
+
+    def update(self, step: int) -> Any:
+        """Make a gradient step, once the replay buffer holds a batch."""
+        buffer = self.replay_buffer
+        if not buffer.full and buffer.idx < self.batch_size:
+            nothing = torch.zeros((), device=self._device)
+            return (nothing, nothing, self.alpha.detach(), None), nothing, nothing
+        return super().update(step)
+
+
+class SACPlayer(RLGamesSACPlayer):
+    """The player of `sac`, with the play loop of our own players and `games_num` episodes.
+
+    Attributes:
+        result: what was measured; None before.
+    """
+
+    result: EvaluationResult | None = None
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        super().__init__(params)
+        self.has_batch_dimension = True
+
+    def run(self) -> None:
+        """Play, and log what was reached."""
+        games = int(self.player_config.get("games_num", DEFAULT_EPISODES))
+        self.result = evaluate_and_log(self.env, self.act, games)
+
+    def act(self, obs: dict[str, Tensor]) -> Tensor:
+        """Return the task's actions (N, A) for what the task observes."""
+        rows: Any = self.obs_to_torch(obs)
+        with torch.no_grad():
+            return self.get_action(rows, self.is_deterministic)

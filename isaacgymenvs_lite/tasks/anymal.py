@@ -1,0 +1,172 @@
+"""Anymal: ANYmal C on flat ground follows commanded velocities. As IsaacGymEnvs.
+
+Quirks that are kept because policies and curves depend on them: joint angles at the start are the
+default ones times random factors; commands stay for an episode; gravity in the observation is
+rotated the wrong way unless the key `projectedGravityAsPublished` is False.
+Not kept: after a fall IsaacGymEnvs ends the new episode at once, as it reads the forces of the fall
+again. Joints have no limit of their speed (20 rad/s there).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.velocity_tracking import (
+    BaseMotion,
+    ControlConfig,
+    LearnConfig,
+    VelocityTrackingConfig,
+    VelocityTrackingTask,
+    compute_tracking_rewards,
+    never_negative,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnymalControlConfig(ControlConfig):
+    """`task.env.control` of Anymal."""
+
+    control_freq_inv: int = setting(1, key="controlFrequencyInv", choices=(1,))
+    """IsaacGymEnvs reads the key one section above; so does this project."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnymalConfig(VelocityTrackingConfig):
+    """`task.env` of Anymal."""
+
+    control: AnymalControlConfig = field(default_factory=AnymalControlConfig)
+    learn: LearnConfig = field(default_factory=LearnConfig)
+    gravity_as_published: bool = setting(True, key="projectedGravityAsPublished")
+    """This project's. True: gravity is rotated from the base's frame to the world's, as in
+    IsaacGymEnvs, so that its policies can be compared; False: from the world's to the base's."""
+
+
+def rotate_down(root_rot: Tensor) -> Tensor:
+    """Return (0, 0, -1) rotated by quaternions (N, 4) xyzw, (3, N).
+
+    IsaacGymEnvs' "projected gravity" of Anymal; for small turns about z it is the direction of
+    gravity in the base's frame with the signs of x and y changed.
+    """
+    x, y, z, w = root_rot.unbind(-1)
+    return 2.0 * torch.stack((-(x * z + w * y), w * x - y * z, x * x + y * y - 0.5))
+
+
+def compute_anymal_observations(
+    motion: BaseMotion,
+    commands: Tensor,
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    actions: Tensor,
+    cfg: LearnConfig,
+) -> Tensor:
+    """Return the observations (N, 48).
+
+    Linear and angular velocity, gravity, 3 commands, 12 joint positions and velocities, 12 actions;
+    all but gravity and actions times their scales.
+
+    Args:
+        motion: of the base, in its frame.
+        commands: (3, N) m/s and rad/s.
+        dof_pos: (12, N) rad, from the default angles.
+        dof_vel: (12, N) rad/s.
+        actions: (12, N) of the last step.
+        cfg: the scales.
+    """
+    return torch.cat(
+        (
+            motion.lin_vel * cfg.lin_vel_scale,
+            motion.ang_vel * cfg.ang_vel_scale,
+            motion.gravity,
+            commands[:2] * cfg.lin_vel_scale,
+            commands[2:3] * cfg.ang_vel_scale,
+            dof_pos * cfg.dof_pos_scale,
+            dof_vel * cfg.dof_vel_scale,
+            actions,
+        )
+    ).t()
+
+
+def compute_anymal_reward(
+    motion: BaseMotion, commands: Tensor, torques: Tensor, cfg: LearnConfig, dt: float
+) -> Terms:
+    """Return the terms (N,) of the reward, whose sum is not negative.
+
+    Args:
+        motion: of the base, in its frame.
+        commands: (3, N) m/s and rad/s.
+        torques: (12, N) of the joints (Nm).
+        cfg: what the terms are worth per second.
+        dt: time of a control step (s).
+    """
+    along, turning = compute_tracking_rewards(commands, motion)
+    terms = {
+        "lin_vel_xy": along * (cfg.lin_vel_xy_reward * dt),
+        "ang_vel_z": turning * (cfg.ang_vel_z_reward * dt),
+        "torques": torques.square().sum(0) * (cfg.torque_reward * dt),
+    }
+    return never_negative(terms)
+
+
+class Anymal(VelocityTrackingTask):
+    """N robots: 48 observations, 12 joint positions. Keys: `AnymalConfig`.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = AnymalConfig
+    own_asset = "mjcf/anymal.xml"
+    published_assets = ("urdf/anymal_c/urdf/anymal.urdf",)
+    actor_name = "anymal"
+    num_features = 48
+    num_controls = 12
+
+    def _episode_length(self) -> int:
+        return int(self.env_cfg.learn.episode_length_s / self.sim_cfg.dt + 0.5)
+
+    def create_sim(self) -> None:
+        """Note the bodies whose touch ends an episode."""
+        super().create_sim()
+        base = torch.zeros(1, dtype=torch.int64, device=self.device)
+        self._untouchable_ids = torch.cat((base, self._knee_ids))
+
+    def observe(self) -> Tensor:
+        """See `compute_anymal_observations`."""
+        sim = self.simulation
+        motion = self.base_motion()
+        if self.env_cfg.gravity_as_published:
+            motion = motion._replace(gravity=rotate_down(sim.root_states[:, 3:7]))
+        return compute_anymal_observations(
+            motion,
+            self._command_planes,
+            (sim.dof_pos - self.default_dof_pos).t(),
+            sim.dof_vel.t(),
+            self.actions.t(),
+            self.env_cfg.learn,
+        )
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_anymal_reward`."""
+        return compute_anymal_reward(
+            self.base_motion(),
+            self._command_planes,
+            self._torques,
+            self.env_cfg.learn,
+            self.dt,
+        )
+
+    def compute_failures(self) -> Tensor:
+        """Return (N,) bool: the base or a knee is touched."""
+        return self.touches(self._untouchable_ids).any(0)
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Above the ground, near the default joint angles, with new commands."""
+        root = self._start_root.repeat(len(env_ids), 1)
+        self.simulation.write_state(env_ids, root, *self.draw_start_joints(env_ids))
+        self._command_planes.index_copy_(1, env_ids, self.draw_commands(env_ids))
+        self._motion = None

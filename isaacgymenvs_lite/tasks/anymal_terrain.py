@@ -1,0 +1,289 @@
+"""AnymalTerrain: ANYmal C walks over rough ground that gets harder as it gets better.
+
+As IsaacGymEnvs, of which these quirks are kept: joint positions are observed as they are, not from
+the default angles; who masters the last level begins again at the first; the heading is commanded
+to zero where the velocity is.
+Not kept, unless a key says so: a fifth simulator call in a control step of four
+(`control.extraSimulatorCall`); a control step counting a quarter of its time where feet are in the
+air (`learn.airTimeAsPublished`); robots going back a level because of what others were commanded
+(`terrain.demotionAsPublished`). Not kept: time-outs that are never told; the first observation of
+an episode in which velocities, gravity, heading and actions are those of the last one; pushes
+although `learn.pushRobots` is False; vertical walls, which are slopes over 0.1 m of a height field;
+a limit of the joints' speed (20 rad/s).
+
+The PD controller of the joints is a drive of the model. With Euler's method its torque, limited to
+80 Nm, is that of the positions and velocities at the beginning of a simulator call, as in
+IsaacGymEnvs, which computes it in Python as often.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.tasks.anymal_terrain_config import AnymalTerrainConfig
+from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
+    TERM_NAMES,
+    WalkStep,
+    compute_air_time,
+    compute_anymal_terrain_observations,
+    compute_anymal_terrain_reward,
+    noise_widths,
+)
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.velocity_tracking import (
+    TOUCH_N,
+    VelocityTrackingTask,
+    never_negative,
+)
+from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum
+from isaacgymenvs_lite.tasks.terrain.grid import add_height_field, make_terrain
+from isaacgymenvs_lite.tasks.terrain.height_scan import HeightScan
+from isaacgymenvs_lite.utils.rotations import calc_heading, normalize_angle
+
+log = logging.getLogger(__name__)
+
+_START_OFFSET_M = 0.5
+_PUSH_M_S = 1.0
+# Slower commands are none.
+_LEAST_COMMAND_M_S = 0.25
+_YAW_RATE_PER_RAD = 0.5  # 1/s
+_MAX_YAW_RATE_RAD_S = 1.0
+_YAW_RATE, _HEADING = 2, 3
+
+
+class AnymalTerrain(VelocityTrackingTask):
+    """N robots: 188 observations, 12 joint positions. Keys: `AnymalTerrainConfig`.
+
+    Positions of the simulation are those on the one ground that all environments share.
+    `infos["episode"]`, in steps that end episodes: means of their rewards per second of the longest
+    episode, `rew_<term>`, and of the levels of all robots, `terrain_level`.
+
+    Attributes:
+        terrain: the ground.
+        curriculum: on which tile each robot walks.
+        dt: time of a control step (s).
+        commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and the heading
+            (rad) that the yaw rate leads to.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = AnymalTerrainConfig
+    own_asset = "mjcf/anymal_minimal.xml"
+    published_assets = ("urdf/anymal_c/urdf/anymal_minimal.urdf",)
+    actor_name = "anymal"
+    num_features = 188
+    num_controls = 12
+    num_commands = 4
+    resets_in_same_step = True
+
+    # --- construction -----------------------------------------------------------------------
+
+    def _control_dt(self) -> float:
+        control = self.env_cfg.control
+        return self.sim_cfg.dt * control.decimation * self.env_cfg.control_freq_inv
+
+    def _episode_length(self) -> int:
+        return int(self.env_cfg.learn.episode_length_s / self._control_dt() + 0.5)
+
+    def simulator_calls(self) -> int:
+        """Return the simulator calls of `sim.dt` in a control step."""
+        control = self.env_cfg.control
+        return control.decimation * self.env_cfg.control_freq_inv + int(control.extra_call)
+
+    def _friction(self) -> float:
+        return self.env_cfg.terrain.dynamic_friction
+
+    def _build_model(self) -> mujoco.MjModel:
+        # From torch's generator, so that the seed of a run is the ground's, too.
+        rng = np.random.default_rng(int(torch.randint(2**31, ()).item()))
+        self.terrain = make_terrain(self.env_cfg.terrain, rng)
+        return super()._build_model()
+
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Give the drives their gains, and the robot the ground to walk on."""
+        super().change_spec(spec)
+        if self.env_cfg.terrain.terrain_type == "plane":
+            return
+        if spec.geom("floor") is None:
+            raise ConfigError("task.env.urdfAsset.file: the model has no geom 'floor'")
+        add_height_field(spec, self.terrain)
+
+    def create_sim(self) -> None:
+        """Make the simulations, what the robots see of the ground, and where they walk."""
+        super().create_sim()
+        self.dt = self._control_dt()
+        learn = self.env_cfg.learn
+        self._scan = HeightScan(self.terrain, self.device)
+        self.curriculum = Curriculum(self.env_cfg.terrain, self.terrain, self.num_envs, self.device)
+        self._noise_widths = noise_widths(learn).to(self.device)
+        self._air_time_dt = self.sim_cfg.dt if learn.air_time_as_published else self.dt
+        self._push_interval = int(learn.push_interval_s / self.dt + 0.5)
+
+    def allocate_buffers(self) -> None:
+        """Add what is remembered from step to step."""
+        super().allocate_buffers()
+        n, device = self.num_envs, self.device
+        self.last_actions = torch.zeros_like(self.actions)
+        self._last_dof_vel = torch.zeros(len(self.default_dof_pos), n, device=device)
+        self._air_time_s = torch.zeros(len(self._foot_ids), n, device=device)
+        self._reward_sums = torch.zeros(len(TERM_NAMES), n, device=device)
+        self._episode: dict[str, Tensor] = {}
+
+    # --- step -------------------------------------------------------------------------------
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """Set the joint positions of actions (N, 12) that the drives aim at."""
+        self.last_actions = self.actions
+        self._last_dof_vel.copy_(self.simulation.dof_vel.t())
+        super().pre_physics_step(actions)
+
+    def advance(self) -> None:
+        """Note what touches what; push the robots when it is time; steer."""
+        super().advance()
+        sim = self.simulation
+        forces = sim.contact_forces.permute(2, 1, 0)
+        self._base_touches = forces[:, 0].square().sum(0) > TOUCH_N**2
+        self._knee_touches = self.touches(self._knee_ids)
+        self._foot_forces = forces.index_select(1, self._foot_ids)
+        self._air_time_s, self._air_time_beyond_s = compute_air_time(
+            self._air_time_s, self._foot_forces[2] > TOUCH_N, self._air_time_dt
+        )
+        self._episode = {}
+        if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self._push_interval == 0:
+            # After the forces were read, which a new state is without.
+            self._push()
+        self._steer()
+
+    def _push(self) -> None:
+        """Give the bases another velocity over the ground, in place of the one they have."""
+        sim = self.simulation
+        env_ids = torch.arange(self.num_envs, device=self.device)
+        root = sim.root_states.clone()
+        root[:, 7:9] = uniform(env_ids, -_PUSH_M_S, _PUSH_M_S, (2,))
+        sim.write_state(env_ids, root, sim.dof_pos, sim.dof_vel)
+
+    def _steer(self) -> None:
+        """Command the yaw rates that lead to the commanded headings."""
+        heading = calc_heading(self.simulation.root_states[:, 3:7])
+        error = normalize_angle(self._command_planes[_HEADING] - heading)
+        rate = error.mul_(_YAW_RATE_PER_RAD).clamp_(-_MAX_YAW_RATE_RAD_S, _MAX_YAW_RATE_RAD_S)
+        self._command_planes[_YAW_RATE] = rate
+
+    def observe(self) -> Tensor:
+        """See `compute_anymal_terrain_observations`."""
+        sim = self.simulation
+        root = sim.root_states
+        return compute_anymal_terrain_observations(
+            self.base_motion(),
+            self._command_planes,
+            sim.dof_pos.t(),
+            sim.dof_vel.t(),
+            root[:, 2],
+            self._scan(root[:, :3], root[:, 3:7]),
+            self.actions.t(),
+            self.env_cfg.learn,
+        )
+
+    def measured(self, observations: Tensor) -> Tensor:
+        """Return observations (n, 188) with noise."""
+        if not self.env_cfg.learn.add_noise:
+            return observations
+        noise = torch.rand_like(observations).mul_(2.0).sub_(1.0)
+        return noise.mul_(self._noise_widths).add_(observations)
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_anymal_terrain_reward`; their sum is not negative but for a fall's."""
+        sim, learn = self.simulation, self.env_cfg.learn
+        step = WalkStep(
+            motion=self.base_motion(),
+            commands=self._command_planes,
+            base_height=sim.root_states[:, 2],
+            dof_offset=(sim.dof_pos - self.default_dof_pos).t(),
+            dof_vel=sim.dof_vel.t(),
+            last_dof_vel=self._last_dof_vel,
+            torques=self._torques,
+            actions=self.actions.t(),
+            last_actions=self.last_actions.t(),
+            knee_touches=self._knee_touches,
+            foot_forces=self._foot_forces,
+            air_time_beyond_s=self._air_time_beyond_s,
+        )
+        terms = compute_anymal_terrain_reward(step, learn, self.dt)
+        self._reward_sums += torch.stack([terms[name] for name in TERM_NAMES])
+        return {
+            **never_negative(terms),
+            "terminal": self.failures() * (learn.terminal_reward * self.dt),
+        }
+
+    def compute_failures(self) -> Tensor:
+        """Return (N,) bool: the base, or if that is forbidden a knee, touches something."""
+        if self.env_cfg.learn.allow_knee_contacts:
+            return self._base_touches
+        return self._base_touches | self._knee_touches.any(0)
+
+    def infos(self) -> dict[str, Any]:
+        """Return the means of the episodes that ended; see the class docstring."""
+        return {"episode": self._episode} if self._episode else {}
+
+    # --- reset ------------------------------------------------------------------------------
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """On its tile, near the default joint angles, with new commands and without memory."""
+        self._conclude(env_ids)
+        root = self._start_root + torch.zeros(len(env_ids), 1, device=self.device)
+        root[:, :3] += self.curriculum.origins(env_ids)
+        root[:, :2] += uniform(env_ids, -_START_OFFSET_M, _START_OFFSET_M, (2,))
+        self.simulation.write_state(env_ids, root, *self.draw_start_joints(env_ids))
+        along, aside, heading = commands = self.draw_commands(env_ids)
+        commands *= torch.hypot(along, aside) > _LEAST_COMMAND_M_S
+        commands = torch.stack((along, aside, torch.zeros_like(along), heading))
+        self._command_planes.index_copy_(1, env_ids, commands)
+        self.actions.index_fill_(0, env_ids, 0.0)
+        self._air_time_s.index_fill_(1, env_ids, 0.0)
+        self._reward_sums.index_fill_(1, env_ids, 0.0)
+        self._motion = None
+        self._steer()
+
+    def _conclude(self, env_ids: Tensor) -> None:
+        """Tell what episodes were paid that ended by themselves, and move their robots."""
+        ended = (self._done_buf != 0) & (self.progress_buf > 0)
+        # A diverged robot is no longer where it got to.
+        ended &= ~self.simulation.failed
+        env_ids = env_ids[ended[env_ids]]
+        if len(env_ids) == 0:
+            return
+        longest_s = self.env_cfg.learn.episode_length_s
+        root_pos = self.simulation.root_states[env_ids, :3]
+        self.curriculum.update(env_ids, root_pos, self.commands[env_ids, :2], longest_s)
+        rates = self._reward_sums[:, env_ids].mean(dim=1) / longest_s
+        self._episode = {
+            **{f"rew_{name}": rate for name, rate in zip(TERM_NAMES, rates, strict=True)},
+            "terrain_level": self.curriculum.levels.float().mean(),
+        }
+
+    # --- checkpoints ------------------------------------------------------------------------
+
+    def get_env_state(self) -> dict[str, Tensor]:
+        """Return the levels (N,) of the robots, for a training that goes on."""
+        return {"terrain_levels": self.curriculum.levels.clone()}
+
+    def set_env_state(self, env_state: Any) -> None:
+        """Take back what `get_env_state` gave; from other numbers of robots nothing is taken."""
+        levels = (env_state or {}).get("terrain_levels")
+        if levels is None:
+            return
+        own = self.curriculum.levels
+        if levels.shape != own.shape or int(levels.max()) >= self.terrain.origins.shape[0]:
+            log.info("the checkpoint's terrain levels are of another ground or number of robots")
+            return
+        own.copy_(levels)

@@ -1,0 +1,200 @@
+"""BallBalance: a tray on three legs keeps a ball that falls onto it. As IsaacGymEnvs.
+
+Quirks that are kept because policies depend on them: the three sensors are observed component by
+component, not one after the other; of the force only the x component is observed.
+
+What differs from the original: Isaac's force sensors have no twin in MuJoCo. The three sensors
+here report the contact force and torque on the tray, in its frame and about three points of it;
+what legs and joints do to the tray is no part of it. The feet are pinned to the ground and do not
+collide with it. The ball has no angular damping.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.assets import hinge_limits
+from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
+from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig, FreshStartTask
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.wrenches import body_wrenches, torques_about
+
+_DRIVEN_JOINTS = ("lower_leg_joint0", "lower_leg_joint1", "lower_leg_joint2")
+_BALL_RADIUS_M = 0.1
+_PAID_HEIGHT_M = 0.7
+_LOST_HEIGHT_M = 1.5 * _BALL_RADIUS_M
+_SENSOR_SCALE = 1.0 / 20.0
+_SENSOR_DISTANCE_M = 0.4  # of the sensors from the middle of the tray
+_SENSOR_ANGLES_RAD = (0.0, math.radians(120.0), math.radians(240.0))
+
+# Where and how fast a ball starts
+_START_DISTANCE_M = (0.001, 0.5)  # from the vertical axis of the tray
+_START_HEIGHT_M = (1.0, 2.0)
+_MAX_START_SPEED_M_S = 5.0  # towards the axis, at the largest distance
+_START_FALL_M_S = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallBalanceConfig(FreshStartConfig):
+    """`task.env` of BallBalance."""
+
+    action_speed_scale: float = setting(20.0, key="actionSpeedScale", minimum=0)
+    """Speed (rad/s) at which a full action moves the target of a joint."""
+
+
+def compute_bbot_observations(
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    ball_pos: Tensor,
+    ball_vel: Tensor,
+    sensor_force_x: Tensor,
+    sensor_torques: Tensor,
+) -> Tensor:
+    """Return the observations (N, 24).
+
+    3 joint positions, 3 joint velocities, position and velocity of the ball, then of the three
+    sensors the forces along x, the torques about x, those about y and those about z, over 20.
+
+    Args:
+        dof_pos: (N, 3) rad, of the driven joints.
+        dof_vel: (N, 3) rad/s.
+        ball_pos: (N, 3) m.
+        ball_vel: (N, 3) m/s.
+        sensor_force_x: (3, N) N, sensor by sensor, in the tray's frame.
+        sensor_torques: (3, 3, N) Nm, component by component, each sensor by sensor.
+    """
+    sensors = torch.cat((sensor_force_x, sensor_torques.flatten(0, 1))).t()
+    return torch.cat((dof_pos, dof_vel, ball_pos, ball_vel, sensors * _SENSOR_SCALE), dim=-1)
+
+
+def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
+    """Return the terms (N,) of the reward 1 / (1 + distance) / (1 + speed).
+
+    `near` is what a ball at rest would earn there, 0.7 m above the ground on the axis being the
+    best place; `speed` is what its motion takes of it.
+
+    Args:
+        ball_pos: (N, 3) m.
+        ball_vel: (N, 3) m/s.
+    """
+    x, y, z = ball_pos.unbind(-1)
+    near = 1.0 / (1.0 + torch.sqrt(x * x + y * y + (z - _PAID_HEIGHT_M).square()))
+    speed = ball_vel.norm(dim=-1)
+    return {"near": near, "speed": near / (1.0 + speed) - near}
+
+
+def compute_bbot_failures(ball_height: Tensor) -> Tensor:
+    """Return (N,) bool: the ball (m above the ground) fell from the tray."""
+    return ball_height < _LOST_HEIGHT_M
+
+
+def draw_ball_states(env_ids: Tensor) -> Tensor:
+    """Return states (n, 13) of balls that fall onto the tray and move towards its middle."""
+    nearest, farthest = _START_DISTANCE_M
+    distance = uniform(env_ids, nearest, farthest)
+    angle = uniform(env_ids, -math.pi, math.pi)
+    share = (distance - nearest) / (farthest - nearest)
+    speed = -share * uniform(env_ids, 0.0, _MAX_START_SPEED_M_S)
+    states = torch.zeros(len(env_ids), 13, device=env_ids.device)
+    states[:, 0], states[:, 1] = distance * angle.cos(), distance * angle.sin()
+    states[:, 2] = uniform(env_ids, *_START_HEIGHT_M)
+    states[:, 6] = 1.0
+    states[:, 7], states[:, 8] = speed * angle.cos(), speed * angle.sin()
+    states[:, 9] = -_START_FALL_M_S
+    return states
+
+
+class BallBalance(FreshStartTask):
+    """N trays with balls: 24 observations, 3 actions. Keys: `BallBalanceConfig`.
+
+    Actions are the speeds of the position targets of the lower legs' joints.
+
+    Attributes:
+        targets: (N, 3) position targets (rad), which stay from step to step.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = BallBalanceConfig
+    own_asset = "mjcf/ball_balance.xml"
+    actor_name = "bbot"
+    num_features = 24
+    num_controls = 3
+
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Make the drives stiff enough for a chain that is closed through the ground."""
+        integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
+
+    def create_sim(self) -> None:
+        """Make the simulations, and what is known of joints, tray and sensors."""
+        super().create_sim()
+        device = self.device
+        driven = [self.simulation.dof_names.index(name) for name in _DRIVEN_JOINTS]
+        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
+        self._driven = torch.tensor(driven, device=device)
+        self._lower, self._upper = limits[driven].unbind(-1)
+        self._initial_root = torch.zeros(13, device=device)
+        self._initial_root[2], self._initial_root[6] = float(self._model.qpos0[2]), 1.0
+        self._ball = self.simulation.object_names.index("ball")
+        angles = torch.tensor(_SENSOR_ANGLES_RAD, device=device)
+        directions = (angles.cos(), angles.sin(), torch.zeros_like(angles))
+        self._sensor_points = _SENSOR_DISTANCE_M * torch.stack(directions, dim=-1)
+
+    def allocate_buffers(self) -> None:
+        """Add the position targets."""
+        super().allocate_buffers()
+        self.targets = torch.zeros(self.num_envs, self.num_actions, device=self.device)
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return the position targets (N, 3) in rad, moved by the actions."""
+        self.targets += actions * (self.env_cfg.action_speed_scale * self.dt)
+        return self.targets.clamp_(self._lower, self._upper)
+
+    def observe(self) -> Tensor:
+        """See `compute_bbot_observations`."""
+        sim = self.simulation
+        ball = self._ball_states()
+        wrench = self._tray_wrench()
+        return compute_bbot_observations(
+            sim.dof_pos.index_select(1, self._driven),
+            sim.dof_vel.index_select(1, self._driven),
+            ball[:, :3],
+            ball[:, 7:10],
+            wrench[:1].expand(len(self._sensor_points), -1),
+            torques_about(wrench, self._sensor_points),
+        )
+
+    def _ball_states(self) -> Tensor:
+        return self.simulation.object_states[:, self._ball]
+
+    def _tray_wrench(self) -> Tensor:
+        """Return (6, N) contact force and torque on the tray, about its middle, in its frame."""
+        tray = self.simulation.root_states.t()[:, None]
+        contacts = self.simulation.sensor("wrench_tray").t()[:, None]
+        return body_wrenches(contacts, tray[:3], tray[3:7])[:, 0]
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_bbot_reward`."""
+        ball = self._ball_states()
+        return compute_bbot_reward(ball[:, :3], ball[:, 7:10])
+
+    def compute_failures(self) -> Tensor:
+        """See `compute_bbot_failures`."""
+        return compute_bbot_failures(self._ball_states()[:, 2])
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Legs and tray as in the model; see `draw_ball_states` for the ball."""
+        n = len(env_ids)
+        zeros = torch.zeros(n, len(self.simulation.dof_names), device=self.device)
+        self.simulation.write_state(env_ids, self._initial_root.repeat(n, 1), zeros, zeros)
+        ball = torch.tensor([self._ball], device=self.device)
+        self.simulation.write_object_states(env_ids, ball, draw_ball_states(env_ids)[:, None])
+        self.targets.index_fill_(0, env_ids, 0.0)

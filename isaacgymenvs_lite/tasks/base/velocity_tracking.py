@@ -1,0 +1,283 @@
+"""What Anymal and AnymalTerrain share: a legged robot whose base shall move as it is commanded.
+
+Formulas as IsaacGymEnvs, over named quantities of N environments that stand last: (3, N), (D, N).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model
+from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
+from isaacgymenvs_lite.utils.rotations import rotate_components
+
+_TRACKING_VARIANCE = 0.25  # (m/s)^2 and (rad/s)^2
+_START_POS_FACTORS = (0.5, 1.5)  # of the default joint angles
+_START_VEL_RAD_S = 0.1
+# Forces below this are no touch (N).
+TOUCH_N = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitStateConfig:
+    """`task.env.baseInitState`: the base at the start of an episode, in world axes."""
+
+    pos: tuple[float, ...] = setting((0.0, 0.0, 0.62), min_length=3)
+    """m."""
+    rot: tuple[float, ...] = setting((0.0, 0.0, 0.0, 1.0), min_length=4)
+    """xyzw."""
+    lin_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vLinear", min_length=3)
+    """m/s."""
+    ang_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vAngular", min_length=3)
+    """rad/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlConfig:
+    """`task.env.control`: actions are joint positions, in a PD controller."""
+
+    stiffness: float = setting(85.0, minimum=0)
+    """Nm/rad."""
+    damping: float = setting(2.0, minimum=0)
+    """Nm s/rad."""
+    action_scale: float = setting(0.5, key="actionScale")
+    """How far a full action moves a joint from its default angle (rad)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnConfig:
+    """`task.env.learn`: rewards per second, and factors on what is observed."""
+
+    lin_vel_xy_reward: float = setting(1.0, key="linearVelocityXYRewardScale")
+    """Of following the commanded velocity."""
+    ang_vel_z_reward: float = setting(0.5, key="angularVelocityZRewardScale")
+    """Of following the commanded yaw rate."""
+    torque_reward: float = setting(-0.000025, key="torqueRewardScale")
+    """Of the squared torques (Nm)."""
+    lin_vel_scale: float = setting(2.0, key="linearVelocityScale")
+    """Factor on linear velocities."""
+    ang_vel_scale: float = setting(0.25, key="angularVelocityScale")
+    """Factor on angular velocities."""
+    dof_pos_scale: float = setting(1.0, key="dofPositionScale")
+    """Factor on joint positions."""
+    dof_vel_scale: float = setting(0.05, key="dofVelocityScale")
+    """Factor on joint velocities."""
+    episode_length_s: float = setting(50.0, key="episodeLength_s", above=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandRangesConfig:
+    """`task.env.randomCommandVelocityRanges`: lowest and highest."""
+
+    linear_x: tuple[float, ...] = setting((-2.0, 2.0), min_length=2)
+    """m/s."""
+    linear_y: tuple[float, ...] = setting((-1.0, 1.0), min_length=2)
+    """m/s."""
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), min_length=2)
+    """rad/s, or rad where a heading is commanded."""
+
+    def limits(self) -> list[list[float]]:
+        """Return the three ranges (3, 2)."""
+        return [list(limits[:2]) for limits in (self.linear_x, self.linear_y, self.yaw)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrdfAssetConfig:
+    """`task.env.urdfAsset`."""
+
+    file: str = setting("")
+    """MJCF, absolute or relative to the project's assets/; '' = the task's own."""
+    knee_name: str = setting("THIGH", key="kneeName")
+    """What the names of the bodies contain that should not touch anything."""
+    foot_name: str = setting("SHANK", key="footName")
+    """What the names of the bodies contain that carry the feet."""
+    collapse_fixed_joints: bool = setting(True, key="collapseFixedJoints")
+    """No effect: the models have no fixed joints."""
+    fix_base_link: bool = setting(False, key="fixBaseLink", choices=(False,))
+    drive_mode: int = setting(4, key="defaultDofDriveMode")
+    """No effect, as in IsaacGymEnvs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityTrackingConfig(ClassicConfig):
+    """Keys of `task.env` that the two tasks share; `control` and `learn` are their own."""
+
+    init_state: InitStateConfig = field(
+        default_factory=InitStateConfig, metadata={"key": "baseInitState"}
+    )
+    command_ranges: CommandRangesConfig = field(
+        default_factory=CommandRangesConfig, metadata={"key": "randomCommandVelocityRanges"}
+    )
+    default_joint_angles: dict[str, Any] = setting(key="defaultJointAngles")
+    """rad by joint, of a standing robot."""
+    urdf_asset: UrdfAssetConfig = field(
+        default_factory=UrdfAssetConfig, metadata={"key": "urdfAsset"}
+    )
+    viewer: dict[str, Any] = setting({})
+    """No effect: there is no viewer."""
+
+
+class BaseMotion(NamedTuple):
+    """How bases move and lean, (3, N) each, in their own axes (m/s, rad/s, unit vector)."""
+
+    lin_vel: Tensor
+    ang_vel: Tensor
+    gravity: Tensor
+
+
+def compute_base_motion(root_states: Tensor) -> BaseMotion:
+    """Return how bases with `root_states` (N, 13) move, and where down is for them."""
+    planes = root_states.t()
+    x, y, z, w = planes[3:7].unbind()
+    # Both velocities at once: (2, N) for each axis.
+    velocities = planes[7:13].reshape(2, 3, -1).unbind(1)
+    lin_vel, ang_vel = torch.stack(rotate_components((-x, -y, -z, w), velocities)).unbind(1)
+    down = (w * y - x * z, -(y * z + w * x), x * x + y * y - 0.5)
+    return BaseMotion(lin_vel, ang_vel, 2.0 * torch.stack(down))
+
+
+def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tensor, Tensor]:
+    """Return how well velocity over the ground and turning follow commands, (N,) in (0, 1] each.
+
+    Args:
+        commands: (3 or more, N) velocity along x and y of the base (m/s), yaw rate (rad/s).
+        motion: see `compute_base_motion`.
+    """
+    along = (commands[:2] - motion.lin_vel[:2]).square().sum(0)
+    turning = (commands[2] - motion.ang_vel[2]).square()
+    along, turning = torch.stack((along, turning)).div_(-_TRACKING_VARIANCE).exp_().unbind()
+    return along, turning
+
+
+def never_negative(terms: Terms) -> Terms:
+    """Return the terms (N,) and one more, `clamp`, that lifts a negative sum to zero."""
+    return {**terms, "clamp": total(terms).neg().clamp(min=0.0)}
+
+
+def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor:
+    """Return the angles (D,) of `task.env.defaultJointAngles` (rad), in the order of the joints.
+
+    Raises:
+        ConfigError: a joint has none or more than it has joints.
+    """
+    unknown = sorted(set(named) - set(joint_names))
+    missing = [name for name in joint_names if name not in named]
+    if unknown or missing:
+        wrong = f"no joint is called {unknown[0]}" if unknown else f"{missing[0]} is missing"
+        raise ConfigError(
+            f"task.env.defaultJointAngles: {wrong}; expected one angle for each of"
+            f" {', '.join(joint_names)}"
+        )
+    try:
+        return torch.tensor([float(named[name]) for name in joint_names])
+    except (TypeError, ValueError):
+        raise ConfigError(f"task.env.defaultJointAngles={dict(named)}: expected numbers") from None
+
+
+class VelocityTrackingTask(ClassicTask):
+    """N legged robots that shall move as they are commanded.
+
+    Attributes:
+        default_dof_pos: (D,) rad.
+        commands: (N, num_commands) velocity along x and y of the base (m/s), yaw rate (rad/s), and
+            what else a task commands.
+    """
+
+    num_commands: ClassVar[int] = 3
+
+    def _build_model(self) -> mujoco.MjModel:
+        if self.env_cfg.asset != AssetConfig():
+            raise ConfigError(
+                "task.env.asset: this task reads its file from task.env.urdfAsset.file"
+            )
+        asset = AssetConfig(asset_file_name=self.env_cfg.urdf_asset.file)
+        path = asset_path(
+            asset, self.own_asset, self.published_assets, key="task.env.urdfAsset.file"
+        )
+        return compile_model(path, self.sim_cfg, self._friction(), self.change_spec)
+
+    def _friction(self) -> float:
+        """Return the coefficient of sliding friction between ground and robot."""
+        return self.env_cfg.plane.dynamic_friction
+
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Give the drives the gains of the configuration."""
+        control = self.env_cfg.control
+        for actuator in spec.actuators:
+            actuator.set_to_position(kp=control.stiffness, kv=control.damping)
+
+    def create_sim(self) -> None:
+        """Make the simulations, and what is known of bodies, joints and commands."""
+        super().create_sim()
+        device, cfg = self.device, self.env_cfg
+        angles = joint_angles(cfg.default_joint_angles, self.simulation.dof_names)
+        self.default_dof_pos = angles.to(device)
+        state = cfg.init_state
+        self._start_root = torch.tensor(
+            [*state.pos[:3], *state.rot[:4], *state.lin_vel[:3], *state.ang_vel[:3]], device=device
+        )
+        self._ranges = torch.tensor(cfg.command_ranges.limits(), device=device)
+        asset = cfg.urdf_asset
+        self._knee_ids = self._bodies_called(asset.knee_name, "kneeName")
+        self._foot_ids = self._bodies_called(asset.foot_name, "footName")
+
+    def _bodies_called(self, part: str, key: str) -> Tensor:
+        names = self.simulation.body_names
+        found = [place for place, name in enumerate(names) if part in name]
+        if not found:
+            raise ConfigError(
+                f"task.env.urdfAsset.{key}='{part}': no body is called so; bodies:"
+                f" {', '.join(names)}"
+            )
+        return torch.tensor(found, device=self.device)
+
+    def allocate_buffers(self) -> None:
+        """Add the commands, and the torques of the last step."""
+        super().allocate_buffers()
+        self._command_planes = torch.zeros(self.num_commands, self.num_envs, device=self.device)
+        self.commands = self._command_planes.t()
+        self._motion: BaseMotion | None = None
+        # Asked for before the first step, too: the simulation keeps them from then on.
+        self._torques = self.simulation.dof_forces.t()
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return the joint positions (N, D) that the drives aim at (rad)."""
+        return actions * self.env_cfg.control.action_scale + self.default_dof_pos
+
+    def touches(self, body_ids: Tensor) -> Tensor:
+        """Return (K, N) bool: bodies (K,) are pushed by more than `TOUCH_N`."""
+        forces = self.simulation.contact_forces.permute(2, 1, 0).index_select(1, body_ids)
+        return forces.square().sum(0) > TOUCH_N * TOUCH_N
+
+    def base_motion(self) -> BaseMotion:
+        """See `compute_base_motion`."""
+        if self._motion is None:
+            self._motion = compute_base_motion(self.simulation.root_states)
+        return self._motion
+
+    def advance(self) -> None:
+        """Note the joints' torques (D, N); forget how the bases moved before this step."""
+        self._torques = self.simulation.dof_forces.t()
+        self._motion = None
+
+    def draw_commands(self, env_ids: Tensor) -> Tensor:
+        """Return (3, n) velocities along x and y and `yaw`, each in its range."""
+        low, high = self._ranges[:, :1], self._ranges[:, 1:]
+        return low + (high - low) * torch.rand(3, len(env_ids), device=self.device)
+
+    def draw_start_joints(self, env_ids: Tensor) -> tuple[Tensor, Tensor]:
+        """Return positions (rad) and velocities (rad/s) (n, D) of joints at the start."""
+        size = (len(self.default_dof_pos),)
+        pos = self.default_dof_pos * uniform(env_ids, *_START_POS_FACTORS, size)
+        return pos, uniform(env_ids, -_START_VEL_RAD_S, _START_VEL_RAD_S, size)

@@ -1,0 +1,193 @@
+"""Humanoid: a body of 21 hinges that shall run along +x. As IsaacGymEnvs.
+
+Quirks that are kept because policies and curves depend on them: `angle_to_target` (see
+`locomotion`); the cost of energy uses the scaled joint velocity. MuJoCo has no counterpart of the
+body's angular damping (0.01 1/s) and largest angular velocity (100 rad/s).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.locomotion import (
+    LocomotionConfig,
+    LocomotionTask,
+    TorsoState,
+    heading_reward,
+    unscale,
+    up_reward,
+)
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
+from isaacgymenvs_lite.utils.rotations import normalize_angle
+
+# Torques of full actions.
+_ABDOMEN_NM = (67.5, 67.5, 67.5)  # z, y, x
+_LEG_NM = (45.0, 45.0, 135.0, 90.0, 22.5, 22.5)  # hip x, z, y; knee; ankle y, x
+_ARM_NM = (67.5, 67.5, 45.0)  # shoulder 1, 2; elbow
+
+_ALIVE_REWARD = 2.0
+# From this share of its range on a joint counts as at its limit.
+_AT_LIMIT = 0.98
+# What the reward takes from the observation.
+_DOF_POS_SHARE = slice(12, 33)
+_DOF_VEL_SCALED = slice(33, 54)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HumanoidConfig(LocomotionConfig):
+    """`task.env` of Humanoid: the keys of `LocomotionConfig` with its own values."""
+
+    actions_cost: float = setting(0.01, key="actionsCost")
+    """Of the squared actions."""
+    dof_velocity_scale: float = setting(0.1, key="dofVelocityScale")
+    """Factor on joint velocities in the observation."""
+    angular_velocity_scale: float = setting(0.1, key="angularVelocityScale")
+    """Factor on the torso's angular velocity in the observation; the task file has 0.25, this is
+    for files without the key, as in IsaacGymEnvs."""
+    contact_force_scale: float = setting(0.01, key="contactForceScale")
+    """Factor on forces and torques, of joints too, in the observation."""
+    joints_at_limit_cost: float = setting(0.25, key="jointsAtLimitCost")
+    """Of joints at their limits, growing from 98% of the range on."""
+    death_cost: float = setting(-1.0, key="deathCost")
+    """Reward of a step that ends in a fall."""
+    termination_height: float = setting(0.8, key="terminationHeight")
+    """Height of the torso (m) below which it fell."""
+
+
+def compute_humanoid_observations(
+    torso: TorsoState,
+    dof_pos: Tensor,
+    dof_vel: Tensor,
+    dof_forces: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    foot_wrenches: Tensor,
+    actions: Tensor,
+    cfg: LocomotionConfig,
+) -> Tensor:
+    """Return the observations (N, 108), as IsaacGymEnvs.
+
+    Height, velocities in the torso's frame, yaw, roll and angle to the target within +-pi,
+    `up_proj`, `heading_proj`, 21 joint positions as shares of their ranges, 21 joint velocities,
+    21 joint torques, 2 x 6 forces and torques on the feet, 21 actions.
+
+    Args:
+        torso: see `compute_torso_state`.
+        dof_pos: (N, 21) rad.
+        dof_vel: (N, 21) rad/s.
+        dof_forces: (N, 21) Nm, of motors, springs and dampers.
+        lower: (21,) rad.
+        upper: (21,) rad.
+        foot_wrenches: (12, N) N and Nm, right foot then left, in the feet's frames.
+        actions: (N, 21) of the last step.
+        cfg: the scales.
+    """
+    angles = normalize_angle(torch.stack((torso.yaw, torso.roll, torso.angle_to_target)))
+    return torch.cat(
+        (
+            torso.height[None],
+            torso.lin_vel,
+            torso.ang_vel * cfg.angular_velocity_scale,
+            angles,
+            torso.up_proj[None],
+            torso.heading_proj[None],
+            unscale(dof_pos, lower, upper).t(),
+            dof_vel.t() * cfg.dof_velocity_scale,
+            dof_forces.t() * cfg.contact_force_scale,
+            foot_wrenches * cfg.contact_force_scale,
+            actions.t(),
+        )
+    ).t()
+
+
+def compute_humanoid_reward(
+    torso: TorsoState,
+    progress_m_s: Tensor,
+    actions: Tensor,
+    dof_pos_share: Tensor,
+    dof_vel_scaled: Tensor,
+    motor_effort_ratio: Tensor,
+    cfg: LocomotionConfig,
+) -> Terms:
+    """Return the terms (N,) of the reward, as IsaacGymEnvs.
+
+    Args:
+        torso: see `compute_torso_state`.
+        progress_m_s: (N,) speed towards the target.
+        actions: (N, 21).
+        dof_pos_share: (N, 21) joint positions in their ranges, -1 to 1.
+        dof_vel_scaled: (N, 21) joint velocities times dofVelocityScale.
+        motor_effort_ratio: (21,) torque of a full action as a share of the strongest joint's.
+        cfg: weights and costs.
+    """
+    # 0 where a joint comes to count as at its limit, 1 at the limit.
+    at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)
+    power = (actions * dof_vel_scaled).abs()
+    terms = {
+        "progress": progress_m_s,
+        "alive": torch.full_like(progress_m_s, _ALIVE_REWARD),
+        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
+        "up": up_reward(torso.up_proj, cfg.up_weight),
+        "actions": actions.square().sum(-1) * -cfg.actions_cost,
+        "energy": (power * motor_effort_ratio).sum(-1) * -cfg.energy_cost,
+        "joints_at_limit": (at_limit * motor_effort_ratio).sum(-1) * -cfg.joints_at_limit_cost,
+    }
+    return replace_where(terms, torso.height < cfg.termination_height, "fall", cfg.death_cost)
+
+
+class Humanoid(LocomotionTask):
+    """N humanoids: 108 observations, 21 joint torques. Keys: `HumanoidConfig`.
+
+    Attributes:
+        motor_effort_ratio: (21,) see `compute_humanoid_reward`.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = HumanoidConfig
+    own_asset = "mjcf/humanoid.xml"
+    published_assets = ("mjcf/nv_humanoid.xml",)
+    actor_name = "humanoid"
+    num_features = 108
+    num_controls = 21
+    foot_names = ("right_foot", "left_foot")
+    torques_nm = (*_ABDOMEN_NM, *_LEG_NM, *_LEG_NM, *_ARM_NM, *_ARM_NM)
+
+    def create_sim(self) -> None:
+        """Make the simulations, which measure the torques of the joints from now on."""
+        super().create_sim()
+        self.motor_effort_ratio = self.motor_efforts / self.motor_efforts.max()
+        # The backend measures these torques from when they are first read.
+        _ = self.simulation.dof_forces
+
+    def observe(self) -> Tensor:
+        """See `compute_humanoid_observations`."""
+        sim = self.simulation
+        return compute_humanoid_observations(
+            self.torso_state(),
+            sim.dof_pos,
+            sim.dof_vel,
+            sim.dof_forces,
+            self.dof_limits_lower,
+            self.dof_limits_upper,
+            self.foot_wrenches(),
+            self.actions,
+            self.env_cfg,
+        )
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_humanoid_reward`."""
+        return compute_humanoid_reward(
+            self.torso_state(),
+            self.potentials - self.prev_potentials,
+            self.actions,
+            self.obs_buf[:, _DOF_POS_SHARE],
+            self.obs_buf[:, _DOF_VEL_SCALED],
+            self.motor_effort_ratio,
+            self.env_cfg,
+        )

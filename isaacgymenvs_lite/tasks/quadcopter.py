@@ -1,0 +1,116 @@
+"""Quadcopter: four rotors on two hinges each; hover 1 m above the ground. As IsaacGymEnvs.
+
+Quirks that are kept because policies and curves depend on them: one full action moves a thrust
+from nothing to its maximum, and the thrusts are not observed.
+
+The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. What keeps them
+stable is that they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a
+damping of 5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.base.assets import hinge_limits
+from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
+from isaacgymenvs_lite.tasks.base.flight import (
+    HOME_M,
+    FlightTask,
+    compute_hover_reward,
+    draw_start_states,
+)
+from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+
+_NUM_HINGES = 8
+_NUM_ROTORS = 4
+_HINGE_SPEED_RAD_S = 8.0 * math.pi  # of a target, by a full action
+_THRUST_SPEED_N_S = 200.0  # of a thrust, by a full action
+_MAX_THRUST_N = 2.0
+_START_ANGLE_RAD = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuadcopterConfig(FreshStartConfig):
+    """`task.env` of Quadcopter."""
+
+
+def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor) -> Terms:
+    """Return the terms (N,) of the reward, 3 at most; see `compute_hover_reward`."""
+    return compute_hover_reward(to_target, root_rot, spin, upright_weight=1.0)
+
+
+class Quadcopter(FlightTask):
+    """N quadcopters: 21 observations, 12 actions. Keys: `QuadcopterConfig`.
+
+    Observations: those of `compute_flight_observations`, then the 8 hinges' positions (rad).
+    Actions: speeds of the 8 hinges' position targets, then of the 4 thrusts.
+
+    Attributes:
+        targets: (N, 8) position targets of the hinges (rad), which stay from step to step.
+        thrusts: (N, 4) N, along the rotors' own z axes, which stay from step to step.
+
+    Raises:
+        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
+    """
+
+    settings_class = QuadcopterConfig
+    own_asset = "mjcf/quadcopter.xml"
+    actor_name = "quadcopter"
+    num_features = 21
+    num_controls = _NUM_HINGES + _NUM_ROTORS
+    max_distance_m = 3.0
+    min_height_m = 0.3
+
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Make the undamped drives stable."""
+        integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
+
+    def create_sim(self) -> None:
+        """Make the simulations, and what is known of the hinges."""
+        super().create_sim()
+        limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float()
+        self._lower, self._upper = limits.to(self.device).unbind(-1)
+        self._target_pos = torch.tensor(HOME_M, device=self.device)
+
+    def allocate_buffers(self) -> None:
+        """Add position targets and thrusts."""
+        super().allocate_buffers()
+        self.targets = torch.zeros(self.num_envs, _NUM_HINGES, device=self.device)
+        self.thrusts = torch.zeros(self.num_envs, _NUM_ROTORS, device=self.device)
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return position targets (rad) and thrusts (N), (N, 12), moved by the actions."""
+        self.targets += actions[:, :_NUM_HINGES] * (_HINGE_SPEED_RAD_S * self.dt)
+        self.targets.clamp_(self._lower, self._upper)
+        self.thrusts += actions[:, _NUM_HINGES:] * (_THRUST_SPEED_N_S * self.dt)
+        self.thrusts.clamp_(0.0, _MAX_THRUST_N)
+        return torch.cat((self.targets, self.thrusts), dim=-1)
+
+    def to_target(self) -> Tensor:
+        """Return the ways (N, 3) to the place 1 m above the origin (m)."""
+        return self._target_pos - self.simulation.root_states[:, :3]
+
+    def observe(self) -> Tensor:
+        """See the class docstring."""
+        return torch.cat((super().observe(), self.simulation.dof_pos), dim=-1)
+
+    def compute_reward_terms(self) -> Terms:
+        """See `compute_quadcopter_reward`."""
+        root = self.simulation.root_states
+        return compute_quadcopter_reward(self.to_target(), root[:, 3:7], root[:, 12])
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Near the target and at rest, with the rotors tilted a little and without thrust."""
+        pos = uniform(env_ids, -_START_ANGLE_RAD, _START_ANGLE_RAD, (_NUM_HINGES,))
+        root = draw_start_states(env_ids)
+        self.simulation.write_state(env_ids, root, pos, torch.zeros_like(pos))
+        self.targets.index_copy_(0, env_ids, pos)
+        self.thrusts.index_fill_(0, env_ids, 0.0)

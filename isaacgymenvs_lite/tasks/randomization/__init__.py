@@ -1,0 +1,1 @@
+"""Domain randomisation: noise on observations and actions, models that differ."""

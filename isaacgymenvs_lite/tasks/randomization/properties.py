@@ -1,0 +1,219 @@
+"""What of a MuJoCo model an attribute of `actor_params` means, per environment.
+
+The names are PhysX's. Where MuJoCo keeps the quantity otherwise, this is the translation:
+
+- friction of shapes: PhysX takes the mean of two touching shapes, MuJoCo the larger one. The
+  robot's geoms get the mean of their own and the ground's value, and priority over it.
+- stiffness and damping of degrees of freedom: gains of a position drive, where there is one;
+  springs and dampers of the joint, else.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+
+Doubles = npt.NDArray[np.float64]
+Ids = npt.NDArray[np.integer]
+
+
+class Property(ABC):
+    """One attribute of k bodies, geoms or degrees of freedom.
+
+    Attributes:
+        original: (k,) values in the model.
+        changes_constants: whether MuJoCo derives other fields from it.
+    """
+
+    original: Doubles
+    changes_constants = False
+
+    @abstractmethod
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """Give environments (n,) the values (n, k)."""
+
+
+class FieldProperty(Property):
+    """Some entries of a field of the model.
+
+    Args:
+        simulation: whose environments differ.
+        field: name of the field in `MjModel`.
+        ids: (k,) rows of the field.
+        column: of the rows, if they have several numbers.
+    """
+
+    def __init__(
+        self, simulation: SimulationBackend, field: str, ids: Ids, column: int | None = None
+    ) -> None:
+        self._values = simulation.expand(field)
+        if column is not None:
+            self._values = self._values[..., column]
+        self._ids = ids
+        self.original = self._values[0, ids].astype(np.float64)
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        self._values[np.ix_(env_ids, self._ids)] = values
+
+
+class Mass(FieldProperty):
+    """Masses in kg; the inertia changes in proportion."""
+
+    changes_constants = True
+
+    def __init__(self, simulation: SimulationBackend, bodies: Ids) -> None:
+        super().__init__(simulation, "body_mass", bodies)
+        self._inertias = simulation.expand("body_inertia")
+        self._inertia = self._inertias[0, bodies].copy()
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        values = np.maximum(values, mujoco.mjMINVAL)
+        super().write(env_ids, values)
+        ratio = values / np.maximum(self.original, mujoco.mjMINVAL)
+        self._inertias[np.ix_(env_ids, self._ids)] = self._inertia * ratio[..., None]
+
+
+class InverseMass(Property):
+    """One over the masses, 1/kg."""
+
+    changes_constants = True
+
+    def __init__(self, mass: Mass) -> None:
+        self._mass = mass
+        self.original = 1.0 / np.maximum(mass.original, mujoco.mjMINVAL)
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        self._mass.write(env_ids, 1.0 / np.maximum(values, mujoco.mjMINVAL))
+
+
+class Friction(Property):
+    """Coefficients of friction of the robot's geoms with the ground; see the module docstring.
+
+    Args:
+        simulation: whose environments differ.
+        geoms: (k,) of the robot.
+        column: 0 sliding, 1 torsional, 2 rolling.
+    """
+
+    def __init__(self, simulation: SimulationBackend, geoms: Ids, column: int) -> None:
+        self._ids = geoms
+        self._values = simulation.expand("geom_friction")[..., column]
+        simulation.expand("geom_priority")[:, geoms] = 1
+        self._ground = _ground_friction(simulation.model, column)
+        # The model holds what a contact has: the mean of both.
+        self.original = 2.0 * self._values[0, geoms].astype(np.float64) - self._ground
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        mean = 0.5 * (values + self._ground)
+        self._values[np.ix_(env_ids, self._ids)] = np.maximum(mean, 0.0)
+
+
+class Gain(Property):
+    """Stiffness (column 1) or damping (column 2) of degrees of freedom, by drives or joints."""
+
+    def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
+        model = simulation.model
+        dofs = np.asarray(layout.scalar_dofs) + layout.dof_vel_adr
+        joints = model.dof_jntid[dofs]
+        drives = _drives_of(model, joints)
+        self._drives = drives
+        self._column = column
+        self._gains = simulation.expand("actuator_gainprm") if column == 1 else None
+        self._biases = simulation.expand("actuator_biasprm")
+        passive = ("jnt_stiffness", joints) if column == 1 else ("dof_damping", dofs)
+        self._joint = FieldProperty(simulation, *passive)
+        self.original = self._joint.original.copy()
+        driven = drives >= 0
+        self.original[driven] = -self._biases[0, drives[driven], column]
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        values = np.maximum(values, 0.0)
+        driven = self._drives >= 0
+        kept = np.where(driven, self._joint.original, values)
+        self._joint.write(env_ids, kept)
+        places = np.ix_(env_ids, self._drives[driven])
+        self._biases[(*places, self._column)] = -values[:, driven]
+        if self._gains is not None:
+            self._gains[(*places, 0)] = values[:, driven]
+
+
+def _ground_friction(model: mujoco.MjModel, column: int) -> float:
+    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+    return float(model.geom_friction[floor, column]) if floor >= 0 else 0.0
+
+
+def _drives_of(model: mujoco.MjModel, joints: Ids) -> Ids:
+    """Return (k,) the position drive on each joint, -1 without one."""
+    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    servo = affine & (model.actuator_biasprm[:, 1] != 0.0)
+    on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    drives = np.full(len(joints), -1, dtype=np.int64)
+    for actuator in np.flatnonzero(servo & on_joint):
+        drives[joints == model.actuator_trnid[actuator, 0]] = actuator
+    return drives
+
+
+def make_property(
+    simulation: SimulationBackend, layout: ModelLayout, group: str, attribute: str
+) -> Property | None:
+    """Return the robot's property, None if MuJoCo has no counterpart.
+
+    Degrees of freedom are those of hinges and slides.
+
+    Args:
+        simulation: whose environments shall differ.
+        layout: of its model.
+        group: as `settings.PROPERTIES`.
+        attribute: of the group.
+    """
+    model = simulation.model
+    bodies = np.arange(1, 1 + len(layout.body_names))
+    bodies = bodies[model.body_mass[bodies] > 0.0]
+    geoms = np.flatnonzero((model.geom_bodyid >= 1) & (model.geom_bodyid <= len(layout.body_names)))
+    dofs = np.asarray(layout.scalar_dofs) + layout.dof_vel_adr
+    joints = model.dof_jntid[dofs]
+    limited = joints[model.jnt_limited[joints] != 0]
+    columns = {"friction": 0, "torsion_friction": 1, "rolling_friction": 2}
+    if group == "rigid_body_properties":
+        mass = Mass(simulation, bodies)
+        return mass if attribute == "mass" else InverseMass(mass)
+    if group == "rigid_shape_properties" and attribute in columns:
+        return Friction(simulation, geoms, columns[attribute])
+    if group == "dof_properties":
+        if attribute in ("lower", "upper"):
+            return FieldProperty(simulation, "jnt_range", limited, int(attribute == "upper"))
+        if attribute in ("stiffness", "damping"):
+            return Gain(simulation, layout, 1 if attribute == "stiffness" else 2)
+        if attribute in ("friction", "armature"):
+            field = {"friction": "dof_frictionloss", "armature": "dof_armature"}[attribute]
+            return FieldProperty(simulation, field, dofs)
+        if attribute == "effort" and (model.actuator_forcelimited != 0).any():
+            return Effort(simulation)
+    return None
+
+
+class Effort(Property):
+    """Largest forces of actuators (Nm or N), to either side."""
+
+    def __init__(self, simulation: SimulationBackend) -> None:
+        ids = np.flatnonzero(simulation.model.actuator_forcelimited)
+        self._lower = FieldProperty(simulation, "actuator_forcerange", ids, 0)
+        self._upper = FieldProperty(simulation, "actuator_forcerange", ids, 1)
+        self.original = self._upper.original
+
+    def write(self, env_ids: Ids, values: Doubles) -> None:
+        """See `Property.write`."""
+        values = np.maximum(values, 0.0)
+        self._lower.write(env_ids, -values)
+        self._upper.write(env_ids, values)

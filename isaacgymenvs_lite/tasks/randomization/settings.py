@@ -1,0 +1,186 @@
+"""The section `task.task.randomization_params`, with the schema of IsaacGymEnvs, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.schema import read_section, setting
+
+WHERE = "task.task.randomization_params"
+_OPERATIONS = ("additive", "scaling")
+_SCHEDULES = ("linear", "constant")
+
+PROPERTIES: dict[str, tuple[str, ...]] = {
+    "rigid_body_properties": ("mass", "invMass"),
+    "rigid_shape_properties": (
+        *("friction", "rolling_friction", "torsion_friction"),
+        *("restitution", "compliance", "thickness"),
+    ),
+    "dof_properties": (
+        *("lower", "upper", "velocity", "effort"),
+        *("stiffness", "damping", "friction", "armature"),
+    ),
+    "tendon_properties": (
+        *("stiffness", "damping", "fixed_spring_rest_length"),
+        *("fixed_lower_limit", "fixed_upper_limit"),
+    ),
+}
+"""Groups of an actor's properties and what they hold."""
+_SIM_PARAMS = ("gravity", "rest_offset")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scheduled:
+    range: tuple[float, ...] = setting(min_length=2)
+    """Limits of a uniform, mean and standard deviation of a Gaussian distribution."""
+    operation: str = setting(choices=_OPERATIONS)
+    schedule: str | None = setting(None, choices=_SCHEDULES)
+    """How the randomisation sets in; None: at once."""
+    schedule_steps: int = setting(1, minimum=1)
+    """Simulator calls after which it is there in full."""
+
+    def factor(self, frame: int) -> float:
+        """Return how much of it is there at `frame` simulator calls, 0 to 1."""
+        if self.schedule is None:
+            return 1.0
+        if self.schedule == "constant":
+            return 0.0 if frame < self.schedule_steps else 1.0
+        return min(frame, self.schedule_steps) / self.schedule_steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttributeSettings(_Scheduled):
+    """How one attribute of the model is drawn."""
+
+    distribution: str = setting(choices=("uniform", "loguniform", "gaussian"))
+    setup_only: bool = setting(False)
+    """Drawn once, when the simulation is made."""
+    num_buckets: int | None = setting(None, minimum=1)
+    """Round the draw down to one of so many values."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSettings(_Scheduled):
+    """Noise on observations or actions, drawn at every step."""
+
+    distribution: str = setting(choices=("uniform", "gaussian"))
+    range_correlated: tuple[float, ...] = setting((0.0, 0.0), min_length=2)
+    """As `range`, of the part that stays from one draw of the parameters to the next."""
+
+
+@dataclass(frozen=True)
+class RandomizationPlan:
+    """What is randomised, and how often.
+
+    Attributes:
+        frequency: simulator calls (noise, gravity) or control steps (actors) between draws.
+        observations: noise, or None.
+        actions: noise, or None.
+        gravity: drawn for each axis, or None.
+        actor: (group, attribute) -> settings.
+        colour: whether the robot's bodies get random colours.
+        unsupported: paths of entries that MuJoCo has no counterpart for.
+    """
+
+    frequency: int
+    observations: NoiseSettings | None
+    actions: NoiseSettings | None
+    gravity: AttributeSettings | None
+    actor: dict[tuple[str, str], AttributeSettings] = field(default_factory=dict)
+    colour: bool = False
+    unsupported: tuple[str, ...] = ()
+
+
+def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> RandomizationPlan:
+    """Check `randomization_params`.
+
+    Args:
+        params: the section.
+        actors: the task's actors; the first is the robot.
+
+    Raises:
+        ConfigError: an unknown actor, property, attribute or value, or an impossible range.
+    """
+    known = ("frequency", "observations", "actions", "sim_params", "actor_params")
+    _check_names(params, known, WHERE, "entry")
+    sim = params.get("sim_params") or {}
+    _check_names(sim, _SIM_PARAMS, f"{WHERE}.sim_params", "parameter")
+    plan = RandomizationPlan(
+        frequency=_frequency(params),
+        observations=_noise(params, "observations"),
+        actions=_noise(params, "actions"),
+        gravity=_attribute(sim["gravity"], f"{WHERE}.sim_params.gravity")
+        if "gravity" in sim
+        else None,
+    )
+    unsupported = [f"sim_params.{key}" for key in sim if key == "rest_offset"]
+    entries = params.get("actor_params") or {}
+    _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
+    attributes: dict[tuple[str, str], AttributeSettings] = {}
+    colour = False
+    for actor, groups in entries.items():
+        where = f"{WHERE}.actor_params.{actor}"
+        _check_names(groups, (*PROPERTIES, "color", "scale"), where, "property")
+        colour = colour or bool(groups.get("color", False))
+        if "scale" in groups:
+            _attribute(groups["scale"], f"{where}.scale")
+            unsupported.append(f"actor_params.{actor}.scale")
+        for group in (group for group in PROPERTIES if group in groups):
+            _check_names(groups[group], PROPERTIES[group], f"{where}.{group}", "attribute")
+            for name, entry in groups[group].items():
+                attributes[group, name] = _attribute(entry, f"{where}.{group}.{name}")
+    return RandomizationPlan(
+        plan.frequency,
+        plan.observations,
+        plan.actions,
+        plan.gravity,
+        attributes,
+        colour,
+        tuple(unsupported),
+    )
+
+
+def _frequency(params: Mapping[str, Any]) -> int:
+    frequency = params.get("frequency", 1)
+    if not isinstance(frequency, int) or isinstance(frequency, bool) or frequency < 1:
+        raise ConfigError(f"{WHERE}.frequency: got {frequency!r}, expected steps between draws")
+    return frequency
+
+
+def _noise(params: Mapping[str, Any], what: str) -> NoiseSettings | None:
+    if params.get(what) is None:
+        return None
+    settings = read_section(NoiseSettings, params[what], f"{WHERE}.{what}")
+    _check_range(settings.range, settings.distribution, f"{WHERE}.{what}.range")
+    correlated = f"{WHERE}.{what}.range_correlated"
+    _check_range(settings.range_correlated, settings.distribution, correlated)
+    return settings
+
+
+def _attribute(entry: Any, where: str) -> AttributeSettings:
+    settings = read_section(AttributeSettings, entry, where)
+    _check_range(settings.range, settings.distribution, f"{where}.range")
+    return settings
+
+
+def _check_range(values: tuple[float, ...], distribution: str, where: str) -> None:
+    first, second = values[:2]
+    expected = {
+        "gaussian": ("a mean and a standard deviation of at least 0", second >= 0),
+        "uniform": ("a lower and an upper limit", first <= second),
+        "loguniform": ("a lower and an upper limit above 0", 0 < first <= second),
+    }
+    words, fits = expected[distribution]
+    if len(values) != 2 or not fits:
+        raise ConfigError(f"{where}: got {list(values)}, expected {words}")
+
+
+def _check_names(entries: Any, known: Collection[str], where: str, what: str) -> None:
+    if not isinstance(entries, Mapping):
+        raise ConfigError(f"{where}: got {entries!r}, expected a mapping of {what} names")
+    for name in entries:
+        if name not in known:
+            raise ConfigError(f"{where}: " + unknown(what, str(name), known))

@@ -1,0 +1,74 @@
+"""Tasks by name: those of this package, those that a program adds, those of installed packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+
+ENTRY_POINTS = "isaacgymenvs_lite.tasks"
+"""Group of entry points: an installed package names its tasks there."""
+
+TaskMaker = Callable[..., VecTask]
+
+isaacgym_task_map: dict[str, TaskMaker] = {}
+"""Class of each task by the `name` of its task file."""
+
+
+def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
+    """Make `name: <name>` of a task file mean a task of one's own.
+
+    Args:
+        name: as in the task file.
+        task: a class, or whatever makes a `VecTask` of its keyword arguments `cfg, rl_device,
+            sim_device, graphics_device_id, headless, virtual_screen_capture, force_render`.
+        replace: take the place of a task of this name.
+
+    Raises:
+        ConfigError: there is another task of this name.
+    """
+    known = isaacgym_task_map.get(name)
+    if known is not None and known is not task and not replace:
+        raise ConfigError(
+            f"register_task('{name}'): there is a task of this name already, {known!r}; choose"
+            " another name, or replace=True"
+        )
+    isaacgym_task_map[name] = task
+
+
+def find_task(name: str) -> TaskMaker:
+    """Return what makes the task; entry points are imported when they are asked for.
+
+    Raises:
+        ConfigError: there is no such task, or the package that offers it cannot be imported.
+    """
+    if name in isaacgym_task_map:
+        return isaacgym_task_map[name]
+    offered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+    if name in offered:
+        task = _load(offered[name])
+        register_task(name, task)
+        return task
+    hint = (
+        "your own: isaacgymenvs_lite.register_task, or an entry point of an installed package"
+        " (docs/own_task.md)"
+    )
+    raise ConfigError(unknown("task.name", name, {*isaacgym_task_map, *offered}, hint))
+
+
+def _load(point: EntryPoint) -> TaskMaker:
+    try:
+        task: Any = point.load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"task.name={point.name}: the installed package offers it as {point.value}, which"
+            f" cannot be imported ({error})"
+        ) from error
+    if not callable(task):
+        raise ConfigError(
+            f"task.name={point.name}: {point.value} of the installed package is no class of a task"
+        )
+    return task

@@ -1,0 +1,93 @@
+"""Which tile each robot walks on: who gets far goes on to a harder one."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig
+
+# Robots that cover less than this share of what was commanded go back.
+_DEMOTED_SHARE = 0.25
+
+
+def next_levels(
+    levels: Tensor,
+    distances_m: Tensor,
+    commanded_m: Tensor,
+    tile_length_m: float,
+    num_levels: int,
+) -> Tensor:
+    """Return the levels (n,) after an episode.
+
+    One up beyond half of the tile's length, one down below a quarter of what was commanded, both
+    at once if both hold; not below 0, and from the last level back to 0. As IsaacGymEnvs.
+
+    Args:
+        levels: (n,) int64.
+        distances_m: (n,) from the tile's middle, over the ground.
+        commanded_m: (n,) commanded speed times the length of an episode.
+        tile_length_m: along x.
+        num_levels: levels there are.
+    """
+    up = (distances_m > tile_length_m / 2.0).long()
+    down = (distances_m < _DEMOTED_SHARE * commanded_m).long()
+    return (levels + up - down).clamp(min=0) % num_levels
+
+
+class Curriculum:
+    """Levels and types of N robots.
+
+    `demotionAsPublished`: IsaacGymEnvs compares each robot's distance with the norm of the commands
+    of all robots that start at the same time, so that the more there are the more go back.
+
+    Args:
+        cfg: `task.env.terrain`.
+        terrain: the ground.
+        num_envs: N.
+        device: of the tensors.
+
+    Attributes:
+        levels: (N,) int64.
+        types: (N,) int64.
+    """
+
+    def __init__(
+        self, cfg: TerrainConfig, terrain: Terrain, num_envs: int, device: torch.device
+    ) -> None:
+        self._cfg = cfg
+        self._origins = torch.from_numpy(terrain.origins).float().to(device)
+        num_levels, num_types = self._origins.shape[:2]
+        # Without a curriculum the tiles are no harder at higher levels.
+        highest = cfg.max_init_level if cfg.curriculum else num_levels - 1
+        highest = min(highest, num_levels - 1)
+        self.levels = torch.randint(highest + 1, (num_envs,), device=device)
+        self.types = torch.randint(num_types, (num_envs,), device=device)
+
+    def origins(self, env_ids: Tensor) -> Tensor:
+        """Return the middles (n, 3) of the tiles of environments (n,) (m)."""
+        return self._origins[self.levels[env_ids], self.types[env_ids]]
+
+    def update(
+        self, env_ids: Tensor, root_pos: Tensor, command: Tensor, episode_length_s: float
+    ) -> None:
+        """Move robots whose episode ended to their next level.
+
+        Args:
+            env_ids: (n,).
+            root_pos: (n, 3) where they are (m).
+            command: (n, 2) commanded velocity (m/s).
+            episode_length_s: longest time of an episode.
+        """
+        if not self._cfg.curriculum or len(env_ids) == 0:
+            return
+        distances = (root_pos - self.origins(env_ids))[:, :2].norm(dim=-1)
+        speeds = command.norm(dim=None if self._cfg.demotion_as_published else -1)
+        levels = next_levels(
+            self.levels[env_ids],
+            distances,
+            speeds * episode_length_s,
+            self._cfg.length_m,
+            len(self._origins),
+        )
+        self.levels.index_copy_(0, env_ids, levels)

@@ -1,0 +1,191 @@
+"""The ground of AnymalTerrain: a grid of tiles of growing difficulty within a flat border.
+
+World coordinates: the tile of level 0 and type 0 begins at the origin; levels follow each other
+along x, types along y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.task_config import PlaneConfig
+from isaacgymenvs_lite.tasks.terrain.tiles import (
+    HORIZONTAL_M,
+    VERTICAL_M,
+    Samples,
+    Size,
+    discrete_obstacles,
+    middle,
+    pyramid_slope,
+    pyramid_stairs,
+    roughness,
+    samples_of,
+    stepping_stones,
+)
+
+_PLATFORM_M = 3.0
+_STEP_WIDTH_M = 0.31
+_OBSTACLE_SIDES_M = (1.0, 2.0)
+_NUM_OBSTACLES = 40
+_NOISE_M = 0.1
+_NOISE_SPACING_M = 0.2
+# Robots start within this square around the middle of a tile, above its highest sample.
+_START_AREA_M = 2.0
+# Below the lowest sample, so that a fast body does not go through.
+_GROUND_M = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerrainConfig(PlaneConfig):
+    """`task.env.terrain`."""
+
+    terrain_type: str = setting("trimesh", key="terrainType", choices=("trimesh", "plane"))
+    """trimesh: the grid of tiles (a height field here); plane: flat ground."""
+    curriculum: bool = setting(True)
+    """Difficulty grows with the level, and robots move between levels. False: random tiles."""
+    max_init_level: int = setting(0, key="maxInitMapLevel", minimum=0)
+    """Robots begin at levels up to this."""
+    length_m: float = setting(8.0, key="mapLength", minimum=4, maximum=100)
+    """Of a tile, along x."""
+    width_m: float = setting(8.0, key="mapWidth", minimum=4, maximum=100)
+    """Of a tile, along y."""
+    num_levels: int = setting(10, key="numLevels", minimum=1)
+    num_types: int = setting(20, key="numTerrains", minimum=1)
+    proportions: tuple[float, ...] = setting(
+        (0.1, 0.1, 0.35, 0.25, 0.2), key="terrainProportions", minimum=0, min_length=5
+    )
+    """Shares of the types: smooth slope, rough slope, stairs down to the middle, stairs up to it,
+    obstacles; stepping stones are the rest."""
+    slope_threshold: float = setting(0.5, key="slopeTreshold", minimum=0)
+    """No effect: what is steep is a slope over 0.1 m, as a height field has no vertical walls."""
+    border_m: float = setting(20.0, key="borderSize", minimum=0)
+    """This project's: width of the flat ground around the grid."""
+    demotion_as_published: bool = setting(False, key="demotionAsPublished")
+    """This project's: see `curriculum`."""
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Ground of X x Y samples with L levels of T types.
+
+    Attributes:
+        samples: (X, Y) int16, in units of 0.005 m.
+        origins: (L, T, 3) float64 middles of the tiles, at the highest sample around them (m).
+        border_m: distance in x and y of the first sample from the world's origin.
+    """
+
+    samples: Samples
+    origins: npt.NDArray[np.float64]
+    border_m: float
+
+
+def flat_terrain() -> Terrain:
+    """Return a plane: one level of one type, at the origin."""
+    return Terrain(np.zeros((2, 2), dtype=np.int16), np.zeros((1, 1, 3)), 0.0)
+
+
+def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
+    """Make the ground that a configuration describes.
+
+    Args:
+        cfg: `task.env.terrain`.
+        rng: draws what is random in it.
+
+    Raises:
+        ConfigError: the levels at the beginning are more than there are.
+    """
+    if cfg.terrain_type == "plane":
+        return flat_terrain()
+    if cfg.max_init_level >= cfg.num_levels:
+        raise ConfigError(
+            f"task.env.terrain.maxInitMapLevel={cfg.max_init_level}: expected less than"
+            f" numLevels={cfg.num_levels}"
+        )
+    size = samples_of(cfg.length_m), samples_of(cfg.width_m)
+    border = samples_of(cfg.border_m) if cfg.border_m > 0 else 0
+    inner = cfg.num_levels * size[0], cfg.num_types * size[1]
+    samples = np.zeros((inner[0] + 2 * border, inner[1] + 2 * border), dtype=np.int16)
+    origins = np.zeros((cfg.num_levels, cfg.num_types, 3))
+    for level in range(cfg.num_levels):
+        for kind in range(cfg.num_types):
+            if cfg.curriculum:
+                tile = _graded_tile(cfg, size, rng, level / cfg.num_levels, kind / cfg.num_types)
+            else:
+                tile = _random_tile(size, rng)
+            x, y = border + level * size[0], border + kind * size[1]
+            samples[x : x + size[0], y : y + size[1]] = tile
+            top = int(tile[middle(size, _START_AREA_M)].max())
+            origins[level, kind] = (
+                (level + 0.5) * cfg.length_m,
+                (kind + 0.5) * cfg.width_m,
+                top * VERTICAL_M,
+            )
+    return Terrain(samples, origins, border * HORIZONTAL_M)
+
+
+def _graded_tile(
+    cfg: TerrainConfig, size: Size, rng: np.random.Generator, difficulty: float, choice: float
+) -> Samples:
+    """Return the tile of a difficulty in [0, 1), of the type at `choice` in [0, 1)."""
+    # Rounded, so that 0.1 + 0.1 + 0.35 is not above 0.55.
+    ends = np.cumsum(cfg.proportions).round(9)
+    step_m = 0.05 + 0.175 * difficulty
+    if choice < ends[1]:
+        # Pits in the first half of a type's columns, pyramids in the second.
+        rough = choice >= ends[0]
+        half = round((ends[0] + ends[1]) / 2 if rough else ends[0] / 2, 9)
+        slope = 0.4 * difficulty
+        tile = pyramid_slope(size, -slope if choice < half else slope, _PLATFORM_M)
+        return tile + roughness(size, rng, _NOISE_M, 0.025, _NOISE_SPACING_M) if rough else tile
+    if choice < ends[3]:
+        rise_m = -step_m if choice < ends[2] else step_m
+        return pyramid_stairs(size, _STEP_WIDTH_M, rise_m, _PLATFORM_M)
+    if choice < ends[4]:
+        return _obstacles(size, rng, 0.025 + 0.15 * difficulty)
+    return stepping_stones(size, rng, 2.0 - 1.8 * difficulty, 0.1, _PLATFORM_M)
+
+
+def _random_tile(size: Size, rng: np.random.Generator) -> Samples:
+    """Return a tile of a ground without curriculum."""
+    choice = rng.random()
+    if choice < 0.1:
+        tile = pyramid_slope(size, rng.choice((-0.3, -0.2, 0.0, 0.2, 0.3)), _PLATFORM_M)
+        if rng.random() < 0.5:
+            tile = tile + roughness(size, rng, _NOISE_M, 0.05, _NOISE_SPACING_M)
+        return tile
+    if choice < 0.6:
+        return pyramid_stairs(size, _STEP_WIDTH_M, rng.choice((-0.15, 0.15)), _PLATFORM_M)
+    return _obstacles(size, rng, 0.15)
+
+
+def _obstacles(size: Size, rng: np.random.Generator, max_height_m: float) -> Samples:
+    return discrete_obstacles(
+        size, rng, max_height_m, _OBSTACLE_SIDES_M, _NUM_OBSTACLES, _PLATFORM_M
+    )
+
+
+def add_height_field(spec: mujoco.MjSpec, terrain: Terrain) -> None:
+    """Make the geom `floor` of a model the ground, one height field for all environments."""
+    heights = terrain.samples * VERTICAL_M
+    lowest, highest = float(heights.min()), float(heights.max())
+    # MuJoCo's rows run along y, and its samples are shares of the elevation.
+    num_x, num_y = heights.shape
+    half_x, half_y = (num_x - 1) * HORIZONTAL_M / 2, (num_y - 1) * HORIZONTAL_M / 2
+    spec.add_hfield(
+        name="terrain",
+        nrow=num_y,
+        ncol=num_x,
+        size=(half_x, half_y, max(highest - lowest, VERTICAL_M), _GROUND_M),
+        userdata=(heights - lowest).T.ravel(),
+    )
+    floor = spec.geom("floor")
+    floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
+    floor.hfieldname = "terrain"
+    floor.size = (0.0, 0.0, 0.0)
+    floor.pos = (half_x - terrain.border_m, half_y - terrain.border_m, lowest)

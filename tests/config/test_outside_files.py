@@ -1,0 +1,81 @@
+"""`train=` and `task=` with the path of a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import cfg_dir
+
+
+@pytest.fixture
+def published(tmp_path: Path) -> Path:
+    """A train file of the project's name with another learning rate, elsewhere."""
+    text = (cfg_dir() / "train" / "ClassicPPO.yaml").read_text()
+    file = tmp_path / "AntPPO.yaml"
+    file.write_text(text.replace("learning_rate: 3e-4", "name: Mine\n    learning_rate: 7e-3"))
+    return file
+
+
+def test_a_train_file_is_taken_from_its_path(published: Path) -> None:
+    cfg = compose(["task=Ant", f"train={published}", "num_envs=7"])
+    assert cfg.train.params.config.learning_rate == 7e-3
+    assert cfg.train.params.config.num_actors == 7  # interpolations lead into the composed tree
+    # Only this once: the name alone means the project's file.
+    assert compose(["task=Ant", "train=AntPPO"]).train.params.config.learning_rate == 3e-4
+
+
+def test_paths_may_be_relative_and_go_without_suffix(published: Path, monkeypatch) -> None:
+    monkeypatch.chdir(published.parent)
+    for named in ("./AntPPO", "AntPPO.yaml", "./AntPPO.yaml"):
+        cfg = compose(["task=Ant", f"train={named}"])
+        assert cfg.train.params.config.name == "Mine", named
+
+
+def test_a_defaults_list_finds_neighbours_first_and_the_project_next(published: Path) -> None:
+    (published.parent / "Low.yaml").write_text(
+        "defaults:\n  - AntPPO\n  - _self_\nparams:\n  config:\n    e_clip: 0.3\n"
+    )
+    config = compose(["task=Ant", f"train={published.parent / 'Low.yaml'}"]).train.params.config
+    assert (config.learning_rate, config.e_clip) == (7e-3, 0.3)
+    (published.parent / "Other.yaml").write_text(
+        "defaults:\n  - CartpolePPO\n  - _self_\nparams:\n  config:\n    e_clip: 0.3\n"
+    )
+    config = compose(["task=Ant", f"train={published.parent / 'Other.yaml'}"]).train.params.config
+    assert (config.minibatch_size, config.e_clip) == (8192, 0.3)
+
+
+def test_a_task_file_is_taken_from_its_path(tmp_path: Path) -> None:
+    file = tmp_path / "short-ant.v2.yaml"  # no name in Hydra's grammar
+    file.write_text("defaults: [Ant, _self_]\nenv:\n  episodeLength: 77\n")
+    cfg = compose([f"task={file}", "train=AntPPO"])
+    assert (cfg.task.name, cfg.task.env.episodeLength) == ("Ant", 77)
+
+
+def test_both_at_once_and_overrides_win(published: Path, tmp_path: Path) -> None:
+    task = tmp_path / "Mine.yaml"
+    task.write_text("defaults: [Ant, _self_]\n")
+    cfg = compose([f"task={task}", f"train={published}", "train.params.config.learning_rate=1"])
+    assert cfg.train.params.config.learning_rate == 1
+    assert cfg.train.params.config.name == "Mine"
+
+
+@pytest.mark.parametrize("group", ["task", "train"])
+def test_a_missing_file_is_named(group: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf"{group}={tmp_path}/Lost.yaml: no file .*Lost.yaml"):
+        compose(["task=Ant", f"{group}={tmp_path}/Lost.yaml"])
+
+
+def test_a_broken_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "Broken.yaml"
+    file.write_text("params: [1, 2\n")
+    with pytest.raises(ConfigError, match=r"Broken.yaml is not valid YAML"):
+        compose(["task=Ant", f"train={file}"])
+
+
+def test_an_unknown_key_of_such_a_tree_lists_the_keys(published: Path) -> None:
+    with pytest.raises(ConfigError, match=r"unknown key 'train.params.config.lerning_rate'"):
+        compose(["task=Ant", f"train={published}", "train.params.config.lerning_rate=1"])

@@ -1,0 +1,76 @@
+"""Soft actor-critic on Ant: it trains, and a training goes on from its checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.checkpoints import load_checkpoint
+
+SMALL = (
+    *("task=AntSAC", "train=AntSAC", "num_envs=8"),
+    "train.params.config.batch_size=64",
+    "train.params.config.num_warmup_steps=2",
+    "train.params.config.replay_buffer_size=2000",
+    "train.params.network.mlp.units=[32,32]",
+)
+
+
+@pytest.fixture
+def trained(make_classic_agent: Callable[..., Any]) -> Any:
+    agent = make_classic_agent(*SMALL, "max_iterations=6")
+    agent.train()
+    return agent
+
+
+def test_it_learns_only_after_the_warm_up(make_classic_agent) -> None:
+    agent = make_classic_agent(
+        *SMALL, "max_iterations=1", "train.params.config.num_warmup_steps=1000"
+    )
+    before = [parameter.clone() for parameter in agent.model.parameters()]
+    agent.train()
+    assert all(map(torch.equal, before, agent.model.parameters()))
+    agent = make_classic_agent(*SMALL, "max_iterations=6")
+    before = [parameter.clone() for parameter in agent.model.sac_network.actor.parameters()]
+    agent.train()
+    after = list(agent.model.sac_network.actor.parameters())
+    assert not any(map(torch.equal, before, after))
+    assert agent.curr_frames == 8 * 8
+
+
+def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_path: Path) -> None:
+    trained.save(str(tmp_path / "saved"))
+    assert trained.alpha.item() != 1.0
+    resumed = make_classic_agent(*SMALL, "max_iterations=8")
+    resumed.restore(str(tmp_path / "saved.pth"))
+    assert resumed.alpha.item() == pytest.approx(trained.alpha.item())
+    assert resumed.epoch_num == 6
+    before = [parameter.clone() for parameter in resumed.model.sac_network.actor.parameters()]
+    # One step of 8 environments: the replay buffer, empty again, holds no batch of 64 yet.
+    resumed.init_tensors()
+    resumed.obs = resumed.env_reset()
+    resumed.num_steps_per_episode = 1
+    resumed.play_steps()
+    assert all(map(torch.equal, before, resumed.model.sac_network.actor.parameters()))
+    resumed.num_steps_per_episode = 16
+    resumed.play_steps()
+    assert not any(map(torch.equal, before, resumed.model.sac_network.actor.parameters()))
+
+
+def test_what_is_saved_is_what_plays(trained, make_classic_runner, tmp_path: Path) -> None:
+    trained.save(str(tmp_path / "saved"))
+    load_checkpoint(tmp_path / "saved.pth")  # without running code
+    player = make_classic_runner(*SMALL, "+train.params.config.player.games_num=8").create_player()
+    player.restore(str(tmp_path / "saved.pth"))
+    obs = {"obs": torch.randn(8, 60)}
+    trained.set_eval()
+    with torch.no_grad():
+        expected = trained.act(obs["obs"], None)
+    assert torch.equal(player.act(obs), expected)
+    player.run()
+    assert player.result.num_episodes == 8
+    assert player.result.steps > 1

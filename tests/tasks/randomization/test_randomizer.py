@@ -1,0 +1,179 @@
+"""Domain randomisation in a task: models that differ, when, and that physics feels it."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from isaacgymenvs_lite.errors import ConfigError
+
+N = 64
+
+
+def _entry(low: float, high: float, **more: str | bool | int) -> str:
+    given = {"range": [low, high], "operation": "scaling", "distribution": "uniform", **more}
+    return str(given).replace("'", "").replace("True", "true")
+
+
+@pytest.fixture
+def ant(make_task):
+    """Return `ant(*overrides)`: 64 ants, randomised, with nothing that the overrides do not add."""
+
+    def make(*overrides: str):
+        params = "task.task.randomization_params"
+        bare = (f"~{params}.observations", f"~{params}.actions", f"~{params}.actor_params.ant")
+        added = [f"++{params}.{override}" for override in overrides]
+        start = ["task=Ant", "task.task.randomize=True", *bare]
+        return make_task(*start, f"+{params}.actor_params.ant={{}}", *added, num_envs=N)
+
+    return make
+
+
+def _field(task, name: str) -> np.ndarray:
+    return task.simulation.expand(name)
+
+
+def test_the_published_settings_of_every_task_work(make_task, caplog) -> None:
+    task = make_task("task=Ant", "task.task.randomize=True", num_envs=N)
+    task.reset()
+    observed = task.step(task.zero_actions())[0]["obs"]
+    assert observed.isfinite().all()
+    masses = _field(task, "body_mass") / task.simulation.model.body_mass.clip(1e-9)
+    assert masses[:, 1:].min() >= 0.5
+    assert masses[:, 1:].max() <= 1.5
+    # Each body of each environment by itself.
+    assert len(np.unique(masses[:, 1:].round(9))) == N * 9
+    damping = _field(task, "dof_damping")[:, 6:]
+    assert damping.min() >= 0.05
+    assert damping.max() <= 0.15
+    assert damping.std() > 0.02
+
+
+def test_inertia_follows_the_mass_and_constants_are_updated(ant) -> None:
+    task = ant(f"actor_params.ant.rigid_body_properties={{mass: {_entry(0.5, 1.5)}}}")
+    model = task.simulation.model
+    ratio = _field(task, "body_mass")[:, 1:] / model.body_mass[1:]
+    inertia = _field(task, "body_inertia")[:, 1:] / model.body_inertia[1:]
+    assert inertia == pytest.approx(np.repeat(ratio[..., None], 3, axis=-1))
+    subtree = task.simulation.expand("body_subtreemass")[:, 1]
+    assert subtree == pytest.approx(_field(task, "body_mass")[:, 1:].sum(axis=1))
+
+
+def test_a_heavier_body_is_accelerated_less(make_task) -> None:
+    params = "task.task.randomization_params"
+    heavier = f"++{params}.actor_params.cartpole.rigid_body_properties={{mass: {_entry(4, 4)}}}"
+    speeds = []
+    for overrides in ([], ["task.task.randomize=True", heavier]):
+        task = make_task("task=Cartpole", *overrides)
+        n = task.num_envs
+        task.reset()
+        zeros = torch.zeros(n, 2)
+        task.simulation.write_state(torch.arange(n), torch.zeros(n, 13), zeros, zeros)
+        task.step(torch.full((n, 1), 0.1))
+        speeds.append(task.simulation.dof_vel[0, 0].item())
+    # Four times the mass and inertia of everything.
+    assert speeds[0] == pytest.approx(4.0 * speeds[1], rel=1e-2)
+
+
+def test_setup_only_is_drawn_once_and_the_rest_at_its_frequency(ant) -> None:
+    task = ant(
+        "frequency=3",
+        f"actor_params.ant.rigid_body_properties={{mass: {_entry(0.5, 1.5, setup_only=True)}}}",
+        f"actor_params.ant.dof_properties={{damping: {_entry(0.5, 1.5)}}}",
+    )
+    mass, damping = _field(task, "body_mass").copy(), _field(task, "dof_damping").copy()
+    task.reset()
+    assert (_field(task, "dof_damping") == damping).all()  # no step was made since
+    for _ in range(3):
+        task.step(task.zero_actions())
+    some = torch.tensor([1, 5])
+    task.randomize_buf[:] = 3
+    task.reset_idx(some)
+    changed = (_field(task, "dof_damping") != damping).any(axis=1)
+    assert changed.nonzero()[0].tolist() == [1, 5]
+    assert (_field(task, "body_mass") == mass).all()
+    assert task.randomize_buf[some].tolist() == [0, 0]
+
+
+def test_draws_do_not_pile_up(ant) -> None:
+    task = ant("frequency=1", f"actor_params.ant.dof_properties={{damping: {_entry(0.9, 1.1)}}}")
+    everyone = torch.arange(N)
+    for _ in range(30):
+        task.randomize_buf[:] = 1
+        task.reset_idx(everyone)
+    assert _field(task, "dof_damping")[:, 6:].min() >= 0.09 - 1e-12
+    assert _field(task, "dof_damping")[:, 6:].max() <= 0.11 + 1e-12
+
+
+def test_friction_is_the_mean_of_both_shapes_and_felt(make_task) -> None:
+    """A box-like torso without friction slides on; MuJoCo would take the ground's coefficient."""
+    params = "task.task.randomization_params.actor_params.ant"
+    group = f"++{params}.rigid_shape_properties={{friction: {_entry(0.2, 0.2)}}}"
+    task = make_task("task=Ant", "task.task.randomize=True", group)
+    geoms = np.flatnonzero(task.simulation.model.geom_bodyid > 0)
+    assert _field(task, "geom_friction")[:, geoms, 0] == pytest.approx(0.5 * (0.2 + 1.0))
+    assert (_field(task, "geom_priority")[:, geoms] == 1).all()
+
+
+def test_gravity_is_drawn_for_each_axis_and_the_same_for_all(ant) -> None:
+    task = ant(
+        "sim_params={gravity: {range: [0, 0.4], operation: additive, distribution: gaussian}}"
+    )
+    gravity = _field(task, "opt.gravity")
+    assert (gravity == gravity[0]).all()
+    change = gravity[0] - task.simulation.model.opt.gravity
+    assert (np.abs(change) > 0).all()
+    assert np.abs(change).max() < 2.4  # six standard deviations
+    assert len(np.unique(change)) == 3
+
+
+def test_noise_is_in_what_the_policy_sees_and_not_in_the_state(make_task) -> None:
+    noise = "{range: [0, 0.1], operation: additive, distribution: gaussian}"
+    task = make_task(
+        "task=Cartpole",
+        "task.task.randomize=True",
+        f"++task.task.randomization_params.observations={noise}",
+        "task.env.asymmetric_observations=True",
+        num_envs=512,
+    )
+    task.reset()
+    observed, rewards, _, _ = task.step(task.zero_actions())
+    difference = observed["obs"] - observed["states"]
+    assert difference.std().item() == pytest.approx(0.1, rel=0.1)
+    # The reward is that of the true state.
+    truth = 1.0 - observed["states"][:, 2].square()
+    assert (rewards - truth).abs().max() < 0.05
+
+
+def test_noise_on_actions_reaches_the_motors(make_task, controls_of) -> None:
+    noise = "{range: [0, 0.1], operation: additive, distribution: gaussian}"
+    task = make_task(
+        "task=Cartpole",
+        "task.task.randomize=True",
+        f"++task.task.randomization_params.actions={noise}",
+        num_envs=512,
+    )
+    controls = controls_of(task)
+    task.step(task.zero_actions())
+    assert (controls[0] / 400.0).std().item() == pytest.approx(0.1, rel=0.15)
+
+
+def test_what_has_no_counterpart_is_named_once(ant, caplog) -> None:
+    caplog.set_level(logging.WARNING)
+    ant(
+        f"actor_params.ant.rigid_shape_properties={{restitution: {_entry(0, 0.7)}}}",
+        f"actor_params.ant.dof_properties={{velocity: {_entry(0.5, 1.5)}}}",
+    )
+    said = [record.message for record in caplog.records if "no counterpart" in record.message]
+    assert len(said) == 1
+    assert "rigid_shape_properties.restitution" in said[0]
+    assert "dof_properties.velocity" in said[0]
+
+
+def test_an_actor_that_does_not_exist_is_named(make_task) -> None:
+    entry = "++task.task.randomization_params.actor_params.cat={color: True}"
+    with pytest.raises(ConfigError, match=r"actor_params: unknown actor 'cat'.*choices: ant"):
+        make_task("task=Ant", "task.task.randomize=True", entry)

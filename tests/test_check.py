@@ -1,0 +1,97 @@
+"""`python -m isaacgymenvs_lite.check`: what a file asks for, in words."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.check import describe, main
+from isaacgymenvs_lite.paths import cfg_dir
+
+TRAIN_FILES = sorted(path.stem for path in (cfg_dir() / "train").glob("*.yaml"))
+# Files that others are made of, with no name and length of their own.
+BASES = {"ClassicPPO", "ClassicSAC"}
+
+
+def test_a_train_file_in_words() -> None:
+    lines = describe("AntPPO")
+    assert lines[0].startswith("AntPPO.yaml: a train file, checked with task=Ant;")
+    assert lines[1:] == [
+        "task: 60 observations, 8 actions, 1000 control steps of 0.0166 s at most,"
+        " 4,096 environments",
+        "algorithm: a2c_continuous, model continuous_a2c_logstd",
+        "network: actor_critic, [256, 128, 64] elu",
+        "samples: 4,096 environments x 16 steps = 65,536 in an epoch;"
+        " 4 times 2 minibatches of 32,768",
+        "length: 500 epochs, 32,768,000 steps",
+        "no effect here: params.load_checkpoint, params.load_path",
+        "nothing is wrong with it",
+    ]
+
+
+def test_what_is_changed_to_fit_is_said() -> None:
+    lines = describe("AntPPO", ["num_envs=100"])
+    assert any(line.startswith("note: minibatch_size 32768 does not divide") for line in lines)
+
+
+def test_a_task_file_in_words() -> None:
+    lines = describe("Cartpole")
+    assert lines[0] == "Cartpole.yaml: a task file, of the task Cartpole"
+    assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
+
+
+def test_keys_that_nothing_reads_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "AntMine.yaml"
+    file.write_text("defaults: [AntPPO, _self_]\nparams: {config: {lr_threshold: 1, zebra: 2}}\n")
+    lines = describe(str(file))
+    assert "task=Ant;" in lines[0]
+    assert any("no effect here:" in line and "params.config.lr_threshold" in line for line in lines)
+    assert any("nothing reads train.params.config.zebra" in line for line in lines)
+
+
+def test_a_task_by_the_algorithm_if_the_name_is_no_help(tmp_path: Path) -> None:
+    file = tmp_path / "zebra.yaml"
+    file.write_text("defaults: [HumanoidASEPPO, _self_]\n")
+    assert "task=HumanoidASE;" in describe(str(file))[0]
+
+
+@pytest.mark.parametrize("name", sorted(set(TRAIN_FILES) - BASES))
+def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
+    assert describe(name, ["num_envs=64"])[-1] == "nothing is wrong with it"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["AntPPO", "train.params.config.gamma=7"], "gamma: got 7, expected"),
+        (["AntPPO", "train.params.algo.name=a2c_discrete"], "algo.name=a2c_discrete: made for"),
+        (
+            ["AntPPO", "+train.params.config.central_value_config={minibatch_size: 8}"],
+            "central_value_config: .*this task gives none",
+        ),
+        (
+            ["AnymalTerrainPPO_LSTM", "train.params.config.seq_length=5"],
+            "seq_length 5 does not divide horizon_length 24",
+        ),
+        (["Lost"], "Lost: no such file, and no name"),
+        ([str(Path(__file__).parent / "data.txt")], "no such file"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(words: list[str], said: str, capsys) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert re.search(said, error), error
+
+
+def test_a_file_of_another_kind_is_named(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "notes.yaml"
+    file.write_text("a: 1\n")
+    with pytest.raises(SystemExit):
+        main([str(file)])
+    assert "neither a train file" in capsys.readouterr().err
