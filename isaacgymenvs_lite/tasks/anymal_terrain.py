@@ -43,6 +43,7 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     VelocityTrackingTask,
     never_negative,
 )
+from isaacgymenvs_lite.tasks.randomization.properties import make_property
 from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum
 from isaacgymenvs_lite.tasks.terrain.grid import add_height_field, make_terrain
 from isaacgymenvs_lite.tasks.terrain.height_scan import HeightScan
@@ -52,6 +53,7 @@ log = logging.getLogger(__name__)
 
 _START_OFFSET_M = 0.5
 _PUSH_M_S = 1.0
+_FRICTION_BUCKETS = 100
 # Slower commands are none.
 _LEAST_COMMAND_M_S = 0.25
 _YAW_RATE_PER_RAD = 0.5  # 1/s
@@ -125,9 +127,22 @@ class AnymalTerrain(VelocityTrackingTask):
         learn = self.env_cfg.learn
         self._scan = HeightScan(self.terrain, self.device)
         self.curriculum = Curriculum(self.env_cfg.terrain, self.terrain, self.num_envs, self.device)
+        if learn.randomize_friction:
+            self._draw_friction(*learn.friction_range)
         self._noise_widths = noise_widths(learn).to(self.device)
         self._air_time_dt = self.sim_cfg.dt if learn.air_time_as_published else self.dt
         self._push_interval = int(learn.push_interval_s / self.dt + 0.5)
+
+    def _draw_friction(self, low: float, high: float) -> None:
+        """Give the robots one of a hundred coefficients of friction, in turn."""
+        buckets = low + (high - low) * torch.rand(_FRICTION_BUCKETS)
+        values = buckets[torch.arange(self.num_envs) % _FRICTION_BUCKETS].double().numpy()
+        friction = make_property(
+            self.simulation, self._layout, "rigid_shape_properties", "friction"
+        )
+        if friction is not None:
+            shapes = len(friction.original)
+            friction.write(np.arange(self.num_envs), np.repeat(values[:, None], shapes, axis=1))
 
     def allocate_buffers(self) -> None:
         """Add what is remembered from step to step."""

@@ -66,9 +66,9 @@ class TerrainLearnConfig(LearnConfig):
     """m."""
 
     randomize_friction: bool = setting(True, key="randomizeFriction")
-    """No effect yet: all robots have the ground's friction."""
+    """Robots differ in their friction (there: always); False: all have the ground's."""
     friction_range: tuple[float, ...] = setting((0.5, 1.25), key="frictionRange", min_length=2)
-    """No effect yet; see `randomize_friction`."""
+    """Of the robots' own coefficients. A contact has the mean of it and the ground's, as PhysX."""
     push_robots: bool = setting(True, key="pushRobots")
     """False: no pushes. IsaacGymEnvs does not read the key and pushes always."""
     push_interval_s: float = setting(15.0, key="pushInterval_s", above=0)

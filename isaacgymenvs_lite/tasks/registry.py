@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import cast
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -61,7 +61,7 @@ def find_task(name: str) -> TaskMaker:
 
 def _load(point: EntryPoint) -> TaskMaker:
     try:
-        task: Any = point.load()
+        task = cast(TaskMaker, point.load())
     except (ImportError, AttributeError) as error:
         raise ConfigError(
             f"task.name={point.name}: the installed package offers it as {point.value}, which"

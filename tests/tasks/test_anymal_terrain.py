@@ -183,6 +183,24 @@ def test_friction_of_the_ground(make) -> None:
     assert (task.simulation.model.geom_friction[:, 0] == 0.7).all()
 
 
+def test_robots_differ_in_friction_which_is_averaged_with_the_grounds(make) -> None:
+    task = make("task.env.learn.frictionRange=[0.5,1.25]", num_envs=150)
+    model = task.simulation.model
+    robot = np.flatnonzero(model.geom_bodyid > 0)
+    friction = task.simulation.expand("geom_friction")[:, robot, 0]
+    assert (friction == friction[:, :1]).all()  # all parts of a robot
+    own = 2.0 * friction[:, 0] - 1.0
+    assert own.min() >= 0.5
+    assert own.max() <= 1.25
+    assert len(np.unique(own[:100])) == 100
+    assert (own[100:] == own[:50]).all()  # the buckets in turn
+    # MuJoCo would take the larger of two coefficients, the ground's.
+    floor = model.geom("floor").id
+    assert task.simulation.expand("geom_friction")[:, floor, 0].max() < 1e-4
+    same = make("task.env.learn.randomizeFriction=False")
+    assert (same.simulation.model.geom_friction[:, 0] == 1.0).all()
+
+
 def test_the_seed_decides_on_the_ground(make) -> None:
     kinds = ("task.env.terrain.terrainProportions=[0,0.5,0,0,0.5]",)
 

@@ -3,7 +3,7 @@
 The names are PhysX's. Where MuJoCo keeps the quantity otherwise, this is the translation:
 
 - friction of shapes: PhysX takes the mean of two touching shapes, MuJoCo the larger one. The
-  robot's geoms get the mean of their own and the ground's value, and priority over it.
+  robot's geoms get the mean of their own and the ground's value, and the ground none.
 - stiffness and damping of degrees of freedom: gains of a position drive, where there is one;
   springs and dampers of the joint, else.
 """
@@ -107,8 +107,11 @@ class Friction(Property):
     def __init__(self, simulation: SimulationBackend, geoms: Ids, column: int) -> None:
         self._ids = geoms
         self._values = simulation.expand("geom_friction")[..., column]
-        simulation.expand("geom_priority")[:, geoms] = 1
-        self._ground = _ground_friction(simulation.model, column)
+        self._ground = 0.0
+        floor = mujoco.mj_name2id(simulation.model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+        if floor >= 0:
+            self._ground = float(simulation.model.geom_friction[floor, column])
+            self._values[:, floor] = mujoco.mjMINMU
         # The model holds what a contact has: the mean of both.
         self.original = 2.0 * self._values[0, geoms].astype(np.float64) - self._ground
 
@@ -146,11 +149,6 @@ class Gain(Property):
         self._biases[(*places, self._column)] = -values[:, driven]
         if self._gains is not None:
             self._gains[(*places, 0)] = values[:, driven]
-
-
-def _ground_friction(model: mujoco.MjModel, column: int) -> float:
-    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
-    return float(model.geom_friction[floor, column]) if floor >= 0 else 0.0
 
 
 def _drives_of(model: mujoco.MjModel, joints: Ids) -> Ids:

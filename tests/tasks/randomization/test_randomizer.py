@@ -108,14 +108,31 @@ def test_draws_do_not_pile_up(ant) -> None:
     assert _field(task, "dof_damping")[:, 6:].max() <= 0.11 + 1e-12
 
 
-def test_friction_is_the_mean_of_both_shapes_and_felt(make_task) -> None:
-    """A box-like torso without friction slides on; MuJoCo would take the ground's coefficient."""
+def _slowed_by_friction(make_task, coefficient: float) -> float:
+    """Return by how much ants slow down that slide over the ground (m/s^2)."""
     params = "task.task.randomization_params.actor_params.ant"
-    group = f"++{params}.rigid_shape_properties={{friction: {_entry(0.2, 0.2)}}}"
-    task = make_task("task=Ant", "task.task.randomize=True", group)
+    entry = _entry(coefficient, coefficient)
+    group = f"++{params}.rigid_shape_properties={{friction: {entry}}}"
+    task = make_task("task=Ant", "task.task.randomize=True", group, num_envs=16)
     geoms = np.flatnonzero(task.simulation.model.geom_bodyid > 0)
-    assert _field(task, "geom_friction")[:, geoms, 0] == pytest.approx(0.5 * (0.2 + 1.0))
-    assert (_field(task, "geom_priority")[:, geoms] == 1).all()
+    friction = _field(task, "geom_friction")[..., 0]
+    assert friction[:, geoms] == pytest.approx(0.5 * (coefficient + 1.0))
+    # MuJoCo takes the larger of two coefficients: the ground must not have one.
+    assert friction[:, task.simulation.model.geom("floor").id].max() < 1e-4
+    n = task.num_envs
+    root = task._initial_root.repeat(n, 1)
+    root[:, 2], root[:, 7] = 0.37, 3.0  # m, m/s: on their feet
+    pos = task.initial_dof_pos.repeat(n, 1)
+    task.simulation.write_state(torch.arange(n), root, pos, torch.zeros_like(pos))
+    for _ in range(12):
+        task.simulation.step()
+    return (3.0 - task.simulation.root_states[:, 7].mean().item()) / (12 * 0.0166)
+
+
+def test_friction_is_the_mean_of_both_shapes_and_felt(make_task) -> None:
+    # Coulomb's law, as far as the feet meet the ground: they bounce.
+    ratio = _slowed_by_friction(make_task, 0.2) / _slowed_by_friction(make_task, 1.0)
+    assert ratio == pytest.approx(0.6, rel=0.15)
 
 
 def test_gravity_is_drawn_for_each_axis_and_the_same_for_all(ant) -> None:
