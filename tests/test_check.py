@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.check import describe, main
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
 TRAIN_FILES = sorted(path.stem for path in (cfg_dir() / "train").glob("*.yaml"))
@@ -95,3 +96,98 @@ def test_a_file_of_another_kind_is_named(tmp_path: Path, capsys) -> None:
     with pytest.raises(SystemExit):
         main([str(file)])
     assert "neither a train file" in capsys.readouterr().err
+
+
+# Of the shape of IsaacGymEnvs' files for hands: two networks with memory, a player without end.
+ASYMMETRIC = """\
+params:
+  seed: ${...seed}
+  algo: {name: a2c_continuous}
+  model: {name: continuous_a2c_logstd}
+  network:
+    name: actor_critic
+    separate: False
+    space:
+      continuous:
+        mu_activation: None
+        sigma_activation: None
+        mu_init: {name: default}
+        sigma_init: {name: const_initializer, val: 0}
+        fixed_sigma: True
+    mlp:
+      units: [512]
+      activation: relu
+      d2rl: False
+      initializer: {name: default}
+      regularizer: {name: None}
+    rnn: {name: lstm, units: 1024, layers: 1, before_mlp: True, layer_norm: True}
+  load_checkpoint: ${if:${...checkpoint},True,False}
+  load_path: ${...checkpoint}
+  config:
+    name: ${resolve_default:Hand,${....experiment}}
+    full_experiment_name: ${.name}
+    env_name: rlgpu
+    multi_gpu: ${....multi_gpu}
+    ppo: True
+    mixed_precision: False
+    normalize_input: True
+    normalize_value: True
+    num_actors: ${....task.env.numEnvs}
+    reward_shaper: {scale_value: 0.01}
+    normalize_advantage: True
+    gamma: 0.998
+    tau: 0.95
+    learning_rate: 1e-4
+    lr_schedule: adaptive
+    schedule_type: standard
+    kl_threshold: 0.016
+    score_to_win: 100000
+    max_epochs: ${resolve_default:10000,${....max_iterations}}
+    save_best_after: 100
+    save_frequency: 200
+    print_stats: True
+    grad_norm: 1.0
+    entropy_coef: 0.0
+    truncate_grads: True
+    e_clip: 0.2
+    horizon_length: 16
+    minibatch_size: 16384
+    mini_epochs: 4
+    critic_coef: 4
+    clip_value: True
+    seq_len: 4
+    bounds_loss_coef: 0.0001
+    central_value_config:
+      minibatch_size: ${..minibatch_size}
+      mini_epochs: ${..mini_epochs}
+      learning_rate: 1e-4
+      kl_threshold: 0.016
+      clip_value: True
+      normalize_input: True
+      truncate_grads: True
+      network:
+        name: actor_critic
+        central_value: True
+        mlp:
+          units: [512]
+          activation: relu
+          d2rl: False
+          initializer: {name: default}
+          regularizer: {name: None}
+        rnn: {name: lstm, units: 1024, layers: 1, before_mlp: True, layer_norm: True}
+    player: {deterministic: True, games_num: 1000000, print_stats: True}
+"""
+
+
+def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
+    file = tmp_path / "HandPPOAsymmLSTM.yaml"
+    file.write_text(ASYMMETRIC)
+    with pytest.raises(ConfigError, match=r"central_value_config: .*this task gives none"):
+        describe(str(file), ["task=Ant"])
+    lines = describe(str(file), ["task=Ant", "task.env.asymmetric_observations=True"])
+    assert "asymmetric critic: actor_critic, [512] relu, lstm of 1024 units" in lines
+    assert lines[-1] == "nothing is wrong with it"
+    with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
+        describe(
+            str(file), ["task.env.asymmetric_observations=True", "train.params.config.seq_len=5"]
+        )

@@ -11,10 +11,12 @@ from rl_games.common.player import BasePlayer
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate_and_log
+from isaacgymenvs_lite.learning.evaluation import (
+    EvaluationResult,
+    episodes_to_play,
+    evaluate_and_log,
+)
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
-
-DEFAULT_EPISODES = 32
 
 
 class CommonPlayer(PpoPlayerContinuous):
@@ -46,7 +48,7 @@ class CommonPlayer(PpoPlayerContinuous):
                 " make such); remove it"
             )
         # rl_games' default means "until the window is closed"; without a window a play ends.
-        self.games_num = int(self.player_config.get("games_num", DEFAULT_EPISODES))
+        self.games_num = episodes_to_play(self.player_config)
         self.has_batch_dimension = True
         self.network = self.config["network"]
         self.actions_num = self.action_space.shape[0]

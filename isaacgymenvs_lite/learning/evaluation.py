@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -126,6 +126,25 @@ def evaluate(
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
     )
+
+
+DEFAULT_EPISODES = 32
+# Published train files say a hundred thousand and more: until the window is closed.
+_WITHOUT_END = 10_000
+
+
+def episodes_to_play(player_config: Mapping[str, Any]) -> int:
+    """Return `player.games_num` of a train file, or a number that comes to an end."""
+    asked = int(player_config.get("games_num", DEFAULT_EPISODES))
+    if asked < _WITHOUT_END:
+        return asked
+    log.info(
+        "train.params.config.player.games_num=%d means without end; without a window %d episodes"
+        " are played",
+        asked,
+        DEFAULT_EPISODES,
+    )
+    return DEFAULT_EPISODES
 
 
 def evaluate_and_log(

@@ -7,8 +7,11 @@ from typing import Any
 from rl_games.algos_torch.players import PpoPlayerContinuous
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.common_player import DEFAULT_EPISODES
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate_and_log
+from isaacgymenvs_lite.learning.evaluation import (
+    EvaluationResult,
+    episodes_to_play,
+    evaluate_and_log,
+)
 
 
 class PPOPlayer(PpoPlayerContinuous):
@@ -28,7 +31,7 @@ class PPOPlayer(PpoPlayerContinuous):
 
     def run(self) -> None:
         """Play, and log what was reached."""
-        games = int(self.player_config.get("games_num", DEFAULT_EPISODES))
+        games = episodes_to_play(self.player_config)
         self.result = evaluate_and_log(self.env, self.act, games, on_step=self.on_step)
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:

@@ -9,8 +9,11 @@ from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.common_player import DEFAULT_EPISODES
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate_and_log
+from isaacgymenvs_lite.learning.evaluation import (
+    EvaluationResult,
+    episodes_to_play,
+    evaluate_and_log,
+)
 
 
 class SACAgent(RLGamesSACAgent):
@@ -70,7 +73,7 @@ class SACPlayer(RLGamesSACPlayer):
 
     def run(self) -> None:
         """Play, and log what was reached."""
-        games = int(self.player_config.get("games_num", DEFAULT_EPISODES))
+        games = episodes_to_play(self.player_config)
         self.result = evaluate_and_log(self.env, self.act, games)
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:

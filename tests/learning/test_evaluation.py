@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, episodes_to_play, evaluate
 
 
 class ScriptedEnv:
@@ -111,3 +111,12 @@ def test_the_result_is_one_line():
         "4 episodes; reward 12.50; episode length 6.8 steps; style reward 0.250 per step"
     )
     assert "style" not in str(EvaluationResult(4, 1.0, 2.0, None, None))
+
+
+def test_a_published_number_without_end_comes_to_one(caplog) -> None:
+    caplog.set_level("INFO")
+    assert episodes_to_play({}) == 32
+    assert episodes_to_play({"games_num": 100}) == 100
+    assert not caplog.text
+    assert episodes_to_play({"games_num": 1_000_000}) == 32
+    assert "games_num=1000000 means without end" in caplog.text
