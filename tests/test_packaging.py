@@ -71,12 +71,23 @@ def test_wheel_carries_configuration_and_assets(wheel):
     assert not [name for name in names if name.startswith("tests/")]
 
 
-def test_humanoids_of_the_wheel_compile(wheel, tmp_path):
+def test_models_of_the_wheel_compile(wheel, tmp_path):
     # They include files of their subfolder parts.
     zipfile.ZipFile(wheel).extractall(tmp_path)
     files = sorted((tmp_path / "isaacgymenvs_lite" / "assets" / "mjcf").glob("*.xml"))
-    assert [file.stem for file in files] == ["amp_humanoid", "amp_humanoid_sword_shield"]
-    assert [mujoco.MjModel.from_xml_path(str(file)).nu for file in files] == [28, 31]
+    controls = {file.stem: mujoco.MjModel.from_xml_path(str(file)).nu for file in files}
+    assert controls == {
+        "amp_humanoid": 28,
+        "amp_humanoid_sword_shield": 31,
+        "ant": 8,
+        "anymal": 12,
+        "anymal_minimal": 12,
+        "ball_balance": 3,
+        "cartpole": 1,
+        "humanoid": 21,
+        "ingenuity": 6,
+        "quadcopter": 12,
+    }
 
 
 def test_wheel_states_version_licence_and_command(wheel):

@@ -95,8 +95,8 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
     ("arguments", "expected"),
     [
         (
-            ["task=Humanoid"],
-            "error: unknown task 'Humanoid' (did you mean 'Humanoid",
+            ["task=Humanoids"],
+            "error: unknown task 'Humanoids' (did you mean 'Humanoid'",
         ),
         (["num_env=3"], "error: unknown key 'num_env' (did you mean 'num_envs'?)"),
         (["num_envs=0"], "error: num_envs: got 0, expected a whole number of at least 1"),
@@ -108,7 +108,7 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
         (["--experiment", "x"], "error: unknown option '--experiment'"),
         (["--config-dir", "absent"], "error: the configuration folder 'absent' does not exist"),
         (["-m", "num_env=1,2"], "error: unknown key 'num_env'"),
-        (["-m", "task=Humanoid,HumanoidAMP"], "error: unknown task 'Humanoid'"),
+        (["-m", "task=Humanoids,HumanoidAMP"], "error: unknown task 'Humanoids'"),
         (["--cfg", "job", "num_env=1"], "error: unknown key 'num_env'"),
         (["task=3"], "error: 'task=3' names no file"),
     ],
@@ -155,7 +155,7 @@ def test_config_can_be_shown_without_running(call: Call, runner, capsys):
 
 def test_help_lists_the_groups(call: Call, runner, capsys):
     assert call("--help") == 0
-    assert "task: HumanoidAMP" in capsys.readouterr().out
+    assert "task: Ant, AntSAC, Anymal, " in capsys.readouterr().out
 
 
 def test_a_shipped_policy_brings_its_settings_along(call: Call, runner, monkeypatch):

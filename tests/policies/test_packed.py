@@ -42,7 +42,7 @@ class Recording(Session):
             obs, _ = env.reset_done()
             self.actions.append(player.get_action(player.obs_to_torch(obs), True))
             infos = env.step(self.actions[-1])[3]
-            self.rewards.append(player.discriminator.reward(infos["amp_obs"]))
+            self.rewards.append(player._style_reward_function()(infos["amp_obs"]))
 
 
 def play(cfg: DictConfig) -> Recording:

@@ -13,10 +13,11 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.factory import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
+    OWN_ASSET,
     HumanoidAMPConfig,
     read_env_config,
 )
-from isaacgymenvs_lite.tasks.amp.humanoid_model import OWN_ASSET, build_model, dof_limits
+from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, dof_limits
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,

@@ -8,6 +8,8 @@ from typing import Any
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS, AssetConfig, PlaneConfig
 
+OWN_ASSET = "mjcf/amp_humanoid.xml"
+
 
 @dataclass(frozen=True)
 class HumanoidAMPConfig:
@@ -47,7 +49,7 @@ class HumanoidAMPConfig:
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
     """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
     The originals do not limit them; docs/results.md says what the limits cost."""
-    asset: AssetConfig = field(default_factory=AssetConfig)
+    asset: AssetConfig = field(default_factory=lambda: AssetConfig(OWN_ASSET))
     plane: PlaneConfig = field(default_factory=PlaneConfig)
 
 

@@ -9,11 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import OWN_ASSET, HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model, hinge_limits
 from isaacgymenvs_lite.tasks.base.task_config import SimConfig
-
-OWN_ASSET = "mjcf/amp_humanoid.xml"
 
 
 def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:

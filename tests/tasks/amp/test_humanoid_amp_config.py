@@ -27,7 +27,7 @@ def test_published_numbers_are_the_defaults_and_those_of_the_task_file() -> None
         assert config.contact_bodies == ("right_foot", "left_foot")
         assert config.termination_height == 0.5
         assert config.enable_early_termination is True
-        assert config.asset.asset_file_name in ("", "mjcf/amp_humanoid.xml")  # '' is the task's own
+        assert config.asset.asset_file_name == "mjcf/amp_humanoid.xml"
         assert config.plane.dynamic_friction == 1.0
     for sim in ({}, {**file["sim"], "use_gpu_pipeline": False}):
         config = read_sim_config(sim)
