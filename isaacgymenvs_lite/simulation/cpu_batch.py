@@ -186,7 +186,8 @@ class CpuBatchSimulation:
 
     def _measured(self, planes: np.ndarray) -> Tensor:
         """Return planes (k, N) of the last physics step as a tensor (N, k)."""
-        values = planes.astype(np.float32)
+        # Rows first: a plane of the batch's rows is a number out of each, far from the next.
+        values = np.ascontiguousarray(planes.T.astype(np.float32).T)
         if self._written.any():
             values[:, self._written] = 0.0
         return tensor_of_planes(values)
