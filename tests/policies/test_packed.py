@@ -40,9 +40,10 @@ class Recording(Session):
         self.actions, self.rewards = [], []
         for _ in range(5):
             obs, _ = env.reset_done()
-            self.actions.append(player.get_action(player.obs_to_torch(obs), True))
+            self.actions.append(player.act(obs))
             infos = env.step(self.actions[-1])[3]
-            self.rewards.append(player._style_reward_function()(infos["amp_obs"]))
+            if (judge := player._style_reward_function()) is not None:
+                self.rewards.append(judge(infos["amp_obs"]))
 
 
 def play(cfg: DictConfig) -> Recording:
