@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from isaacgymenvs_lite.config.run_settings import RunSettings
 from isaacgymenvs_lite.schema import setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOSettings:
+class PPOSettings(RunSettings):
     """What every agent of the PPO family reads. Required keys are those that rl_games requires."""
 
-    # Run
-    name: str = setting()
-    """Experiment and checkpoint name."""
-    env_name: str = setting("rlgpu")
-    train_dir: str = setting("runs")
-    """Folder of the run folders."""
-    max_epochs: int = setting(-1, minimum=-1)
-    """-1 for no limit."""
-    max_frames: int = setting(-1, minimum=-1)
-    score_to_win: float = setting(float("inf"))
-    """Mean episode reward at which training ends."""
-    save_best_after: int = setting(100, minimum=0)
-    save_frequency: int = setting(0, minimum=0)
-    print_stats: bool = setting(True)
-    games_to_track: int = setting(100, minimum=1)
     use_diagnostics: bool = setting(False)
     mixed_precision: Any = setting(False, choices=(True, False, "auto"))
     """bfloat16; auto measures whether it is faster on this CPU."""
@@ -43,7 +28,6 @@ class PPOSettings:
     mini_epochs: int = setting(minimum=1)
     seq_length: int = setting(4, minimum=1)
     """Recurrent networks only."""
-    reward_shaper: Mapping[str, Any] = setting({})
 
     # Objective
     ppo: bool = setting(True)

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from isaacgymenvs_lite.config.run_settings import RunSettings
 from isaacgymenvs_lite.schema import setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class SACSettings:
+class SACSettings(RunSettings):
     """What rl_games' SAC agent reads. Required keys are those that it requires."""
 
-    # Run
-    name: str = setting()
-    """Experiment and checkpoint name."""
-    env_name: str = setting("rlgpu")
-    train_dir: str = setting("runs")
-    """Folder of the run folders."""
-    max_epochs: int = setting(-1, minimum=-1)
-    """-1 for no limit."""
-    max_frames: int = setting(-1, minimum=-1)
-    score_to_win: float = setting(float("inf"))
-    """Mean episode reward at which training ends."""
     save_best_after: int = setting(500, minimum=0)
-    save_frequency: int = setting(0, minimum=0)
-    print_stats: bool = setting(True)
-    games_to_track: int = setting(100, minimum=1)
 
     # Samples
     num_steps_per_episode: int = setting(1, minimum=1)
@@ -40,7 +25,6 @@ class SACSettings:
     """Frames of random actions, in place of num_warmup_steps."""
     replay_buffer_size: int = setting(minimum=1)
     batch_size: int = setting(minimum=1)
-    reward_shaper: Mapping[str, Any] = setting({})
 
     # Objective
     gamma: float = setting(0.99, minimum=0, maximum=1)

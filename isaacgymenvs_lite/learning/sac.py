@@ -7,13 +7,8 @@ from typing import Any
 import torch
 from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
-from torch import Tensor
 
-from isaacgymenvs_lite.learning.evaluation import (
-    EvaluationResult,
-    episodes_to_play,
-    evaluate_and_log,
-)
+from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
 
 
 class SACAgent(RLGamesSACAgent):
@@ -58,26 +53,5 @@ class SACAgent(RLGamesSACAgent):
         return super().update(step)
 
 
-class SACPlayer(RLGamesSACPlayer):
-    """The player of `sac`, with the play loop of our own players and `games_num` episodes.
-
-    Attributes:
-        result: what was measured; None before.
-    """
-
-    result: EvaluationResult | None = None
-
-    def __init__(self, params: dict[str, Any]) -> None:
-        super().__init__(params)
-        self.has_batch_dimension = True
-
-    def run(self) -> None:
-        """Play, and log what was reached."""
-        games = episodes_to_play(self.player_config)
-        self.result = evaluate_and_log(self.env, self.act, games)
-
-    def act(self, obs: dict[str, Tensor]) -> Tensor:
-        """Return the task's actions (N, A) for what the task observes."""
-        rows: Any = self.obs_to_torch(obs)
-        with torch.no_grad():
-            return self.get_action(rows, self.is_deterministic)
+class SACPlayer(EpisodePlayer, RLGamesSACPlayer):
+    """The player of `sac`; see `EpisodePlayer`."""

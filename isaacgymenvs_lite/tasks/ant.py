@@ -14,9 +14,8 @@ from isaacgymenvs_lite.tasks.base.locomotion import (
     LocomotionConfig,
     LocomotionTask,
     TorsoState,
-    heading_reward,
+    running_terms,
     unscale,
-    up_reward,
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
 
@@ -91,11 +90,7 @@ def compute_ant_reward(
         cfg: weights and costs.
     """
     terms = {
-        "progress": progress_m_s,
-        "alive": torch.full_like(progress_m_s, _ALIVE_REWARD),
-        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
-        "up": up_reward(torso.up_proj, cfg.up_weight),
-        "actions": actions.square().sum(-1) * -cfg.actions_cost,
+        **running_terms(torso, progress_m_s, actions, _ALIVE_REWARD, cfg),
         "energy": (actions * dof_vel_scaled).abs().sum(-1) * -cfg.energy_cost,
         "joints_at_limit": (dof_pos_share > _AT_LIMIT).sum(-1) * -cfg.joints_at_limit_cost,
     }

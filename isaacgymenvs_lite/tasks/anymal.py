@@ -24,6 +24,7 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     VelocityTrackingTask,
     compute_tracking_rewards,
     never_negative,
+    own_features,
 )
 
 
@@ -77,18 +78,7 @@ def compute_anymal_observations(
         actions: (12, N) of the last step.
         cfg: the scales.
     """
-    return torch.cat(
-        (
-            motion.lin_vel * cfg.lin_vel_scale,
-            motion.ang_vel * cfg.ang_vel_scale,
-            motion.gravity,
-            commands[:2] * cfg.lin_vel_scale,
-            commands[2:3] * cfg.ang_vel_scale,
-            dof_pos * cfg.dof_pos_scale,
-            dof_vel * cfg.dof_vel_scale,
-            actions,
-        )
-    ).t()
+    return torch.cat((*own_features(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
 
 
 def compute_anymal_reward(

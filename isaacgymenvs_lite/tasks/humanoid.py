@@ -17,9 +17,8 @@ from isaacgymenvs_lite.tasks.base.locomotion import (
     LocomotionConfig,
     LocomotionTask,
     TorsoState,
-    heading_reward,
+    running_terms,
     unscale,
-    up_reward,
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
 from isaacgymenvs_lite.utils.rotations import normalize_angle
@@ -128,11 +127,7 @@ def compute_humanoid_reward(
     at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)
     power = (actions * dof_vel_scaled).abs()
     terms = {
-        "progress": progress_m_s,
-        "alive": torch.full_like(progress_m_s, _ALIVE_REWARD),
-        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
-        "up": up_reward(torso.up_proj, cfg.up_weight),
-        "actions": actions.square().sum(-1) * -cfg.actions_cost,
+        **running_terms(torso, progress_m_s, actions, _ALIVE_REWARD, cfg),
         "energy": (power * motor_effort_ratio).sum(-1) * -cfg.energy_cost,
         "joints_at_limit": (at_limit * motor_effort_ratio).sum(-1) * -cfg.joints_at_limit_cost,
     }

@@ -95,7 +95,6 @@ class HumanoidAMPBase(VecTask):
         self.max_episode_length = self.env_cfg.episode_length
         # Control period: history, demonstrations and velocities of the task count in it.
         self.dt = self.env_cfg.control_freq_inv * self.sim_cfg.dt
-        self._failures_reported = 0
 
     resets_on_request = True
     actor_name = "humanoid"
@@ -246,15 +245,12 @@ class HumanoidAMPBase(VecTask):
         failed = self.simulation.failed
         self.reset_buf.masked_fill_(failed, 1)
         self._terminate_buf.masked_fill_(failed, 1)
-        self._report_failures()
+        self.report_diverged()
 
-    def _report_failures(self) -> None:
-        total = self.simulation.num_failures
-        self.extras["diverged_simulations"] = total
-        # Say it at the first failure and at every power of ten, not at every step.
-        if total > self._failures_reported and total >= 10 * self._failures_reported:
-            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", total)
-            self._failures_reported = total
+    def report_diverged(self) -> None:
+        """Tell it in the infos, too."""
+        self.extras["diverged_simulations"] = self.simulation.num_failures
+        super().report_diverged()
 
     def failures(self) -> Tensor:
         """Return (N,) bool: the last step ended the episode by a fall."""

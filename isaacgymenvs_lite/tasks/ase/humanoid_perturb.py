@@ -96,4 +96,4 @@ class HumanoidPerturb(HumanoidASE):
         failed = self.simulation.failed
         self.reset_buf.copy_(timed_out | failed)
         self._terminate_buf.copy_(failed)
-        self._report_failures()
+        self.report_diverged()

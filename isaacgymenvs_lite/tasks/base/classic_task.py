@@ -12,7 +12,6 @@ want a new episode in the same step call `reset_done` after each step; a task ma
 
 from __future__ import annotations
 
-import logging
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -35,8 +34,6 @@ from isaacgymenvs_lite.tasks.base.task_config import (
 )
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import one_torch_thread
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +110,6 @@ class ClassicTask(VecTask):
             virtual_screen_capture,
             force_render,
         )
-        self._failures_reported = 0
 
     # --- what a task fills in ---------------------------------------------------------------
 
@@ -239,7 +235,7 @@ class ClassicTask(VecTask):
         # Kept apart, as episodes that start in this step clear `reset_buf` and `progress_buf`.
         self._done_buf.copy_(self.reset_buf)
         torch.logical_and(at_limit, ~self._failure_buf, out=self._time_out_buf)
-        self._report_diverged()
+        self.report_diverged()
 
     def dones(self) -> Tensor:
         """Return (N,) int64, 1 where the last step ended an episode."""
@@ -252,13 +248,6 @@ class ClassicTask(VecTask):
     def failures(self) -> Tensor:
         """Return (N,) bool: the last step ended the episode by a failure."""
         return self._failure_buf
-
-    def _report_diverged(self) -> None:
-        total = self.simulation.num_failures
-        # Say it at the first one and at every power of ten, not at every step.
-        if total > self._failures_reported and total >= 10 * self._failures_reported:
-            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", total)
-            self._failures_reported = total
 
     # --- reset ------------------------------------------------------------------------------
 

@@ -119,6 +119,27 @@ def up_reward(up_proj: Tensor, weight: float) -> Tensor:
     return (up_proj > _UPRIGHT).float() * weight
 
 
+def running_terms(
+    torso: TorsoState, progress_m_s: Tensor, actions: Tensor, alive: float, cfg: LocomotionConfig
+) -> Terms:
+    """Return the terms (N,) of the reward that Ant and Humanoid have in common.
+
+    Args:
+        torso: see `compute_torso_state`.
+        progress_m_s: (N,) speed towards the target.
+        actions: (N, A).
+        alive: reward of every step.
+        cfg: weights and costs.
+    """
+    return {
+        "progress": progress_m_s,
+        "alive": torch.full_like(progress_m_s, alive),
+        "heading": heading_reward(torso.heading_proj, cfg.heading_weight),
+        "up": up_reward(torso.up_proj, cfg.up_weight),
+        "actions": actions.square().sum(-1) * -cfg.actions_cost,
+    }
+
+
 def unscale(values: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     """Return values (N, D) with lower (D,) as -1 and upper (D,) as 1."""
     return (2.0 * values - (upper + lower)) / (upper - lower)

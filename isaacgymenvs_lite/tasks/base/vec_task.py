@@ -150,6 +150,7 @@ class VecTask(Env):
         if up_axis not in ("y", "z"):
             raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
         self.dt = float(_required(self.sim_params, "task.sim.dt"))
+        self._failures_reported = 0
         self.create_sim()
         self.allocate_buffers()
         self.randomizer = self._make_randomizer(config.get("task") or {})
@@ -242,6 +243,13 @@ class VecTask(Env):
     def failures(self) -> Tensor:
         """Return (N,) bool: the last step ended the episode by a failure; none by default."""
         return torch.zeros_like(self.timeout_buf)
+
+    def report_diverged(self) -> None:
+        """Warn of diverged simulations: at the first one and at every power of ten."""
+        total = self.simulation.num_failures
+        if total > self._failures_reported and total >= 10 * self._failures_reported:
+            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", total)
+            self._failures_reported = total
 
     def reset(self) -> dict[str, Tensor]:
         """Return the current observations, zero before the first step.

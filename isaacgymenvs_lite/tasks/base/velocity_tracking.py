@@ -185,6 +185,29 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
         raise ConfigError(f"task.env.defaultJointAngles={dict(named)}: expected numbers") from None
 
 
+def own_features(
+    motion: BaseMotion, commands: Tensor, dof_pos: Tensor, dof_vel: Tensor, cfg: LearnConfig
+) -> tuple[Tensor, ...]:
+    """Return what a robot observes of itself, (3 to D, N) each, times the scales.
+
+    Args:
+        motion: of the base, in its frame.
+        commands: (3 or more, N) m/s and rad/s.
+        dof_pos: (D, N) rad.
+        dof_vel: (D, N) rad/s.
+        cfg: the scales.
+    """
+    return (
+        motion.lin_vel * cfg.lin_vel_scale,
+        motion.ang_vel * cfg.ang_vel_scale,
+        motion.gravity,
+        commands[:2] * cfg.lin_vel_scale,
+        commands[2:3] * cfg.ang_vel_scale,
+        dof_pos * cfg.dof_pos_scale,
+        dof_vel * cfg.dof_vel_scale,
+    )
+
+
 class VelocityTrackingTask(ClassicTask):
     """N legged robots that shall move as they are commanded.
 

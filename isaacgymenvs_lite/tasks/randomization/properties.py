@@ -52,11 +52,11 @@ class FieldProperty(Property):
     def __init__(
         self, simulation: SimulationBackend, field: str, ids: Ids, column: int | None = None
     ) -> None:
-        self._values = simulation.expand(field)
-        if column is not None:
-            self._values = self._values[..., column]
+        # The model's own: the environments' values may have been written before.
+        values, original = simulation.expand(field), getattr(simulation.model, field)[ids]
+        self._values = values if column is None else values[..., column]
         self._ids = ids
-        self.original = self._values[0, ids].astype(np.float64)
+        self.original = np.array(original if column is None else original[..., column], float)
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""
@@ -71,7 +71,7 @@ class Mass(FieldProperty):
     def __init__(self, simulation: SimulationBackend, bodies: Ids) -> None:
         super().__init__(simulation, "body_mass", bodies)
         self._inertias = simulation.expand("body_inertia")
-        self._inertia = self._inertias[0, bodies].copy()
+        self._inertia = simulation.model.body_inertia[bodies].copy()
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""
@@ -113,7 +113,7 @@ class Friction(Property):
             self._ground = float(simulation.model.geom_friction[floor, column])
             self._values[:, floor] = mujoco.mjMINMU
         # The model holds what a contact has: the mean of both.
-        self.original = 2.0 * self._values[0, geoms].astype(np.float64) - self._ground
+        self.original = 2.0 * simulation.model.geom_friction[geoms, column] - self._ground
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""
@@ -137,7 +137,7 @@ class Gain(Property):
         self._joint = FieldProperty(simulation, *passive)
         self.original = self._joint.original.copy()
         driven = drives >= 0
-        self.original[driven] = -self._biases[0, drives[driven], column]
+        self.original[driven] = -model.actuator_biasprm[drives[driven], column]
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""

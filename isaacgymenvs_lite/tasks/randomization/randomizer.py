@@ -52,10 +52,13 @@ class DomainRandomizer:
         unsupported = list(plan.unsupported)
         for (group, attribute), settings in plan.actor.items():
             found = make_property(simulation, layout, group, attribute)
+            path = f"actor_params.{next(iter(actors))}.{group}.{attribute}"
             if found is None:
-                unsupported.append(f"actor_params.{next(iter(actors))}.{group}.{attribute}")
-            else:
-                self._properties.append((settings, found))
+                unsupported.append(path)
+                continue
+            if group == "dof_properties" and layout.ball_dofs.size > 0:
+                unsupported.append(f"{path} of ball joints")
+            self._properties.append((settings, found))
         if unsupported:
             log.warning(
                 "randomization_params: MuJoCo has no counterpart for %s; not randomised",

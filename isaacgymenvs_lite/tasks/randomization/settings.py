@@ -108,14 +108,7 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
     _check_names(params, known, WHERE, "entry")
     sim = params.get("sim_params") or {}
     _check_names(sim, _SIM_PARAMS, f"{WHERE}.sim_params", "parameter")
-    plan = RandomizationPlan(
-        frequency=_frequency(params),
-        observations=_noise(params, "observations"),
-        actions=_noise(params, "actions"),
-        gravity=_attribute(sim["gravity"], f"{WHERE}.sim_params.gravity")
-        if "gravity" in sim
-        else None,
-    )
+    gravity = sim.get("gravity")
     unsupported = [f"sim_params.{key}" for key in sim if key == "rest_offset"]
     entries = params.get("actor_params") or {}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
@@ -133,13 +126,13 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
             for name, entry in groups[group].items():
                 attributes[group, name] = _attribute(entry, f"{where}.{group}.{name}")
     return RandomizationPlan(
-        plan.frequency,
-        plan.observations,
-        plan.actions,
-        plan.gravity,
-        attributes,
-        colour,
-        tuple(unsupported),
+        frequency=_frequency(params),
+        observations=_noise(params, "observations"),
+        actions=_noise(params, "actions"),
+        gravity=None if gravity is None else _attribute(gravity, f"{WHERE}.sim_params.gravity"),
+        actor=attributes,
+        colour=colour,
+        unsupported=tuple(unsupported),
     )
 
 
