@@ -194,3 +194,15 @@ def test_an_actor_that_does_not_exist_is_named(make_task) -> None:
     entry = "++task.task.randomization_params.actor_params.cat={color: True}"
     with pytest.raises(ConfigError, match=r"actor_params: unknown actor 'cat'.*choices: ant"):
         make_task("task=Ant", "task.task.randomize=True", entry)
+
+
+def test_drives_of_ball_joints_are_named_as_left_out(make_task, walk_clip, caplog) -> None:
+    caplog.set_level(logging.WARNING)
+    params = "++task.task.randomization_params.actor_params.humanoid"
+    make_task(
+        "task=HumanoidAMP",
+        f"task.env.motion_file={walk_clip}",
+        "task.task.randomize=True",
+        f"{params}.dof_properties={{stiffness: {_entry(0.5, 1.5)}}}",
+    )
+    assert "humanoid.dof_properties.stiffness of ball joints; not randomised" in caplog.text
