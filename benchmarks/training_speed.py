@@ -23,7 +23,6 @@ import argparse
 import copy
 import os
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -35,7 +34,7 @@ if "--published" not in sys.argv:
 import torch
 from mujoco.batch import Batch
 
-from benchmarks.from_inside import MeasuredError, train_from_inside
+from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.learning import common_agent
@@ -121,26 +120,16 @@ def train(
         ]
     )
     seed_everything(0)
-    starts: list[float] = []
-    seconds: list[float] = []
-    text = ""
-    epoch = AMPAgent.train_epoch
-
-    def counted(agent: Any) -> Any:
-        nonlocal text
-        if starts:
-            seconds.append(time.perf_counter() - starts[-1])
-        measured = seconds[_WARM_UP_EPOCHS:]
-        if measured:
-            between(agent)
-        if len(measured) == args.epochs:
-            text = at_end(agent, measured)
-            raise MeasuredError
-        starts.append(time.perf_counter())
-        return epoch(agent)
-
-    train_from_inside(cfg, AMPAgent, counted)
-    return text
+    texts: list[str] = []
+    times = EpochTimes(
+        AMPAgent.train_epoch,
+        _WARM_UP_EPOCHS,
+        args.epochs,
+        between,
+        lambda agent: texts.append(at_end(agent, times.seconds)),
+    )
+    train_from_inside(cfg, AMPAgent, times)
+    return texts[0]
 
 
 def profile(args: argparse.Namespace) -> None:
@@ -284,12 +273,14 @@ def published_loop(args: argparse.Namespace) -> None:
 
 def compare(args: argparse.Namespace) -> None:
     """Train with the defaults and as published, in turns."""
-    command = [sys.executable, "-m", "benchmarks.training_speed", "--fps", "--epochs", "5"]
-    command += ["--num-envs", str(args.num_envs), "--threads", str(args.threads), *args.overrides]
-    command += ["--units", *map(str, args.units)]
-    pairs = []
-    for _ in range(args.rounds):
-        pairs.append([_fps_of(command), _fps_of([*command, "--published"])])
+    arguments = ["--fps", "--epochs", "5", "--num-envs", str(args.num_envs)]
+    arguments += ["--threads", str(args.threads), *args.overrides]
+    arguments += ["--units", *map(str, args.units)]
+    this = "benchmarks.training_speed"
+    pairs = [
+        (last_number_of(this, *arguments), last_number_of(this, *arguments, "--published"))
+        for _ in range(args.rounds)
+    ]
     ratios = [ours / published for ours, published in pairs]
     ours, published = (statistics.median(column) for column in zip(*pairs, strict=True))
     print(describe_machine())
@@ -298,11 +289,6 @@ def compare(args: argparse.Namespace) -> None:
         f" {published:,.0f} frames/s; ratio median {statistics.median(ratios):.2f}"
         f" (min {min(ratios):.2f}, max {max(ratios):.2f}, {args.rounds} rounds)"
     )
-
-
-def _fps_of(command: list[str]) -> float:
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return float(done.stdout.split()[-1])
 
 
 def main() -> None:

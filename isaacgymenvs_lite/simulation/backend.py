@@ -113,14 +113,15 @@ class SimulationBackend(Protocol):
         """
         ...
 
-    def sensor(self, name: str) -> Tensor:
-        """Return (N, k) what the model's sensor measured in the last physics step.
+    def sensor(self, *names: str) -> Tensor:
+        """Return (N, k) what sensors of the model measured in the last physics step, side by side.
 
         Zero for environments written since then. MuJoCo's units, and world axes unless the sensor
         has a frame of its own; forces of `contact` sensors are those that their first body exerts.
+        Sensors that stand together in the model, in this order, are read in one go.
 
         Args:
-            name: as in the model.
+            names: as in the model, at least one.
 
         Raises:
             ConfigError: the model has no such sensor.

@@ -10,6 +10,7 @@ whole stages of positions and velocities, several times the work of our own kine
 
 from __future__ import annotations
 
+import itertools
 import logging
 from typing import Any
 
@@ -38,6 +39,7 @@ _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.m
 # A joint faster than this (rad/s or m/s) is no motion but a simulation on its way to infinity;
 # PhysX stopped such bodies at 100 rad/s.
 _MAX_SPEED = 1000.0
+_ROWS_IN_CACHE = 128
 # Attributes that look into the batch's own memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
@@ -173,24 +175,32 @@ class CpuBatchSimulation:
             # Asked for when somebody first wants them: the batch copies them out at every step.
             self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
         dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
-        actuators, passive = (rows.T[dofs] for rows in self._force_rows)
+        actuators, passive = (rows[:, dofs] for rows in self._force_rows)
         return self._measured(actuators + passive)
 
-    def sensor(self, name: str) -> Tensor:
-        """Return (N, k) what a sensor measured; see `SimulationBackend.sensor`."""
+    def sensor(self, *names: str) -> Tensor:
+        """Return (N, k) what sensors measured; see `SimulationBackend.sensor`."""
         self._require_batch()
         columns = self.layout.sensor_columns
-        if name not in columns:
-            raise ConfigError(unknown("sensor of the model", name, columns))
-        return self._measured(self._sensor_rows.T[columns[name]])
+        for name in names:
+            if name not in columns:
+                raise ConfigError(unknown("sensor of the model", name, columns))
+        slices = [columns[name] for name in names]
+        if all(a.stop == b.start for a, b in itertools.pairwise(slices)):
+            return self._measured(self._sensor_rows[:, slices[0].start : slices[-1].stop])
+        return self._measured(self._sensor_rows[:, np.r_[*slices]])
 
-    def _measured(self, planes: np.ndarray) -> Tensor:
-        """Return planes (k, N) of the last physics step as a tensor (N, k)."""
-        # Rows first: a plane of the batch's rows is a number out of each, far from the next.
-        values = np.ascontiguousarray(planes.T.astype(np.float32).T)
+    def _measured(self, rows: np.ndarray) -> Tensor:
+        """Return rows (N, k) of the last physics step as a tensor (N, k), component-major."""
+        planes = np.empty(rows.T.shape, dtype=np.float32)
+        # A plane of the batch's rows is a number out of each, far from the next: block by block
+        # these stay in the cache from one plane to the next.
+        for first in range(0, self.num_envs, _ROWS_IN_CACHE):
+            block = slice(first, first + _ROWS_IN_CACHE)
+            planes[:, block] = rows[block].T
         if self._written.any():
-            values[:, self._written] = 0.0
-        return tensor_of_planes(values)
+            planes[:, self._written] = 0.0
+        return tensor_of_planes(planes)
 
     def _require_bodies(self) -> None:
         self._require_batch()

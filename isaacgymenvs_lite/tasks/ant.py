@@ -133,7 +133,7 @@ class Ant(LocomotionTask):
             self.torso_state(),
             self.potentials - self.prev_potentials,
             self.actions,
-            self.obs_buf[:, 12:20],
-            self.obs_buf[:, 20:28],
+            self.dof_pos_share(),
+            self.dof_vel_scaled(),
             self.env_cfg,
         )

@@ -24,7 +24,7 @@ from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
 from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig, FreshStartTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.wrenches import body_wrenches, torques_about
+from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches, torques_about
 
 _DRIVEN_JOINTS = ("lower_leg_joint0", "lower_leg_joint1", "lower_leg_joint2")
 _BALL_RADIUS_M = 0.1
@@ -177,9 +177,7 @@ class BallBalance(FreshStartTask):
 
     def _tray_wrench(self) -> Tensor:
         """Return (6, N) contact force and torque on the tray, about its middle, in its frame."""
-        tray = self.simulation.root_states.t()[:, None]
-        contacts = self.simulation.sensor("wrench_tray").t()[:, None]
-        return body_wrenches(contacts, tray[:3], tray[3:7])[:, 0]
+        return measure_wrenches(self.simulation, ("tray",))[:, 0]
 
     def compute_reward_terms(self) -> Terms:
         """See `compute_bbot_reward`."""

@@ -31,9 +31,6 @@ _ARM_NM = (67.5, 67.5, 45.0)  # shoulder 1, 2; elbow
 _ALIVE_REWARD = 2.0
 # From this share of its range on a joint counts as at its limit.
 _AT_LIMIT = 0.98
-# What the reward takes from the observation.
-_DOF_POS_SHARE = slice(12, 33)
-_DOF_VEL_SCALED = slice(33, 54)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,8 +178,8 @@ class Humanoid(LocomotionTask):
             self.torso_state(),
             self.potentials - self.prev_potentials,
             self.actions,
-            self.obs_buf[:, _DOF_POS_SHARE],
-            self.obs_buf[:, _DOF_VEL_SCALED],
+            self.dof_pos_share(),
+            self.dof_vel_scaled(),
             self.motor_effort_ratio,
             self.env_cfg,
         )

@@ -19,7 +19,7 @@ from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.wrenches import body_wrenches
+from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches
 from isaacgymenvs_lite.utils.rotations import get_euler_xyz, rotate_components
 
 _TARGET_X_M = 1000.0
@@ -149,7 +149,7 @@ class LocomotionTask(ClassicTask):
     """N bodies with torque motors that shall run along +x."""
 
     foot_names: ClassVar[tuple[str, ...]]
-    """Bodies of the model with sensors `wrench_<body>`, `position_<body>`, `rotation_<body>`."""
+    """Bodies of the model with the sensors of `measure_wrenches`."""
     torques_nm: ClassVar[tuple[float, ...]]
     """Of full actions, by joint."""
 
@@ -191,19 +191,17 @@ class LocomotionTask(ClassicTask):
             self._torso = compute_torso_state(self.simulation.root_states)
         return self._torso
 
-    def foot_wrenches(self) -> Tensor:
-        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames.
+    def dof_pos_share(self) -> Tensor:
+        """Return (N, D) joint positions in their ranges, -1 to 1."""
+        return unscale(self.simulation.dof_pos, self.dof_limits_lower, self.dof_limits_upper)
 
-        The frames are those in which the forces were measured, at the start of the last physics
-        step, so that the kinematics of the whole body are not needed.
-        """
-        sensor, feet = self.simulation.sensor, self.foot_names
-        contacts, positions, rotations = (
-            torch.stack([sensor(f"{what}_{name}").t() for name in feet], dim=1)
-            for what in ("wrench", "position", "rotation")
-        )
-        wrenches = body_wrenches(contacts, positions, rotations.roll(-1, dims=0))
-        return wrenches.transpose(0, 1).flatten(0, 1)
+    def dof_vel_scaled(self) -> Tensor:
+        """Return (N, D) joint velocities as they are observed."""
+        return self.simulation.dof_vel * self.env_cfg.dof_velocity_scale
+
+    def foot_wrenches(self) -> Tensor:
+        """Return (6 K, N) contact forces and torques on the feet, foot by foot, in their frames."""
+        return measure_wrenches(self.simulation, self.foot_names).transpose(0, 1).flatten(0, 1)
 
     @abstractmethod
     def compute_reward_terms(self) -> Terms:

@@ -1,28 +1,65 @@
-"""Contact forces and torques on bodies, from what `contact` sensors of a model measure."""
+"""Contact forces and torques on bodies, from what sensors of a model measure."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.utils.rotations import cross_components, rotate_components
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.utils.rotations import cross_components
+
+# Numbers of a body: force, torque and point of its contact sensor; position and three axes.
+_CONTACT_SIZE, _FRAME_SIZE = 9, 12
+_FRAME_SENSORS = ("position", "xaxis", "yaxis", "zaxis")
 
 
-def body_wrenches(contacts: Tensor, body_pos: Tensor, body_rot: Tensor) -> Tensor:
+def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Tensor:
+    """Return (6, K, N) contact force and torque on K bodies; see `body_wrenches`.
+
+    The frames are those in which the forces were measured, at the start of the last physics step,
+    so that the kinematics of the whole body are not needed.
+
+    Args:
+        simulation: its model has sensors `wrench_<body>` for all of them, and behind these
+            `position_`, `xaxis_`, `yaxis_` and `zaxis_<body>` body by body.
+        bodies: their names.
+
+    Raises:
+        ConfigError: the model has no such sensor.
+    """
+    contacts = [f"wrench_{body}" for body in bodies]
+    frames = [f"{what}_{body}" for body in bodies for what in _FRAME_SENSORS]
+    measured = simulation.sensor(*contacts, *frames).t()
+    contact, frame = (
+        part.unflatten(0, (len(bodies), -1)).transpose(0, 1)
+        for part in measured.split([_CONTACT_SIZE * len(bodies), _FRAME_SIZE * len(bodies)])
+    )
+    return body_wrenches(contact, frame[:3], frame[3:].unflatten(0, (3, 3)))
+
+
+def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tensor:
     """Return (6, K, N) contact force and torque on K bodies, about and in the frames of the bodies.
+
+    In memory they stand body by body, as observations want them.
 
     Args:
         contacts: (9, K, N) what `contact` sensors measure, in world axes: the force that the body
             exerts, its torque about a point, and that point.
         body_pos: (3, K, N) m.
-        body_rot: (4, K, N) xyzw.
+        body_axes: (3, 3, K, N) the x, y and z axis of each body in world axes.
     """
-    back = (*(-body_rot[:3]).unbind(), body_rot[3])
-    exerted, points = contacts[:3].unbind(), (contacts[6:] - body_pos).unbind()
-    moved = cross_components(points, exerted)
-    torques = [-(own + lever) for own, lever in zip(contacts[3:6], moved, strict=True)]
-    forces = [-force for force in exerted]
-    return torch.stack((*rotate_components(back, forces), *rotate_components(back, torques)))
+    forces = -contacts[:3]
+    levers = contacts[6:] - body_pos
+    torques = torch.stack(cross_components(levers, forces)).sub_(contacts[3:6])
+    along = body_axes.transpose(0, 1)
+    wrenches = contacts.new_empty(contacts.shape[1], 6, contacts.shape[2]).transpose(0, 1)
+    for part, vectors in ((wrenches[:3], forces), (wrenches[3:], torques)):
+        # The components in the body's frame are the products with its axes.
+        torch.mul(along[0], vectors[0], out=part)
+        part.addcmul_(along[1], vectors[1]).addcmul_(along[2], vectors[2])
+    return wrenches
 
 
 def torques_about(wrench: Tensor, points: Tensor) -> Tensor:

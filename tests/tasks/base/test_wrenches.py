@@ -25,13 +25,19 @@ def _measured(point: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
     return torch.cat((-force, torque, about), dim=-1).t()[:, None]
 
 
+def _axes(rot: torch.Tensor) -> torch.Tensor:
+    """Return (3, 3, 1, N): a body's x, y and z axis are the columns of its rotation's matrix."""
+    matrices = torch.from_numpy(Rotation.from_quat(rot.numpy()).as_matrix())
+    return matrices.permute(2, 1, 0)[:, :, None]
+
+
 def _to_body(rot: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(Rotation.from_quat(rot.numpy()).inv().apply(vectors.numpy()))
 
 
 def test_a_contact_force_turns_by_its_lever_in_the_frame_of_the_body() -> None:
     rot, pos, point, force = _contact()
-    wrench = body_wrenches(_measured(point, force), pos.t()[:, None], rot.t()[:, None])[:, 0].t()
+    wrench = body_wrenches(_measured(point, force), pos.t()[:, None], _axes(rot))[:, 0].t()
     torque = torch.linalg.cross(point - pos, force)
     torch.testing.assert_close(wrench[:, :3], _to_body(rot, force))
     torch.testing.assert_close(wrench[:, 3:], _to_body(rot, torque))
@@ -39,7 +45,7 @@ def test_a_contact_force_turns_by_its_lever_in_the_frame_of_the_body() -> None:
 
 def test_torques_about_other_points_of_the_body() -> None:
     rot, pos, point, force = _contact()
-    wrench = body_wrenches(_measured(point, force), pos.t()[:, None], rot.t()[:, None])[:, 0]
+    wrench = body_wrenches(_measured(point, force), pos.t()[:, None], _axes(rot))[:, 0]
     sensors = torch.tensor([[0.0, 0.0, 0.0], [0.4, 0.0, 0.1]], dtype=torch.float64)
     torques = torques_about(wrench, sensors)
     lever, pull = _to_body(rot, point - pos), _to_body(rot, force)
