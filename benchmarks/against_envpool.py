@@ -4,9 +4,9 @@
     python -m benchmarks.against_envpool [--num-envs 4096] [--threads 2] [--rounds 3]
         [--envpool-task Ant-v4] [--as-published] [key=value for both]
 
-Both train with cfg/train/AntPPO.yaml (network, horizon, minibatches, gradient steps), in turns, each
-in a process of its own. EnvPool's model is put to the integrator, the time step and the number of
-physics steps of ours; `--as-published` leaves it as it is (Runge-Kutta, 5 x 0.01 s: 20 evaluations
+Both train with cfg/train/AntPPO.yaml (network, horizon, minibatches, gradient steps), in turns,
+each in a process of its own. EnvPool's model is put to the integrator, the time step and the number
+of physics steps of ours; `--as-published` leaves it as it is (Runge-Kutta, 5 x 0.01 s: 20 evaluations
 of the dynamics in a control step where ours has 2). What remains different: its observations (27
 numbers for Ant-v4, 105 with the contact forces of Ant-v5; ours 60), rewards, and when it falls.
 Prints the frames per second of whole epochs and their ratio.
@@ -55,7 +55,7 @@ def main() -> None:
         print(frames_per_second(args))
         return
     try:
-        import envpool
+        import envpool  # type: ignore[import-not-found]
     except ImportError:
         sys.exit("error: EnvPool is not installed; pip install envpool==1.2.5")
     words = [word for word in sys.argv[1:] if word not in ("--rounds", str(args.rounds))]
@@ -138,8 +138,8 @@ def train_over_envpool(cfg: DictConfig, args: argparse.Namespace, folder: Path) 
 
 
 def model_like_ours(cfg: DictConfig, folder: Path) -> dict[str, Any]:
-    """Write EnvPool's model with our integrator and time step; return what EnvPool shall be told."""
-    import envpool
+    """Write EnvPool's model with our integrator and time step; return settings that name it."""
+    import envpool  # type: ignore[import-not-found]
 
     small = cfg.copy()
     small.task.env.numEnvs = 1

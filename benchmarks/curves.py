@@ -1,10 +1,11 @@
 """Draws learning curves of runs and prints their table for docs/.
 
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
-        [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved]
+        [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved] [--returns]
 
 A target is a run folder or the name of an experiment: one thin line for each seed, the median
 thick. `--saved` draws the curves of experiments that benchmarks/results keeps, without their runs.
+`--returns` draws the return of training episodes, a panel for each experiment: classic tasks.
 Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
 """
 
@@ -67,17 +68,42 @@ def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     panels = figure.subplots(1, len(_PANELS))
     for panel, (name, title) in zip(panels, _PANELS.items(), strict=True):
         for i, (experiment, seeds) in enumerate(curves.items()):
-            lines = [line_of(curve[name], against) for curve in seeds]
-            for x, y in lines:
-                panel.plot(x, y, color=f"C{i}", linewidth=0.6, alpha=0.6)
-            panel.plot(*median_line(lines), color=f"C{i}", linewidth=2.0, label=experiment)
-        panel.set_title(title, fontsize=10)
-        panel.set_xlabel(_AXES[against][0])
+            _draw_seeds(panel, [curve[name] for curve in seeds], against, f"C{i}", experiment)
+        _finish(panel, title, against)
         panel.set_ylim(0.0, _top([curve[name] for seeds in curves.values() for curve in seeds]))
-        panel.grid(alpha=0.3)
     panels[0].axhline(GOOD_EPISODE_STEPS, color="0.4", linestyle=":", linewidth=1.0)
     panels[0].legend(fontsize=8, loc="lower right")
     figure.savefig(path)
+
+
+def draw_returns(curves: Curves, path: Path, against: str = "frames") -> None:
+    """Write a picture of the returns in training, a panel for each experiment.
+
+    Raises:
+        ConfigError: as `draw`.
+    """
+    figure: Any = _figure(path, num_panels=len(curves))
+    panels = figure.subplots(1, len(curves), squeeze=False)[0]
+    for panel, (experiment, seeds) in zip(panels, curves.items(), strict=True):
+        _draw_seeds(panel, [curve["episode_return"] for curve in seeds], against, "C0")
+        _finish(panel, experiment, against)
+    panels[0].set_ylabel("return of training episodes", fontsize=10)
+    figure.savefig(path)
+
+
+def _draw_seeds(
+    panel: Any, seeds: Sequence[Series], against: str, color: str, label: str | None = None
+) -> None:
+    lines = [line_of(series, against) for series in seeds]
+    for x, y in lines:
+        panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6)
+    panel.plot(*median_line(lines), color=color, linewidth=2.0, label=label)
+
+
+def _finish(panel: Any, title: str, against: str) -> None:
+    panel.set_title(title, fontsize=10)
+    panel.set_xlabel(_AXES[against][0])
+    panel.grid(alpha=0.3)
 
 
 def _top(series: Sequence[Series]) -> float | None:
@@ -86,7 +112,7 @@ def _top(series: Sequence[Series]) -> float | None:
     return 1.1 * float(np.percentile(values, 99)) if len(values) else None
 
 
-def _figure(path: Path) -> Any:
+def _figure(path: Path, num_panels: int = len(_PANELS)) -> Any:
     try:
         from matplotlib.figure import Figure  # type: ignore[import-not-found]
     except ImportError as error:
@@ -95,7 +121,8 @@ def _figure(path: Path) -> Any:
         ) from error
     if not path.absolute().parent.is_dir():
         raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
-    return Figure(figsize=(12.0, 3.6), dpi=110, layout="constrained")
+    width = max(12.0, 2.4 * num_panels)
+    return Figure(figsize=(width, 3.6), dpi=110, layout="constrained")
 
 
 def markdown_table(curves: Curves) -> str:
@@ -118,6 +145,20 @@ def markdown_table(curves: Curves) -> str:
             spread_cell([_frames_per_s(c) for c in seeds], ",.0f"),
             spread_cell([c["episode_length"].last for c in seeds], ".0f"),
             spread_cell([c["pose_error_m"].last for c in seeds], ".3f"),
+        ]
+        lines.append(f"| {experiment} | {len(seeds)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def markdown_table_of_returns(curves: Curves) -> str:
+    """Return a table of the returns of training episodes: medians with the extremes."""
+    lines = ["| experiment | seeds | frames (M) | last return | best return |", "|---" * 5 + "|"]
+    for experiment, seeds in curves.items():
+        returns = [curve["episode_return"] for curve in seeds]
+        cells = [
+            spread_cell([s.frames[-1] / 1e6 if len(s) else None for s in returns], ".1f"),
+            spread_cell([s.last for s in returns], ",.1f"),
+            spread_cell([float(s.values.max()) if len(s) else None for s in returns], ",.1f"),
         ]
         lines.append(f"| {experiment} | {len(seeds)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -152,12 +193,16 @@ def main() -> None:
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
     parser.add_argument("--saved", action="store_true", help="curves that were kept")
+    parser.add_argument("--returns", action="store_true", help="returns of classic tasks")
     args = parser.parse_intermixed_args()
+    table, picture = (
+        (markdown_table_of_returns, draw_returns) if args.returns else (markdown_table, draw)
+    )
     try:
         curves = _saved(args.targets) if args.saved else _of_runs(args.targets, args.runs_dir)
-        print(markdown_table(curves))
+        print(table(curves))
         if args.out:
-            draw(curves, args.out, args.against)
+            picture(curves, args.out, args.against)
             print(f"wrote {args.out}")
     except UserError as error:
         sys.exit(f"error: {error}")

@@ -128,9 +128,14 @@ def evaluate_and_report(
         for file in write_records(records, results_dir):
             print(f"wrote {file}")
         for run in runs:
-            curve = read_learning_curve(run.folder / "summaries")
-            save_curve(curve, results_dir / CURVES / f"{run.folder.resolve().name}.json")
+            keep_curve(run, results_dir)
     return records
+
+
+def keep_curve(run: Run, results_dir: Path) -> None:
+    """Write a run's learning curve into `results_dir`."""
+    curve = read_learning_curve(run.folder / "summaries")
+    save_curve(curve, results_dir / CURVES / f"{run.folder.resolve().name}.json")
 
 
 def main() -> None:

@@ -12,17 +12,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 FloatArray = npt.NDArray[np.float64]
 
-# Written after every epoch, the first one of a resumed run included: the curve's clock.
-_CLOCK_TAG = "performance/total_fps"
 TAGS = {
-    "fps": _CLOCK_TAG,
-    "episode_length": "episode_lengths/frame",
-    "pose_error_m": "imitation/pose_error_m",
-    "no_fall_share": "imitation/no_fall_share",
-    "tempo": "imitation/tempo",
-    "style_reward": "info/disc_reward_mean",
+    # Written after every epoch, the first one of a resumed run included: the curve's clock.
+    "fps": ("performance/total_fps", "performance/step_inference_rl_update_fps"),
+    "episode_length": ("episode_lengths/frame", "episode_lengths/step"),
+    "pose_error_m": ("imitation/pose_error_m",),
+    "no_fall_share": ("imitation/no_fall_share",),
+    "tempo": ("imitation/tempo",),
+    "style_reward": ("info/disc_reward_mean",),
+    "episode_return": ("rewards/frame", "rewards/step"),
 }
-"""Names of curves -> scalars of a run."""
+"""Names of curves -> scalar of our agents' runs, and of rl_games' own where it differs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +106,9 @@ def _read_file(file: Path) -> dict[str, FloatArray]:
     events.Reload()
     present = events.Tags()["scalars"]
     rows: dict[str, FloatArray] = {}
-    for name, tag in TAGS.items():
-        scalars = events.Scalars(tag) if tag in present else []
+    for name, tags in TAGS.items():
+        tag = next((tag for tag in tags if tag in present), None)
+        scalars = events.Scalars(tag) if tag else []
         start = events.FirstEventTimestamp() if scalars else 0.0
         rows[name] = np.array(
             [(e.step, (e.wall_time - start) / 60.0, e.value) for e in scalars], dtype=np.float64

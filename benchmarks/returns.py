@@ -5,7 +5,8 @@
 
 Targets are those of `benchmarks.evaluate`. 128 episodes, one in each environment, the same starts
 for all policies; mean actions, no noise. The return is the sum of the task's rewards of an episode,
-as the task pays them. `--write` adds the numbers to benchmarks/results.
+as the task pays them. `--write` adds the numbers to benchmarks/results, and keeps the learning
+curves there.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.evaluate import RESULTS_DIR
+from benchmarks.evaluate import RESULTS_DIR, keep_curve
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import SEED, play_checkpoint
 from benchmarks.runs import DEFAULT_RUNS_DIR
@@ -90,6 +91,7 @@ def main(words: list[str] | None = None) -> None:
                     EPISODES,
                     found.max_steps,
                 )
+                keep_curve(run, args.results_dir)
     except UserError as error:
         sys.exit(f"error: {error}")
     for experiment, group in found_of.items():

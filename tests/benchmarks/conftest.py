@@ -39,7 +39,8 @@ def write_events(monkeypatch: pytest.MonkeyPatch) -> WriteEvents:
     """Return write(summaries, lengths, first_epoch=0, start_s=1000.0, poses={}).
 
     It writes what one process leaves behind that trains one epoch of 100 frames a minute: one value
-    of `lengths` as mean episode length for each, None for none; poses: epoch -> pose error (m).
+    of `lengths` as mean episode length for each, None for none, ten times that as return; poses:
+    epoch -> pose error (m).
     """
 
     def write(
@@ -60,6 +61,7 @@ def write_events(monkeypatch: pytest.MonkeyPatch) -> WriteEvents:
             writer.add_scalar("info/disc_reward_mean", 0.5, frame, walltime=clock.now_s)
             if length is not None:
                 writer.add_scalar("episode_lengths/frame", length, frame, walltime=clock.now_s)
+                writer.add_scalar("rewards/step", 10 * length, frame, walltime=clock.now_s)
             if poses and epoch in poses:
                 value = poses[epoch]
                 writer.add_scalar("imitation/pose_error_m", value, frame, walltime=clock.now_s)

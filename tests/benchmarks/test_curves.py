@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks import curves
-from benchmarks.curves import draw, markdown_table, median_line
+from benchmarks.curves import (
+    draw,
+    draw_returns,
+    markdown_table,
+    markdown_table_of_returns,
+    median_line,
+)
 from benchmarks.learning_curve import read_learning_curve
 from isaacgymenvs_lite.errors import ConfigError
 
@@ -62,6 +68,21 @@ def test_picture(two_seeds, tmp_path, against):
     pytest.importorskip("matplotlib")
     path = tmp_path / "curves.png"
     draw(two_seeds, path, against)
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_of_returns(two_seeds):
+    row = markdown_table_of_returns(two_seeds).splitlines()[2]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    # ten times the lengths 290 and 30 at frames 300 and 200
+    assert cells[:2] == ["walk", "2"]
+    assert cells[3] == "1,600.0 (300.0 to 2,900.0)"
+
+
+def test_picture_of_returns(two_seeds, tmp_path):
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "returns.png"
+    draw_returns(two_seeds | {"run": two_seeds["walk"]}, path)
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
