@@ -6,9 +6,10 @@
 
 Both train with cfg/train/AntPPO.yaml (network, horizon, minibatches, gradient steps), in turns,
 each in a process of its own. EnvPool's model is put to the integrator, the time step and the number
-of physics steps of ours; `--as-published` leaves it as it is (Runge-Kutta, 5 x 0.01 s: 20 evaluations
-of the dynamics in a control step where ours has 2). What remains different: its observations (27
-numbers for Ant-v4, 105 with the contact forces of Ant-v5; ours 60), rewards, and when it falls.
+of physics steps of ours; `--as-published` leaves it as it is (Runge-Kutta, 5 x 0.01 s: 20
+evaluations of the dynamics in a control step where ours has 2). What remains different: its
+observations (27 numbers for Ant-v4, 105 with the contact forces of Ant-v5; ours 60), rewards, and
+when it falls.
 Prints the frames per second of whole epochs and their ratio.
 """
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, read_section, setting
+
+_log = logging.getLogger(__name__)
 
 # The names in the factories of rl_games' network builder.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
@@ -88,6 +91,10 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
         check_unknown_keys(network, _KEYS, where)
         if "mlp" not in network:
             raise missing_key("mlp", network, _KEYS, where, "expected the hidden layers' section")
+        if network.get("inputs"):
+            _log.warning(
+                "%s.inputs: the tasks observe one vector, not named parts; no effect", where
+            )
     own = {key: network[key] for key in keys_of(LatentSettings) if key in network}
     read_section(LatentSettings, own, where)
     for section in _LAYER_SECTIONS:
