@@ -25,13 +25,12 @@ from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.notes import physx_only_keys
 from isaacgymenvs_lite.config.train_files import merge_defaults
-from isaacgymenvs_lite.config.train_params import prepare_train_params
+from isaacgymenvs_lite.config.train_params import checkpoint_in_file, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 
 EXIT_USER_ERROR = 2
-# Keys of train files that were read by IsaacGymEnvs or rl_games once, by nothing here.
-_UNREAD = ("load_checkpoint", "load_path")
+# Keys of `config` that were read by IsaacGymEnvs or rl_games once, by nothing here.
 _UNREAD_CONFIG = (
     *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),
     *("lr_threshold", "use_others_experience", "num_seed_steps", "max_env_steps"),
@@ -91,6 +90,7 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
 
 def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
     # torch, MuJoCo and rl_games: once the configuration is known to compose
+    from isaacgymenvs_lite.checkpoints import resolve_checkpoint
     from isaacgymenvs_lite.making import make_from_config
     from isaacgymenvs_lite.registration import build_runner
     from isaacgymenvs_lite.runner import registered_names
@@ -111,6 +111,8 @@ def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
     finally:
         task.close()
     lines += _train_lines(params)
+    if path := checkpoint_in_file(cfg):
+        lines.append(f"goes on from {resolve_checkpoint(path, 'runs', str(cfg.task.name))}")
     unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
     if unread:
         lines.append(f"no effect here: {', '.join(unread)}")
@@ -211,9 +213,7 @@ def _network_line(network: Mapping[str, Any]) -> str:
 
 
 def _unread_train_keys(cfg: DictConfig) -> list[str]:
-    params = cfg.train.params
-    unread = [f"params.{key}" for key in _UNREAD if key in params]
-    return unread + [f"params.config.{key}" for key in _UNREAD_CONFIG if key in params.config]
+    return [f"params.config.{key}" for key in _UNREAD_CONFIG if key in cfg.train.params.config]
 
 
 @contextmanager

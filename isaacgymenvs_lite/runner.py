@@ -22,7 +22,11 @@ from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.notes import startup_notes
 from isaacgymenvs_lite.config.seeds import resolve_seed
-from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.config.train_params import (
+    KnownNames,
+    checkpoint_in_file,
+    prepare_train_params,
+)
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.amp_config import UNREAD_KEYS, GenAMPParams
@@ -79,7 +83,7 @@ class Session:
         self._run_name = settings.full_experiment_name or _new_run_name(train_dir, self._name)
         self._folder = RunFolder(train_dir, self._run_name)
         self._checkpoint = checkpoints.resolve_checkpoint(
-            settings.checkpoint,
+            settings.checkpoint or checkpoint_in_file(cfg),
             train_dir,
             str(cfg.task.name),
             str(OmegaConf.select(cfg, "train.params.network.name") or ""),

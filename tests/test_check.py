@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.check import describe, main
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
 TRAIN_FILES = sorted(path.stem for path in (cfg_dir() / "train").glob("*.yaml"))
@@ -27,7 +27,6 @@ def test_a_train_file_in_words() -> None:
         "samples: 4,096 environments x 16 steps = 65,536 in an epoch;"
         " 4 times 2 minibatches of 32,768",
         "length: 500 epochs, 32,768,000 steps",
-        "no effect here: params.load_checkpoint, params.load_path",
         "nothing is wrong with it",
     ]
 
@@ -50,6 +49,16 @@ def test_keys_that_nothing_reads_are_named(tmp_path: Path) -> None:
     assert "task=Ant;" in lines[0]
     assert any("no effect here:" in line and "params.config.lr_threshold" in line for line in lines)
     assert any("nothing reads train.params.config.zebra" in line for line in lines)
+
+
+def test_a_checkpoint_that_the_file_asks_for(tmp_path: Path) -> None:
+    file, weights = tmp_path / "AntMine.yaml", tmp_path / "Ant.pth"
+    asked = f"params: {{load_checkpoint: True, load_path: {weights}}}\n"
+    file.write_text(f"defaults: [AntPPO, _self_]\n{asked}")
+    with pytest.raises(CheckpointError, match=f"no file {weights}"):
+        describe(str(file))
+    weights.touch()
+    assert f"goes on from {weights}" in describe(str(file))
 
 
 def test_a_task_by_the_algorithm_if_the_name_is_no_help(tmp_path: Path) -> None:

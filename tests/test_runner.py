@@ -214,8 +214,15 @@ def test_measuring_imitation_does_not_change_the_training(tmp_path, walk_clip, c
 # --- resume and play --------------------------------------------------------------------------
 
 
-def test_training_goes_on_from_a_checkpoint(in_tmp, walk_clip, checkpoint):
-    run(tiny(walk_clip, f"checkpoint={checkpoint}", "max_iterations=3"))
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ("checkpoint={}",),
+        ("train.params.load_checkpoint=True", "train.params.load_path={}"),  # by the train file
+    ],
+)
+def test_training_goes_on_from_a_checkpoint(in_tmp, walk_clip, checkpoint, asked):
+    run(tiny(walk_clip, *(key.format(checkpoint) for key in asked), "max_iterations=3"))
     (folder,) = (in_tmp / "runs").iterdir()
     loaded = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP.pth")
     assert loaded["epoch"] == 3

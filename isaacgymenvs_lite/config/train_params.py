@@ -112,6 +112,24 @@ def prepare_train_params(
     return params
 
 
+def checkpoint_in_file(cfg: DictConfig) -> str:
+    """Return the checkpoint that the train file itself asks for, '' for none.
+
+    IsaacGymEnvs' files ask for what `checkpoint=` says; in others `load_checkpoint: True` and a
+    path may stand. rl_games 1.6.5 reads neither key, its first versions did.
+
+    Raises:
+        ConfigError: it asks for one and names none.
+    """
+    params = cfg.train.params
+    if not params.get("load_checkpoint") or cfg.get("checkpoint"):
+        return ""
+    path = params.get("load_path")
+    if not path:
+        raise ConfigError(f"{_WHERE}.load_checkpoint=True: load_path is empty; give a .pth file")
+    return str(path)
+
+
 def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
     """Let max_iterations and experiment of the command line count in any train file, in place.
 
