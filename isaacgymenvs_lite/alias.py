@@ -4,7 +4,7 @@
 
 For this one process, `isaacgymenvs` and everything below it mean this package; nothing is
 installed under that name. Scripts import `isaacgym` before torch, because Isaac Gym wanted that:
-here it is an empty module, whose first use says what to do instead.
+here it is an empty module, whose first use says what to do instead; `isaacgym.torch_utils` is not.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ _OLD, _NEW = "isaacgymenvs", "isaacgymenvs_lite"
 _SIMULATOR = "isaacgym"
 # Modules that are called otherwise here.
 _RENAMED = {
-    "utils.torch_jit_utils": "utils.rotations",
-    "utils.rlgames_utils": "wrappers.rl_games_env",
+    f"utils.{name}": f"published.{name}"
+    for name in ("torch_jit_utils", "rlgames_utils", "reformat", "utils")
 }
+# The one module of the simulator's package that needs no simulator.
+_ROTATIONS = f"{_SIMULATOR}.torch_utils", "utils.torch_jit_utils"
 EXIT_USER_ERROR = 2
 
 
@@ -46,6 +48,8 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
         """Return the module that the name stands for."""
         root, _, rest = spec.name.partition(".")
+        if spec.name == _ROTATIONS[0]:
+            root, rest = _OLD, _ROTATIONS[1]
         if root == _SIMULATOR:
             return _NoSimulator(spec.name)
         name = ".".join(part for part in (_NEW, _RENAMED.get(rest, rest)) if part)

@@ -12,9 +12,13 @@ import isaacgymenvs
 import sys
 import torch
 import neighbour
+from isaacgym.torch_utils import quat_rotate, to_torch
 from isaacgymenvs.tasks import isaacgym_task_map
 from isaacgymenvs.tasks.base.vec_task import VecTask
-from isaacgymenvs.utils.torch_jit_utils import quat_mul
+from isaacgymenvs.utils.reformat import omegaconf_to_dict, print_dict
+from isaacgymenvs.utils.rlgames_utils import RLGPUAlgoObserver, get_rlgames_env_creator
+from isaacgymenvs.utils.torch_jit_utils import compute_rot, quat_mul, unscale
+from isaacgymenvs.utils.utils import set_np_formatting, set_seed
 import isaacgymenvs_lite.tasks.base.vec_task as own
 
 assert own.VecTask is VecTask  # one class, not two copies of it

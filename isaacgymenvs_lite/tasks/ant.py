@@ -15,9 +15,9 @@ from isaacgymenvs_lite.tasks.base.locomotion import (
     LocomotionTask,
     TorsoState,
     running_terms,
-    unscale,
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
+from isaacgymenvs_lite.utils.scaling import unscale
 
 _ALIVE_REWARD = 0.5
 _AT_LIMIT = 0.99

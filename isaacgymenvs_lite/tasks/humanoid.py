@@ -18,10 +18,10 @@ from isaacgymenvs_lite.tasks.base.locomotion import (
     LocomotionTask,
     TorsoState,
     running_terms,
-    unscale,
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
 from isaacgymenvs_lite.utils.rotations import normalize_angle
+from isaacgymenvs_lite.utils.scaling import unscale
 
 # Torques of full actions.
 _ABDOMEN_NM = (67.5, 67.5, 67.5)  # z, y, x

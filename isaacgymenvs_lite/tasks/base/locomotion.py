@@ -21,6 +21,7 @@ from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches
 from isaacgymenvs_lite.utils.rotations import get_euler_xyz, rotate_components
+from isaacgymenvs_lite.utils.scaling import unscale
 
 _TARGET_X_M = 1000.0
 _START_POS_NOISE_RAD = 0.2
@@ -138,11 +139,6 @@ def running_terms(
         "up": up_reward(torso.up_proj, cfg.up_weight),
         "actions": actions.square().sum(-1) * -cfg.actions_cost,
     }
-
-
-def unscale(values: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
-    """Return values (N, D) with lower (D,) as -1 and upper (D,) as 1."""
-    return (2.0 * values - (upper + lower)) / (upper - lower)
 
 
 class LocomotionTask(ClassicTask):

@@ -1,0 +1,21 @@
+"""The names of IsaacGymEnvs' `utils.reformat`."""
+
+from __future__ import annotations
+
+import pprint
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+__all__ = ["omegaconf_to_dict", "print_dict"]
+
+
+def omegaconf_to_dict(d: DictConfig) -> dict[str, Any]:
+    """Return a configuration as plain dictionaries, interpolations resolved."""
+    return OmegaConf.to_container(d, resolve=True)  # type: ignore[return-value]
+
+
+def print_dict(val: Any, nesting: int = -4, start: bool = True) -> None:
+    """Write nested dictionaries on standard output; the last two arguments have no effect."""
+    del nesting, start
+    pprint.pprint(val, sort_dicts=False)

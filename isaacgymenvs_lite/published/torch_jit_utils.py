@@ -1,0 +1,183 @@
+"""The names of IsaacGymEnvs' `utils.torch_jit_utils`, and of `isaacgym.torch_utils`.
+
+Quaternions are xyzw. Rotations are those of `utils.rotations`; nothing is compiled.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.utils.rotations import (
+    calc_heading,
+    calc_heading_quat,
+    calc_heading_quat_inv,
+    exp_map_to_angle_axis,
+    exp_map_to_quat,
+    get_euler_xyz,
+    normalize,
+    normalize_angle,
+    quat_apply,
+    quat_conjugate,
+    quat_diff_rad,
+    quat_from_angle_axis,
+    quat_from_euler_xyz,
+    quat_mul,
+    quat_rotate,
+    quat_rotate_inverse,
+    quat_to_angle_axis,
+    quat_to_exp_map,
+    quat_to_tan_norm,
+    quat_unit,
+    slerp,
+)
+from isaacgymenvs_lite.utils.scaling import scale, unscale
+
+__all__ = [
+    "calc_heading",
+    "calc_heading_quat",
+    "calc_heading_quat_inv",
+    "compute_heading_and_up",
+    "compute_rot",
+    "copysign",
+    "exp_map_to_angle_axis",
+    "exp_map_to_quat",
+    "get_axis_params",
+    "get_basis_vector",
+    "get_euler_xyz",
+    "my_quat_rotate",
+    "normalize",
+    "normalize_angle",
+    "quat_apply",
+    "quat_axis",
+    "quat_conjugate",
+    "quat_diff_rad",
+    "quat_from_angle_axis",
+    "quat_from_euler_xyz",
+    "quat_mul",
+    "quat_rotate",
+    "quat_rotate_inverse",
+    "quat_to_angle_axis",
+    "quat_to_exp_map",
+    "quat_to_tan_norm",
+    "quat_unit",
+    "saturate",
+    "scale",
+    "scale_transform",
+    "slerp",
+    "tensor_clamp",
+    "to_torch",
+    "torch_rand_float",
+    "torch_random_dir_2",
+    "unscale",
+    "unscale_transform",
+]
+
+my_quat_rotate = quat_rotate
+get_basis_vector = quat_rotate
+scale_transform = unscale
+unscale_transform = scale
+
+
+def to_torch(
+    x: object,
+    dtype: torch.dtype = torch.float,
+    device: str | torch.device = "cpu",
+    requires_grad: bool = False,
+) -> Tensor:
+    """Return numbers as a tensor. The device there is cuda:0 by default."""
+    return torch.tensor(x, dtype=dtype, device=device, requires_grad=requires_grad)
+
+
+def get_axis_params(
+    value: float, axis_idx: int, x_value: float = 0.0, dtype: type = float, n_dims: int = 3
+) -> list[float]:
+    """Return a list of zeros with `value` at the axis; `x_value` in front, unless the axis is."""
+    params = [0.0] * n_dims
+    params[0] = x_value
+    params[axis_idx] = value
+    return [dtype(entry) for entry in params]
+
+
+def torch_rand_float(
+    lower: float, upper: float, shape: tuple[int, int], device: str | torch.device
+) -> Tensor:
+    """Return uniform random numbers of a shape in [lower, upper)."""
+    return (upper - lower) * torch.rand(*shape, device=device) + lower
+
+
+def torch_random_dir_2(shape: tuple[int, int], device: str | torch.device) -> Tensor:
+    """Return random unit vectors (*shape, 2), the last dimension of shape (n, 1) replaced."""
+    angle = torch_rand_float(-torch.pi, torch.pi, shape, device).squeeze(-1)
+    return torch.stack((torch.cos(angle), torch.sin(angle)), dim=-1)
+
+
+def tensor_clamp(t: Tensor, min_t: Tensor, max_t: Tensor) -> Tensor:
+    """Return t within tensors of limits."""
+    return t.clamp(min_t, max_t)
+
+
+saturate = tensor_clamp
+
+
+def copysign(a: float, b: Tensor) -> Tensor:
+    """Return |a| with the signs of b (n,)."""
+    return torch.copysign(torch.full_like(b, abs(a)), b)
+
+
+def quat_axis(q: Tensor, axis: int = 0) -> Tensor:
+    """Return (n, 3) the axes that rotations (n, 4) make of the world's axis."""
+    basis = torch.zeros(len(q), 3, device=q.device, dtype=q.dtype)
+    basis[:, axis] = 1.0
+    return quat_rotate(q, basis)
+
+
+def compute_heading_and_up(
+    torso_rotation: Tensor,
+    inv_start_rot: Tensor,
+    to_target: Tensor,
+    vec0: Tensor,
+    vec1: Tensor,
+    up_idx: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Return how n torsos are turned and where they face.
+
+    Args:
+        torso_rotation: (n, 4).
+        inv_start_rot: (n, 4) inverse of the rotation at the start.
+        to_target: (n, 3) m.
+        vec0: (n, 3) what is ahead in the torso's frame.
+        vec1: (n, 3) what is up there.
+        up_idx: index of the world's vertical axis.
+
+    Returns:
+        rotation since the start (n, 4), share of `vec1` that is up (n,), share of `vec0` that
+        points at the target (n,), `vec1` (n, 3) and `vec0` (n, 3) in the world.
+    """
+    torso_quat = quat_mul(torso_rotation, inv_start_rot)
+    up, heading = quat_rotate(torso_quat, vec1), quat_rotate(torso_quat, vec0)
+    heading_proj = (heading * normalize(to_target)).sum(-1)
+    return torso_quat, up[:, up_idx], heading_proj, up, heading
+
+
+def compute_rot(
+    torso_quat: Tensor, velocity: Tensor, ang_velocity: Tensor, targets: Tensor, positions: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Return how n torsos move in their frames, and how they are turned to a target.
+
+    Args:
+        torso_quat: (n, 4).
+        velocity: (n, 3) m/s in the world.
+        ang_velocity: (n, 3) rad/s in the world.
+        targets: (n, 3) m.
+        positions: (n, 3) m.
+
+    Returns:
+        both velocities (n, 3) in the torsos' frames, roll, pitch, yaw (n,) in [0, 2 pi), and the
+        angle to the target (n,), which takes the third coordinate for the second as IsaacGymEnvs.
+    """
+    roll, pitch, yaw = get_euler_xyz(torso_quat)
+    away = targets - positions
+    angle = torch.atan2(away[:, 2], away[:, 0]) - yaw
+    local = quat_rotate_inverse(torso_quat, velocity)
+    return local, quat_rotate_inverse(torso_quat, ang_velocity), roll, pitch, yaw, angle
