@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from isaacgymenvs_lite.config.run_settings import RunSettings
 from isaacgymenvs_lite.schema import setting
@@ -48,7 +49,8 @@ class SACSettings(RunSettings):
     """Critic updates for each update of the actor."""
     critic_grad_clip: float = setting(5.0, minimum=0)
     """0 for none."""
-    mixed_precision: bool = setting(False)
+    mixed_precision: Any = setting(False, choices=(True, False, "auto"))
+    """bfloat16, on a CPU in the hidden layers; auto measures whether it is faster there."""
 
 
 # Written by the launcher, or found in published files and read by nothing.

@@ -7,8 +7,10 @@ from typing import Any
 import torch
 from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
+from torch import Tensor, nn
 
 from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
+from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 
 
 class SACAgent(RLGamesSACAgent):
@@ -18,10 +20,31 @@ class SACAgent(RLGamesSACAgent):
     resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
     MB): a resumed run acts by its policy until a batch is there, and learns then.
 
+    `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
+    values of some hundreds in bfloat16 are apart by more than what a step is paid. rl_games' own
+    switch means CUDA autocast.
+
     Args:
         base_name: name for rl_games' bookkeeping.
         params: the section `params` of a train file, prepared by the Runner.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
     """
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        config = params["config"]
+        device = torch.device(config.get("device", "cuda:0"))
+        on_cpu = device.type == "cpu"
+        bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
+        config["mixed_precision"] = bfloat16 and not on_cpu
+        super().__init__(base_name, params)
+        if bfloat16 and on_cpu:
+            network = self.model.sac_network
+            for critic in (network.critic, network.critic_target):
+                compute_hidden_layers_in_bfloat16(critic.Q1)
+                compute_hidden_layers_in_bfloat16(critic.Q2)
+            compute_hidden_layers_in_bfloat16(network.actor.trunk)
 
     @property
     def curr_frames(self) -> int:
@@ -51,6 +74,22 @@ class SACAgent(RLGamesSACAgent):
             nothing = torch.zeros((), device=self._device)
             return (nothing, nothing, self.alpha.detach(), None), nothing, nothing
         return super().update(step)
+
+
+def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:
+    """Let all layers but the last compute under autocast to bfloat16, on a CPU, in place.
+
+    Parameters, their gradients and the outputs stay float32.
+    """
+    *hidden, last = network
+
+    def forward(inputs: Tensor) -> Tensor:
+        with torch.autocast("cpu", torch.bfloat16):
+            for layer in hidden:
+                inputs = layer(inputs)
+        return last(inputs.float())
+
+    network.forward = forward
 
 
 class SACPlayer(EpisodePlayer, RLGamesSACPlayer):

@@ -16,6 +16,7 @@ SMALL = (
     "train.params.config.batch_size=64",
     "train.params.config.num_warmup_steps=2",
     "train.params.config.replay_buffer_size=2000",
+    "train.params.config.mixed_precision=False",
     "train.params.network.mlp.units=[32,32]",
 )
 
@@ -40,6 +41,40 @@ def test_it_learns_only_after_the_warm_up(make_classic_agent) -> None:
     after = list(agent.model.sac_network.actor.parameters())
     assert not any(map(torch.equal, before, after))
     assert agent.curr_frames == 8 * 8
+
+
+def test_hidden_layers_in_bfloat16_give_nearly_the_same_in_float32(make_classic_agent) -> None:
+    agent = make_classic_agent(*SMALL, "train.params.config.mixed_precision=True")
+    plain = make_classic_agent(*SMALL)
+    plain.model.load_state_dict(agent.model.state_dict())
+    torch.manual_seed(1)
+    obs, actions = 3.0 * torch.randn(200, 60), torch.rand(200, 8)
+    rounded, exact = agent.model.critic(obs, actions)[0], plain.model.critic(obs, actions)[0]
+    assert rounded.dtype == torch.float32
+    assert (rounded != exact).any()
+    # bfloat16 has 8 bits: each of 32 summands of an output is off by 2^-9 of itself, per layer.
+    torch.testing.assert_close(rounded, exact, rtol=0.02, atol=0.02 * exact.abs().max().item())
+    rounded.sum().backward()
+    weights = agent.model.sac_network.critic.Q1[0].weight
+    assert weights.dtype == weights.grad.dtype == torch.float32
+    assert weights.grad.abs().max() > 0
+    # Values of hundreds keep their digits: the last layer is not rounded.
+    last = agent.model.sac_network.critic.Q1[-1]
+    with torch.no_grad():
+        last.bias.fill_(500.0)
+    shifted = agent.model.critic(obs, actions)[0]
+    assert len(shifted.unique()) > 150  # in bfloat16 they would be 2 apart
+
+
+def test_it_trains_in_bfloat16(make_classic_agent) -> None:
+    agent = make_classic_agent(
+        *SMALL, "max_iterations=6", "train.params.config.mixed_precision=True"
+    )
+    before = [parameter.clone() for parameter in agent.model.parameters()]
+    agent.train()
+    after = list(agent.model.parameters())
+    assert not any(map(torch.equal, before, after))
+    assert all(parameter.isfinite().all() for parameter in after)
 
 
 def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_path: Path) -> None:
