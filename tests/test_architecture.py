@@ -27,6 +27,7 @@ FORBIDDEN = {
     "config": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
     "rendering": {"tasks", "learning", "runner", "registration"},
     "policies": {"tasks", "learning", "simulation", "runner", "registration"},
+    "report": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
 # Nobody imports those that stand above:
