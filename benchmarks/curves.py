@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.evaluate import CURVES, RESULTS_DIR
-from benchmarks.learning_curve import FloatArray, LearningCurve, Series, read_learning_curve
+from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
 from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.report.scalars import FloatArray, Series
 
 _PANELS = {
     "episode_length": "episode length in training (steps)",

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.learning_curve import LearningCurve, Series
+from benchmarks.learning_curve import LearningCurve
 from benchmarks.records import GOOD_EPISODE_STEPS
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.report.scalars import Series
 
 _POINTS = 100
 _SIGNIFICANT_DIGITS = 5

@@ -194,7 +194,7 @@ def resolve_checkpoint(
         checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, or the
             name of a shipped policy.
         train_dir: folder of the run folders.
-        task_name: the task whose runs `last` looks at.
+        task_name: the task whose runs `last` looks at; '': all.
         network_name: of these, those with networks of this name; '': all. Several levels of a
             hierarchy are trained on one task.
 
@@ -223,9 +223,11 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     runs = [run for run in train_dir.glob("*") if _settings_of_run(run, wanted) == wanted]
     files = [file for run in runs for file in run.glob("nn/*.pth")]
     if not files:
+        task = f"task={task_name}" if task_name else "any task"
+        command = f"python train.py task={task_name or 'HumanoidAMP'}"
         raise CheckpointError(
-            f"checkpoint=last: no checkpoint of task={task_name} below {train_dir.absolute()};"
-            f" train one first: python train.py task={task_name}"
+            f"checkpoint=last: no checkpoint of {task} below {train_dir.absolute()};"
+            f" train one first: {command}"
         )
     return max(files, key=lambda file: file.stat().st_mtime).absolute()
 

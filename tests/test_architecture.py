@@ -27,10 +27,12 @@ FORBIDDEN = {
     "config": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
     "rendering": {"tasks", "learning", "runner", "registration"},
     "policies": {"tasks", "learning", "simulation", "runner", "registration"},
+    "report": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
-# Nobody imports those that stand above: demo, train.py, check -> runner -> registration -> rooms.
-ABOVE = ("demo", "train", "check", "runner", "registration")
+# Nobody imports those that stand above:
+# demo, export, train.py, check -> runner -> registration -> rooms.
+ABOVE = ("demo", "export", "train", "check", "runner", "registration")
 
 
 @cache

@@ -54,6 +54,11 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
 
+    @property
+    def latent_dim(self) -> int:
+        """Numbers in a latent."""
+        return self._amp.latent_dim
+
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
         num_envs = self.env.num_envs
         if latent in ("random", "interpolate"):

@@ -141,7 +141,7 @@ class LowLevelPolicy:
         model = ModelGenAMPContinuous(builder).build(
             {
                 "actions_num": self._sizes.action_space.shape[0],
-                "input_shape": (self._sizes.num_obs - self._sizes.num_task_obs,),
+                "input_shape": (self.num_character_obs,),
                 "num_seqs": 1,
                 "value_size": 1,
                 "normalize_value": config.get("normalize_value", False),
@@ -192,9 +192,14 @@ class LowLevelPolicy:
                     " low-level controller for this task, or choose the task that it was trained on"
                 )
 
+    @property
+    def num_character_obs(self) -> int:
+        """Numbers in an observation without the task's features."""
+        return self._sizes.num_obs - self._sizes.num_task_obs
+
     def extract_obs(self, obs: Tensor) -> Tensor:
         """Return observations (n, O) without the task's features, the last ones."""
-        return obs[:, : self._sizes.num_obs - self._sizes.num_task_obs]
+        return obs[:, : self.num_character_obs]
 
     def actions(self, obs: Tensor, latents: Tensor) -> Tensor:
         """Return mean actions (n, A) within the task's limits.

@@ -12,22 +12,23 @@ import copy
 import dataclasses
 import logging
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-
 from isaacgymenvs_lite.checkpoints import load_checkpoint, write_atomically
-from isaacgymenvs_lite.config.network_settings import scale_units
-from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
 from isaacgymenvs_lite.policies.llc_reference import LLC_KEY, shipped_reference
+from isaacgymenvs_lite.policies.run_config import (
+    read_run_config,
+    run_config_file,
+    select,
+    units_of_config,
+    units_of_model,
+)
 from isaacgymenvs_lite.policies.shipped import shipped_policies_dir
 
 log = logging.getLogger(__name__)
@@ -67,13 +68,6 @@ _NOT_NEEDED = (
     "task.sim.use_gpu_pipeline",
     "task.sim.physx",
 )
-_SECTIONS = ("task.env", "train.params.network", _CONFIG)
-# Hidden layers: section of the network -> pattern of the name in the model.
-_LAYERS = {
-    "mlp": r"actor_mlp(?:\._dense_layers)?",
-    "style": r"actor_mlp\._style_mlp",
-    "disc": r"_disc_mlp",
-}
 # Of the training's own settings, what says nothing elsewhere.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
@@ -177,7 +171,7 @@ def pack_policy(
     info = PolicyInfo(
         task=tree["task"]["name"],
         clip=settings.get(_CLIP, ""),
-        units=_units_of_config(tree),
+        units=units_of_config(tree),
         frames=int(state.get("frame", 0)),
         epochs=int(state.get("epoch", 0)),
         settings=settings,
@@ -210,70 +204,27 @@ def _write(path: Path, packed: dict[str, Any]) -> None:
 
 
 def _run_config(checkpoint: Path, model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the run's tree, resolved for the kind of device that it was trained on.
-
-    The default networks depend on the device, and this may be another machine than the run's: the
-    model tells which it was.
-    """
-    file = checkpoint.absolute().parent.parent / "config.yaml"
+    file = run_config_file(checkpoint)
     if not file.is_file():
         raise ConfigError(
             f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
             " the folder nn of the run folder that train.py made"
         )
-    register_resolvers()
-    stored = read_yaml(file)
-    for device in ("cpu", "cuda:0"):
-        tree = _resolved(stored, device, file)
-        units = _units_of_config(tree)
-        if units == _units_of_model(model, units):
-            return tree
-    raise CheckpointError(
-        f"checkpoint={checkpoint}: its layers are {_units_of_model(model, units)}, those of {file}"
-        f" {units}; expected the config.yaml of its own run"
-    )
-
-
-def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
-    cfg = stored.copy()
-    cfg.rl_device = rl_device
-    try:
-        tree = OmegaConf.to_container(cfg, resolve=True)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{file}: {one_line(error)}") from error
-    if not isinstance(tree, dict) or any(not _select(tree, path) for path in _SECTIONS):
-        raise ConfigError(f"{file}: expected the sections {', '.join(_SECTIONS)}")
-    return {str(key): value for key, value in tree.items()}
-
-
-def _select(tree: Any, path: str) -> Any:
-    """Return what is at `path` in nested dictionaries, None if nothing is."""
-    for key in path.split("."):
-        tree = tree.get(key) if isinstance(tree, dict) else None
+    tree = read_run_config(file, model)
+    units = units_of_config(tree)
+    if units != units_of_model(model, units):
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: its layers are {units_of_model(model, units)}, those of"
+            f" {file} {units}; expected the config.yaml of its own run"
+        )
     return tree
-
-
-def _units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
-    network = copy.deepcopy(_select(tree, "train.params.network"))
-    scale_units(network)
-    return {name: network[name]["units"] for name in _LAYERS if name in network}
-
-
-def _units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[int]]:
-    units: dict[str, dict[int, int]] = {name: {} for name in names}
-    for name, layers in units.items():
-        for key, weight in model.items():
-            found = re.fullmatch(rf"a2c_network\.{_LAYERS[name]}\.(?:linears\.)?(\d+)\.weight", key)
-            if found and weight.ndim == 2:
-                layers[int(found[1])] = weight.shape[0]
-    return {name: [layers[i] for i in sorted(layers)] for name, layers in units.items()}
 
 
 def _needed_settings(tree: dict[str, Any]) -> dict[str, Any]:
     return {
         path: value
         for section in _NEEDED
-        for path, value in _leaves(section, _select(tree, section))
+        for path, value in _leaves(section, select(tree, section))
         if not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
     }
 

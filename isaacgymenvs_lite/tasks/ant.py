@@ -113,6 +113,11 @@ class Ant(LocomotionTask):
     foot_names = ("front_left_foot", "front_right_foot", "left_back_foot", "right_back_foot")
     torques_nm = (15.0,) * 8
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_ant_observations`."""
+        joints = {"dof_pos": 8, "dof_vel": 8, "foot_wrenches": 24, "last_actions": 8}
+        return self.torso_groups() | joints
+
     def observe(self) -> Tensor:
         """See `compute_ant_observations`."""
         sim = self.simulation

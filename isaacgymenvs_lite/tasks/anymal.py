@@ -125,6 +125,10 @@ class Anymal(VelocityTrackingTask):
         base = torch.zeros(1, dtype=torch.int64, device=self.device)
         self._untouchable_ids = torch.cat((base, self._knee_ids))
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_anymal_observations`."""
+        return self.own_groups() | {"last_actions": self.num_actions}
+
     def observe(self) -> Tensor:
         """See `compute_anymal_observations`."""
         sim = self.simulation

@@ -194,6 +194,12 @@ class AnymalTerrain(VelocityTrackingTask):
         rate = error.mul_(_YAW_RATE_PER_RAD).clamp_(-_MAX_YAW_RATE_RAD_S, _MAX_YAW_RATE_RAD_S)
         self._command_planes[_YAW_RATE] = rate
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_anymal_terrain_observations`."""
+        own, last = self.own_groups(), {"last_actions": self.num_actions}
+        heights = self.num_obs - sum(own.values()) - self.num_actions
+        return own | {"ground_heights": heights} | last
+
     def observe(self) -> Tensor:
         """See `compute_anymal_terrain_observations`."""
         sim = self.simulation

@@ -158,6 +158,11 @@ class BallBalance(FreshStartTask):
         self.targets += actions * (self.env_cfg.action_speed_scale * self.dt)
         return self.targets.clamp_(self._lower, self._upper)
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_bbot_observations`."""
+        state = dict.fromkeys(("dof_pos", "dof_vel", "ball_pos", "ball_vel", "sensor_force_x"), 3)
+        return state | {"sensor_torques": 9}
+
     def observe(self) -> Tensor:
         """See `compute_bbot_observations`."""
         sim = self.simulation

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
@@ -82,6 +83,15 @@ class Cartpole(ClassicTask):
 
     def _episode_length(self) -> int:
         return _EPISODE_LENGTH
+
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_cartpole_observations`."""
+        return {"cart_pos": 1, "cart_vel": 1, "pole_angle": 1, "pole_vel": 1}
+
+    def action_scaling(self) -> ActionScaling:
+        """Return the force on the cart, N."""
+        effort = torch.tensor([self.env_cfg.max_effort])
+        return ActionScaling("N", torch.zeros(1), effort)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the force on the cart (N, 1) in N."""

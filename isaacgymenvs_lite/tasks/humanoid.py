@@ -157,6 +157,11 @@ class Humanoid(LocomotionTask):
         # The backend measures these torques from when they are first read.
         _ = self.simulation.dof_forces
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_humanoid_observations`."""
+        joints = dict.fromkeys(("dof_pos", "dof_vel", "dof_forces"), 21)
+        return self.torso_groups() | joints | {"foot_wrenches": 12, "last_actions": 21}
+
     def observe(self) -> Tensor:
         """See `compute_humanoid_observations`."""
         sim = self.simulation

@@ -98,6 +98,10 @@ class Quadcopter(FlightTask):
         """Return the ways (N, 3) to the place 1 m above the origin (m)."""
         return self._target_pos - self.simulation.root_states[:, :3]
 
+    def observation_groups(self) -> dict[str, int]:
+        """See the class docstring."""
+        return super().observation_groups() | {"dof_pos": _NUM_HINGES}
+
     def observe(self) -> Tensor:
         """See the class docstring."""
         return torch.cat((super().observe(), self.simulation.dof_pos), dim=-1)

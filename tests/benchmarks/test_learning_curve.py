@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tensorboardX import SummaryWriter
 
-from benchmarks.learning_curve import Series, read_learning_curve
+from benchmarks.learning_curve import read_learning_curve
 from isaacgymenvs_lite.event_sink import protect
+from isaacgymenvs_lite.report.scalars import Series
 
 
 def series(frames, minutes, values) -> Series:

@@ -95,6 +95,22 @@ def test_steps_meet_the_spaces(make_task) -> None:
         assert not (time_outs & (dones == 0)).any()
 
 
+def test_what_it_says_of_observations_and_actions(make_task) -> None:
+    task = make_task()
+    groups = task.observation_groups()
+    assert sum(groups.values()) == task.num_obs
+    assert min(groups.values()) > 0
+    scaling = task.action_scaling()
+    if scaling is not None:
+        assert scaling.unit in ("rad", "Nm", "N")
+        assert scaling.offset.shape == scaling.scale.shape == (task.num_actions,)
+        controls = []
+        task.simulation.set_controls = lambda rows: controls.append(rows.clone())
+        actions = 0.5 * torch.ones(NUM_ENVS, task.num_actions)
+        task.pre_physics_step(actions)
+        torch.testing.assert_close(controls[0], scaling.offset + scaling.scale * actions)
+
+
 def test_a_thousand_random_steps_give_numbers(make_task) -> None:
     task = make_task(num_envs=64)
     task.reset()

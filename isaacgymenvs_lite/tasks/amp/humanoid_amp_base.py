@@ -18,6 +18,7 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
     read_env_config,
 )
 from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, dof_limits
+from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
@@ -114,6 +115,18 @@ class HumanoidAMPBase(VecTask):
 
     def _key_body_names(self) -> tuple[str, ...]:
         return KEY_BODY_NAMES
+
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_humanoid_observations`."""
+        num_dofs, num_keys = self._layout.num_dofs, len(self._key_body_names())
+        root = {"root_height": 1, "root_rot_tan_norm": 6, "root_lin_vel": 3, "root_ang_vel": 3}
+        joints = self.num_obs - sum(root.values()) - num_dofs - 3 * num_keys
+        return root | {"dof_pos": joints, "dof_vel": num_dofs, "key_body_pos": 3 * num_keys}
+
+    def action_scaling(self) -> ActionScaling:
+        """Return targets of the drives in rad, or torques in Nm without `pdControl`."""
+        unit = "rad" if self.env_cfg.pd_control else "Nm"
+        return ActionScaling(unit, self._action_offset, self._action_scale)
 
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
         """Return offset and scale (D,) of PD targets for joint limits (D,), rad."""

@@ -81,6 +81,14 @@ class HumanoidASE(HumanoidAMP):
     def _obs_size(self) -> int:
         return all_body_obs_size(len(self._layout.body_names)) + self.get_task_obs_size()
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_all_body_observations`; the goal's numbers stand last."""
+        bodies = len(self._layout.body_names)
+        vectors = {"body_lin_vel": 3 * bodies, "body_ang_vel": 3 * bodies}
+        character = {"root_height": 1, "body_pos": 3 * (bodies - 1), "body_rot": 6 * bodies}
+        goal = {"goal": self.get_task_obs_size()} if self.get_task_obs_size() else {}
+        return character | vectors | goal
+
     def get_task_obs_size(self) -> int:
         """Return how many of the last entries of an observation describe the goal."""
         return self.goal.num_task_obs

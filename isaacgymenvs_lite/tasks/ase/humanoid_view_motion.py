@@ -40,6 +40,10 @@ class HumanoidViewMotion(HumanoidASE):
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self._motion_lib.num_motions()
 
+    def action_scaling(self) -> None:
+        """Return None: actions do nothing."""
+        return None
+
     def pre_physics_step(self, actions: Tensor) -> None:
         """As the base, without torques."""
         super().pre_physics_step(torch.zeros_like(actions))

@@ -117,6 +117,10 @@ class FlightTask(FreshStartTask):
     def to_target(self) -> Tensor:
         """Return the ways (N, 3) from the bodies to their targets (m)."""
 
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_flight_observations`."""
+        return {"to_target": 3, "root_rot_xyzw": 4, "root_lin_vel": 3, "root_ang_vel": 3}
+
     def observe(self) -> Tensor:
         """See `compute_flight_observations`."""
         return compute_flight_observations(self.to_target(), self.simulation.root_states)

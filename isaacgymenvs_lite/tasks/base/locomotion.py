@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
@@ -170,6 +171,17 @@ class LocomotionTask(ClassicTask):
 
     def _episode_length(self) -> int:
         return self.env_cfg.episode_length
+
+    def torso_groups(self) -> dict[str, int]:
+        """Return the first part of `observation_groups`."""
+        names = ("yaw", "roll", "angle_to_target", "up_proj", "heading_proj")
+        torso = {"torso_height": 1, "torso_lin_vel": 3, "torso_ang_vel": 3}
+        return torso | dict.fromkeys(names, 1)
+
+    def action_scaling(self) -> ActionScaling:
+        """Return the joint torques, Nm."""
+        efforts = self.motor_efforts * self.env_cfg.power_scale
+        return ActionScaling("Nm", torch.zeros_like(efforts), efforts)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the joint torques (N, D) in Nm."""

@@ -23,6 +23,7 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -93,6 +94,17 @@ class Env(ABC):  # noqa: B024  a task is abstract through VecTask
     def get_task_obs_size(self) -> int:
         """Return how many of the last entries of an observation describe the task's goal."""
         return 0
+
+    def observation_groups(self) -> dict[str, int]:
+        """Return what an observation consists of: name -> how many numbers, in their order.
+
+        Empty if the task does not say.
+        """
+        return {}
+
+    def action_scaling(self) -> ActionScaling | None:
+        """Return what an action means to the actuators; None if that depends on more than it."""
+        return None
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
         """Hear from the trainer how many environment steps were made so far."""

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model
 from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
@@ -273,6 +274,17 @@ class VelocityTrackingTask(ClassicTask):
         self._motion: BaseMotion | None = None
         # Asked for before the first step, too: the simulation keeps them from then on.
         self._torques = self.simulation.dof_forces.t()
+
+    def own_groups(self) -> dict[str, int]:
+        """Return the parts of `own_features`, for `observation_groups`."""
+        num_dofs = self._layout.num_dofs
+        motion = dict.fromkeys(("base_lin_vel", "base_ang_vel", "gravity", "commands"), 3)
+        return motion | {"dof_pos": num_dofs, "dof_vel": num_dofs}
+
+    def action_scaling(self) -> ActionScaling:
+        """Return the joint positions that the drives aim at, rad."""
+        scale = torch.full_like(self.default_dof_pos, self.env_cfg.control.action_scale)
+        return ActionScaling("rad", self.default_dof_pos, scale)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the joint positions (N, D) that the drives aim at (rad)."""

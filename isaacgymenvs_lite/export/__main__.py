@@ -1,0 +1,36 @@
+"""Writes a policy into one file: python -m isaacgymenvs_lite.export checkpoint=... format=onnx.
+
+    python -m isaacgymenvs_lite.export checkpoint=walk                          # walk.onnx
+    python -m isaacgymenvs_lite.export checkpoint=last format=torchscript out=policy.pt
+    python -m isaacgymenvs_lite.export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
+
+Raw observations in, actions within the task's limits out, normalisers inside. `checkpoint` is a
+.pth file, `last`, or a shipped policy. Task and train settings are those of the run; other words
+override them as on the command line of train.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.export.session import ExportSettings, export_policy
+
+_OWN_KEYS = tuple(field.name for field in dataclasses.fields(ExportSettings))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    others = [word for word in words if "=" in word and word.partition("=")[0] not in _OWN_KEYS]
+    own = [word for word in words if word not in others]
+    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.export", description=__doc__)
+    return run_command(
+        parser, ExportSettings, lambda settings: export_policy(settings, others), own
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

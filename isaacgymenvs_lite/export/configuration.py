@@ -1,0 +1,94 @@
+"""Which configuration belongs to a checkpoint that is exported."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from isaacgymenvs_lite.checkpoints import load_checkpoint, resolve_checkpoint
+from isaacgymenvs_lite.config.compose import CONFIG_NAME, compose, make_loader
+from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.policies.launch import as_override, complete_arguments
+from isaacgymenvs_lite.policies.run_config import read_run_config, run_config_file
+from isaacgymenvs_lite.policies.shipped import shipped_policies
+
+log = logging.getLogger(__name__)
+
+_NUM_ENVS = 2
+# What a policy needs nothing of, whatever its training had.
+_PLAIN = {
+    "test": True,
+    "num_envs": _NUM_ENVS,
+    "num_threads": 1,
+    "rl_device": "cpu",
+    "sim_device": "cpu",
+    "pipeline": "cpu",
+    "multi_gpu": False,
+    "headless": True,
+    "force_render": False,
+    "capture_video": False,
+    "wandb_activate": False,
+    "latent": "",
+    "sigma": "",
+    "experiment": "",
+}
+
+
+def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> DictConfig:
+    """Return the tree that a policy is played with, on the CPU, in a few environments.
+
+    A shipped policy says itself what it needs, a checkpoint in a run folder has the config.yaml
+    there. `train=`, or the `task=` of another task, stand for a configuration of their own.
+
+    Args:
+        checkpoint: a path, `last` or the name of a shipped policy.
+        overrides: of the configuration, as on the command line of train.py.
+        runs: folder of the runs that `last` looks at.
+
+    Raises:
+        UserError: there is no such checkpoint, or the configuration cannot be read or composed.
+    """
+    if not checkpoint:
+        raise ConfigError(
+            "checkpoint= is missing; give a .pth file of a run, 'last', or a shipped policy:"
+            f" {', '.join(shipped_policies())}"
+        )
+    typed = dict(word.split("=", 1) for word in overrides if "=" in word)
+    task = typed.get("task", "")
+    path = resolve_checkpoint(checkpoint, runs, task)
+    file = run_config_file(Path(path))
+    if checkpoint not in shipped_policies() and file.is_file() and "train" not in typed:
+        model = load_checkpoint(path).get("model", {})
+        cfg = OmegaConf.create(read_run_config(file, model))
+        if task in ("", cfg.task.name):
+            log.info("task and train settings: %s", file)
+            return _plain(_changed(cfg, overrides), path)
+    named = checkpoint if checkpoint in shipped_policies() else as_override(path)
+    words = complete_arguments(["test=True", f"checkpoint={named}", *overrides])
+    return _plain(compose(words), path)
+
+
+def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """Apply overrides of keys to a tree that is composed already."""
+    words = [word for word in overrides if not word.startswith("task=")]
+    OmegaConf.set_struct(cfg, True)
+    try:
+        parsed = OverridesParser.create().parse_overrides(words)
+        ConfigLoaderImpl._apply_overrides_to_config(parsed, cfg)
+    except ComposeError as error:
+        raise explain(error, words, make_loader(), CONFIG_NAME) from error
+    return cfg
+
+
+def _plain(cfg: DictConfig, path: str) -> DictConfig:
+    with open_dict(cfg):
+        for key, value in {**_PLAIN, "checkpoint": path}.items():
+            cfg[key] = value
+        cfg.task.env.numEnvs = _NUM_ENVS
+    return cfg

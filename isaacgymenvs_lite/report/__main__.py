@@ -1,0 +1,55 @@
+"""Writes what a run did onto one HTML page: python -m isaacgymenvs_lite.report runs/<run>.
+
+    python -m isaacgymenvs_lite.report runs/HumanoidAMP_22-10-15-30             # report.html in it
+    python -m isaacgymenvs_lite.report runs/HumanoidAMP_22-10-15-30 out=walk.html
+
+The page has the curves, the configuration and the last video of the run, and needs no other file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.report.page import write_report
+from isaacgymenvs_lite.schema import setting
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportSettings:
+    """Arguments of the command beside the run."""
+
+    out: str = setting("")
+    """File; '': report.html in the run's folder."""
+
+
+class _Run(argparse.Action):
+    """Keeps the folder of the run."""
+
+    folder = Path()
+
+    def __call__(self, parser: object, namespace: object, values: object, *_: object) -> None:
+        self.folder = Path(str(values))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.report", description=__doc__)
+    run = parser.add_argument("run", action=_Run, help="folder of the run")
+
+    def report(settings: ReportSettings) -> None:
+        assert isinstance(run, _Run)
+        path = write_report(run.folder, Path(settings.out) if settings.out else None)
+        log.info("%s: %.1f MiB", path, path.stat().st_size / 2**20)
+
+    return run_command(parser, ReportSettings, report, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

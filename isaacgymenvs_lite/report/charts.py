@@ -1,0 +1,135 @@
+"""Which curves a page shows: the scalars of a run, sorted into charts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from isaacgymenvs_lite.report.scalars import FPS_TAGS, NOTHING, Series, first_of
+
+REWARD_TAGS = ("rewards/frame", "rewards/step")
+LENGTH_TAGS = ("episode_lengths/frame", "episode_lengths/step")
+_NO_FALL_TAG = "imitation/no_fall_share"
+_FALL_TAG = "imitation/fall_share"  # one minus the other
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve of a chart.
+
+    Attributes:
+        label: for the legend.
+        series: with at least one value, all finite.
+    """
+
+    label: str
+    series: Series
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Curves over the same axes.
+
+    Attributes:
+        title: with the unit.
+        lines: at least one.
+    """
+
+    title: str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A chart that runs may have: its title, and for each line a label and the tags to look for."""
+
+    title: str
+    lines: Mapping[str, tuple[str, ...]]
+
+
+_TASK_PER_STEP = "task reward per step"  # made here of two scalars
+_PLANS = (
+    _Plan("Task reward of an episode", {"task reward": REWARD_TAGS}),
+    _Plan(
+        "Reward per step, by source",
+        {
+            "style": ("info/disc_reward_mean",),
+            "encoder": ("info/enc_reward_mean",),
+            "task": (_TASK_PER_STEP,),
+        },
+    ),
+    _Plan("Length of an episode, control steps", {"length": LENGTH_TAGS}),
+    _Plan("Pose error, m", {"pose error": ("imitation/pose_error_m",)}),
+    _Plan(
+        "Falls, share of the episodes",
+        {"in training": ("info/fall_rate",), "mean policy": (_FALL_TAG,)},
+    ),
+    _Plan("Tempo, multiple of the clip's", {"tempo": ("imitation/tempo",)}),
+    _Plan(
+        "Discriminator accuracy, share of the samples",
+        {
+            "both": ("info/disc_acc",),
+            "policy": ("info/disc_agent_acc",),
+            "clips": ("info/disc_demo_acc",),
+        },
+    ),
+    _Plan("Learning rate", {"learning rate": ("info/last_lr",)}),
+    _Plan("Frames per second, learning included", {"frames/s": FPS_TAGS}),
+)
+_LOSSES = "losses/"
+
+
+def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
+    """Return the charts that say how a training went: those that the run has scalars for."""
+    scalars = _finite({**scalars, **_derived(scalars)})
+    charts = []
+    for plan in _PLANS:
+        found = {label: first_of(scalars, tags) for label, tags in plan.lines.items()}
+        lines = tuple(Line(label, series) for label, series in found.items() if len(series))
+        if any(line.label != "task" for line in lines):  # alone it says what its sum says
+            charts.append(Chart(plan.title, lines))
+    losses = (tag for tag in sorted(scalars) if tag.startswith(_LOSSES))
+    return charts + [_single(tag, f"Loss: {tag.removeprefix(_LOSSES)}", scalars) for tag in losses]
+
+
+def other_charts(scalars: Mapping[str, Series]) -> list[Chart]:
+    """Return a chart for each scalar that is in none of the main ones."""
+    shown = {tag for plan in _PLANS for tags in plan.lines.values() for tag in tags} | {
+        _NO_FALL_TAG
+    }
+    scalars = _finite(scalars)
+    return [
+        _single(tag, tag, scalars)
+        for tag in sorted(scalars)
+        if tag not in shown and not tag.startswith(_LOSSES)
+    ]
+
+
+def _single(tag: str, title: str, scalars: Mapping[str, Series]) -> Chart:
+    return Chart(title, (Line(tag, scalars[tag]),))
+
+
+def _derived(scalars: Mapping[str, Series]) -> dict[str, Series]:
+    reward, length = first_of(scalars, REWARD_TAGS), first_of(scalars, LENGTH_TAGS)
+    derived = {}
+    no_fall = scalars.get(_NO_FALL_TAG, NOTHING)
+    if len(no_fall):
+        falls = Series(no_fall.frames, no_fall.minutes, 1.0 - no_fall.values)
+        derived[_FALL_TAG] = falls
+    if len(reward) and len(length):
+        steps = np.interp(reward.frames, length.frames, length.values)
+        per_step = reward.values / np.maximum(steps, 1.0)
+        derived[_TASK_PER_STEP] = Series(reward.frames, reward.minutes, per_step)
+    return derived
+
+
+def _finite(scalars: Mapping[str, Series]) -> dict[str, Series]:
+    """Leave out values that cannot be drawn, and scalars without any other."""
+    kept = {}
+    for tag, series in scalars.items():
+        rows = np.isfinite(series.values)
+        if rows.any():
+            kept[tag] = Series(series.frames[rows], series.minutes[rows], series.values[rows])
+    return kept

@@ -1,0 +1,110 @@
+"""The scalars of a run from its TensorBoard files, those of a resumed run put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+FPS_TAGS = ("performance/total_fps", "performance/step_inference_rl_update_fps")
+"""Written after every epoch, the first one of a resumed run included: the clock of a run. Of our
+agents' runs, and of rl_games' own."""
+
+# Scalars over epochs or seconds, which all are there over frames, too, or belong to no frame.
+_OTHER_AXES = ("/iter", "/time")
+_OVER_EPOCHS = "Episode/"
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One scalar over a training; three arrays (n,).
+
+    Attributes:
+        frames: TensorBoard's step: frames before the epoch that the value is of.
+        minutes: time trained when it was written.
+        values: the scalar.
+    """
+
+    frames: FloatArray
+    minutes: FloatArray
+    values: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def last(self) -> float:
+        """The newest value; nan without one."""
+        return float(self.values[-1]) if len(self) else float("nan")
+
+    def first_reach(self, at_least: float) -> tuple[float, float] | None:
+        """Return (frames, minutes) of the first value of at least `at_least`; None without one."""
+        reached = np.flatnonzero(self.values >= at_least)
+        if len(reached) == 0:
+            return None
+        return float(self.frames[reached[0]]), float(self.minutes[reached[0]])
+
+
+NOTHING = Series(np.zeros(0), np.zeros(0), np.zeros(0))
+"""A scalar without values."""
+
+
+def first_of(scalars: Mapping[str, Series], tags: Sequence[str]) -> Series:
+    """Return the first of several scalars that a run has; `NOTHING` if it has none."""
+    return next((scalars[tag] for tag in tags if tag in scalars), NOTHING)
+
+
+def event_files(summaries: Path) -> list[Path]:
+    """Return the event files in a run's folder summaries/, the oldest first."""
+    return sorted(summaries.glob("events.out.tfevents.*"))
+
+
+def read_scalars(summaries: Path) -> dict[str, Series]:
+    """Read the event files in a run's folder summaries/: every scalar over frames, by its tag.
+
+    Minutes are wall-clock from the moment that the agent exists, some seconds after the command;
+    measurements and checkpoints on the way are included. A resumed run's parts follow one another
+    without the pause. What was trained after the checkpoint that it went on from is lost, and so
+    are its values and its minutes.
+
+    Returns:
+        Tag -> values; empty if there are no files, or none with an epoch in it.
+    """
+    parts: dict[str, list[FloatArray]] = {}  # of arrays (n, 3)
+    for file in event_files(summaries):
+        part = _read_file(file)
+        resumed_at = min((part[tag][0, 0] for tag in FPS_TAGS if tag in part), default=None)
+        if resumed_at is None:
+            continue
+        for rows in parts.values():
+            rows[:] = [earlier[earlier[:, 0] < resumed_at] for earlier in rows]
+        clocks = [rows for tag in FPS_TAGS for rows in parts.get(tag, ())]
+        offset_min = max((rows[-1, 1] for rows in clocks if len(rows)), default=0.0)
+        for tag, rows in part.items():
+            rows[:, 1] += offset_min
+            parts.setdefault(tag, []).append(rows)
+    joined = {tag: np.concatenate(rows) for tag, rows in parts.items()}
+    return {tag: Series(*rows.T) for tag, rows in joined.items() if len(rows)}
+
+
+def _read_file(file: Path) -> dict[str, FloatArray]:
+    """Return for every scalar over frames the rows (frames, minutes, value) of one process."""
+    # Half a second, which those who want a mistake explained need not wait.
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(file), {"scalars": 0})
+    events.Reload()
+    rows: dict[str, FloatArray] = {}
+    for tag in events.Tags()["scalars"]:
+        if tag.endswith(_OTHER_AXES) or tag.startswith(_OVER_EPOCHS):
+            continue
+        scalars, start = events.Scalars(tag), events.FirstEventTimestamp()
+        rows[tag] = np.array(
+            [(e.step, (e.wall_time - start) / 60.0, e.value) for e in scalars], dtype=np.float64
+        )
+    return rows

@@ -1,0 +1,183 @@
+"""The command, from a run folder to a file that plays as the policy does."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.export.__main__ import main
+from isaacgymenvs_lite.export.configuration import configuration_of
+from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
+from isaacgymenvs_lite.export.session import ExportSession, ExportSettings, export_policy
+from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
+from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.runner import run
+
+CARTPOLE = (
+    "task=Cartpole",
+    "num_envs=16",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=3",
+    "task.env.maxEffort=100",  # not the default: a policy must find it as it was
+    "train.params.network.mlp.units=[16]",
+    "train.params.config.minibatch_size=128",
+    "train.params.config.horizon_length=8",
+    "train.params.config.normalize_input=True",
+)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the run of a short training of Cartpole."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(compose(CARTPOLE))
+    return folder
+
+
+@pytest.fixture
+def checkpoint(project: Path) -> Path:
+    (file,) = project.glob("runs/*/nn/Cartpole.pth")
+    return file
+
+
+class Play(ExportSession):
+    """Plays an episode in each environment with a policy, or with the player if there is none."""
+
+    policy: Callable[[dict[str, Tensor]], Tensor] | None = None
+    result: EvaluationResult
+
+    def _play(self) -> None:
+        player = self.make_player()
+        seed_everything(3)
+        self.result = evaluate(self._task, self.policy or player.act, self._task.num_envs)
+
+
+def play(cfg: Any, num_envs: int, policy: ExportedPolicy | None = None) -> EvaluationResult:
+    cfg.task.env.numEnvs = num_envs
+    session = Play(cfg)
+    if policy is not None:
+        session.policy = lambda obs: torch.from_numpy(
+            policy({"obs": obs["obs"].numpy()})["action"].copy()
+        )
+    session.run()
+    return session.result
+
+
+@pytest.mark.parametrize("format_name", ["onnx", "torchscript"])
+def test_the_file_earns_what_the_player_earns(
+    format_name, project, checkpoint, tmp_path, monkeypatch, caplog
+) -> None:
+    pytest.importorskip("onnxruntime")
+    monkeypatch.chdir(project)
+    suffix = {"onnx": "onnx", "torchscript": "pt"}[format_name]
+    file = tmp_path / f"policy.{suffix}"
+    with caplog.at_level(logging.INFO):
+        words = ["checkpoint=last", f"format={format_name}", f"out={file}"]
+        assert main(words) == 0
+    assert f"task and train settings: {checkpoint.parents[1] / 'config.yaml'}" in caplog.text
+    assert f"policy.{suffix}: obs -> action" in caplog.text
+    policy = load_policy(file)
+    cfg = configuration_of(str(checkpoint), (), "runs")
+    expected = play(cfg, 16)
+    found = play(cfg, 16, policy)
+    assert expected.num_episodes == found.num_episodes == 16
+    assert found.steps == expected.steps
+    assert found.reward == pytest.approx(expected.reward, rel=1e-4)
+
+    metadata = policy.metadata
+    assert metadata["task"] == "Cartpole"
+    assert metadata["algorithm"] == "a2c_continuous"
+    assert metadata["frames"] == 3 * 8 * 16
+    assert metadata["control_rate_hz"] == pytest.approx(60.0, rel=0.01)
+    assert metadata["observation_limit"] == 5.0
+    assert metadata["action_limit"] == 1.0
+    names = ["cart_pos", "cart_vel", "pole_angle", "pole_vel"]
+    expected_groups = [{"name": n, "start": i, "size": 1} for i, n in enumerate(names)]
+    assert metadata["observations"] == expected_groups
+    assert metadata["actions"] == ["slider_to_cart"]
+    assert metadata["action_scaling"] == {"unit": "N", "offset": [0.0], "scale": [100.0]}
+    assert metadata["drives"] == [
+        {"name": "slider_to_cart", "stiffness": 0.0, "damping": 0.0, "effort_limit": 1000.0}
+    ]
+    json.dumps(metadata)
+
+
+def test_a_shipped_policy_walks(tmp_path) -> None:
+    """Metadata of the humanoid, and what a file does with the clip's own motion."""
+    file = export_policy(
+        ExportSettings(checkpoint="walk", format="torchscript", out=str(tmp_path / "walk.pt"))
+    )
+    policy = load_policy(file)
+    cfg = configuration_of("walk", ["task.env.episodeLength=40"], "runs")
+    expected, found = play(cfg, 2), play(cfg, 2, policy)
+    assert found.steps == expected.steps
+    assert found.imitation is not None
+    assert expected.imitation is not None
+    assert found.imitation.pose_error_m == pytest.approx(expected.imitation.pose_error_m, abs=1e-3)
+
+    metadata = policy.metadata
+    assert metadata["control_rate_hz"] == pytest.approx(30.1, abs=0.1)
+    assert metadata["actions"][:3] == ["abdomen_x", "abdomen_y", "abdomen_z"]
+    assert metadata["action_scaling"]["unit"] == "rad"
+    knee = metadata["actions"].index("right_knee")
+    assert metadata["drives"][knee]["stiffness"] == 300.0
+    assert metadata["drives"][knee]["effort_limit"] is None
+    assert metadata["action_scaling"]["scale"][0] == pytest.approx(np.pi)
+    last = metadata["observations"][-1]
+    assert last["start"] + last["size"] == 105
+
+
+def test_settings_of_the_run_and_what_was_typed(checkpoint, project, monkeypatch) -> None:
+    monkeypatch.chdir(project)
+    cfg = configuration_of(str(checkpoint), (), "runs")
+    assert (cfg.task.name, cfg.task.env.maxEffort, cfg.test) == ("Cartpole", 100, True)
+    cfg = configuration_of("last", ["task=Cartpole", "task.env.maxEffort=50"], "runs")
+    assert (cfg.task.env.maxEffort, cfg.checkpoint) == (50, str(checkpoint))
+    assert cfg.train.params.network.mlp.units == [16]
+    # a train file of one's own stands for all settings
+    cfg = configuration_of(str(checkpoint), ["task=Cartpole", "train=CartpolePPO"], "runs")
+    assert cfg.task.env.maxEffort == 400
+    # so does another task
+    assert configuration_of(str(checkpoint), ["task=Ant"], "runs").task.name == "Ant"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "checkpoint= is missing; give .*walk"),
+        (["checkpoint=absent.pth"], "no file"),
+        (["checkpoint=last", "task=Ant"], "no checkpoint of task=Ant"),
+        (["checkpoint=last", "task.env.maxEfort=1"], "task.env.maxEfort"),
+        (["checkpoint=last", "out=x.pt"], "ends in .onnx"),
+        (["checkpoint=last", "out=taken/x.pt", "format=torchscript"], "taken/x.pt: cannot be"),
+        (["checkpoint=last", "format=caffe"], "expected one of onnx, torchscript"),
+    ],
+)
+def test_a_mistake_is_one_line(words, message, project, monkeypatch, capsys) -> None:
+    pytest.importorskip("onnxruntime")
+    monkeypatch.chdir(project)
+    (project / "taken").write_text("a file")
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(f"^error: .*{message}", line), line
+
+
+def test_last_without_any_run(tmp_path) -> None:
+    with pytest.raises(CheckpointError, match="no checkpoint of any task below"):
+        configuration_of("last", (), str(tmp_path))
