@@ -24,7 +24,7 @@ def test_times_outside_of_the_clip(make_humanoid_clip, start, end) -> None:
 
 
 def test_a_cut_of_one_frame(make_humanoid_clip) -> None:
-    with pytest.raises(MotionFileError, match="leaves one frame of 0.0333333 s"):
+    with pytest.raises(MotionFileError, match=r"leaves one frame of 0\.0333333 s"):
         cut(make_humanoid_clip(num_frames=31), 0.5, 0.505)
 
 

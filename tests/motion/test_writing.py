@@ -48,5 +48,5 @@ def test_outputs_are_checked_before_the_work(tmp_path: Path) -> None:
     check_output(path, suffixes, overwrite=True)
     with pytest.raises(MotionFileError, match=r"found '\.fbx'; choices: \.npz, \.csv"):
         check_output(tmp_path / "clip.fbx", suffixes, overwrite=True)
-    with pytest.raises(MotionFileError, match="the folder .*none does not exist"):
+    with pytest.raises(MotionFileError, match=r"the folder .*none does not exist"):
         check_output(tmp_path / "none" / "clip.npz", suffixes, overwrite=True)
