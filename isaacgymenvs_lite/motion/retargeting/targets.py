@@ -25,8 +25,11 @@ _STANDING_HEIGHT_M = 0.01
 _FEWEST_STANDING_FRAMES = 5
 # A sole that seems to stand on edge by more is no matter of rigs: it does so.
 _MOST_LEVELLING_RAD = np.radians(15.0)
-# The ground is where the lowest corner of a sole is, but for this share of the frames (noise).
+# The ground is where the lowest corner of a sole, hand or knee is, but for this share of the frames
+# (noise).
 _BELOW_GROUND_SHARE = 0.02
+# Radii of the humanoid's hands and, about the origin of the shin, knees.
+_ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +69,19 @@ def make_targets(source: MotionClip, mapping: SkeletonMapping, skeleton: Skeleto
     for foot in feet:
         if mapping.sources[foot].level:
             turns[foot] = _levelled(turns[foot], scaled[foot], source.fps, foot)
-    soles = {foot: _sole_height(skeleton, foot, turns[foot]) + scaled[foot][:, 2] for foot in feet}
-    ground = float(np.quantile(np.minimum(*soles.values()), _BELOW_GROUND_SHARE))
-    hips = 0.5 * (scaled["right_thigh"] + scaled["left_thigh"])
-    target: dict[str, FloatArray] = {"pelvis": hips - (0.0, 0.0, ground)}
+    target = {foot: scaled[foot] for foot in feet}
+    target["pelvis"] = 0.5 * (scaled["right_thigh"] + scaled["left_thigh"])
+    _add_other_bodies(target, skeleton, places, turns)
+    soles = {foot: _sole_height(skeleton, foot, turns[foot]) + target[foot][:, 2] for foot in feet}
+    lowest = [target[body][:, 2] - radius for body, radius in _ROUND_M.items()]
+    ground = float(np.quantile(np.min([*soles.values(), *lowest], axis=0), _BELOW_GROUND_SHARE))
+    positions = np.stack([target[body] for body in skeleton.body_names], axis=1)
+    positions[..., 2] -= ground
     for foot in feet:
         # Not below the ground, whatever the noise.
-        lift = np.maximum(soles[foot] - ground, 0.0) - soles[foot]
-        target[foot] = scaled[foot] + lift[:, None] * (0.0, 0.0, 1.0)
-    _add_other_bodies(target, skeleton, places, turns)
-    return Targets(np.stack([target[body] for body in skeleton.body_names], axis=1), turns, scale)
+        deep = np.maximum(ground - soles[foot], 0.0)
+        positions[:, skeleton.body_names.index(foot), 2] += deep
+    return Targets(positions, turns, scale)
 
 
 def _add_other_bodies(

@@ -120,7 +120,7 @@ def test_ten_seconds_take_well_under_a_minute(tmp_path: Path, write_bvh, humanoi
     start = time.process_time()
     clip = retarget_bvh(path, load_mapping("lafan1"), humanoid, fps=30.0)
     used = (time.process_time() - start) * 10.0 / clip.length_s
-    assert used < 30.0  # 2 s where it was measured
+    assert used < 30.0  # 1 s where it was measured
 
 
 def test_the_result_trains(tmp_path: Path, write_bvh, humanoid) -> None:
