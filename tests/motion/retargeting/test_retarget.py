@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from pathlib import Path
 
@@ -70,12 +71,13 @@ def test_joint_limits_hold(tmp_path: Path, write_bvh, humanoid, make_humanoid_cl
     assert dofs[-1, humanoid.dof_names.index("abdomen_z")] == pytest.approx(upper[2], abs=1e-3)
 
 
+# Looked for, not imported: other tests put a package of that name in its place.
+@pytest.mark.skipif(importlib.util.find_spec("pybullet_data") is None, reason="no pybullet")
 @pytest.mark.parametrize("name", ["cartwheel", "dance_a", "getup_faceup"])
 def test_published_motion_follows_within_its_joint_limits(
     tmp_path: Path, write_bvh, humanoid, name
 ) -> None:
     """Real mocap, which leaves the humanoid's limits by up to 24 deg: hands and feet follow."""
-    pytest.importorskip("pybullet_data")
     original = load_clips(f"deepmimic:{name}")[0][0]
     clip = retarget_bvh(
         write_bvh(tmp_path / "a.bvh", original, "cmu"), load_mapping("cmu"), humanoid
