@@ -30,10 +30,10 @@ from isaacgymenvs_lite.utils import rotations
 
 _log = logging.getLogger(__name__)
 
-_NUM_COLUMNS = 44
-_DURATION, _ROOT_POSITION, _ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
+NUM_COLUMNS = 44
+DURATION, ROOT_POSITION, ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
 # The first column of the quaternion (w, x, y, z) of a body's joint, and the column of an angle.
-_BALL_COLUMNS = {
+BALL_COLUMNS = {
     "torso": 8,
     "head": 12,
     "right_thigh": 16,
@@ -43,7 +43,8 @@ _BALL_COLUMNS = {
     "left_foot": 35,
     "left_upper_arm": 39,
 }
-_HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
+HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
+MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
 # Durations that differ by less than this part of the usual one are rounded numbers.
 _DURATION_TOLERANCE = 1e-3
 # Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
@@ -77,19 +78,19 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     """
     rows = _rows(data, name)
     _check_joints(skeleton, name)
-    root = _vector(rows[:, _ROOT_POSITION])
+    root = _vector(rows[:, ROOT_POSITION])
     local = np.zeros((len(rows), skeleton.num_bodies, 4))
     local[..., 3] = 1.0
-    local[:, 0] = _quaternion(rows[:, _ROOT_ROTATION], "root", name)
-    for body, column in _BALL_COLUMNS.items():
+    local[:, 0] = _quaternion(rows[:, ROOT_ROTATION], "root", name)
+    for body, column in BALL_COLUMNS.items():
         quaternion = _quaternion(rows[:, column : column + 4], body, name)
         local[:, skeleton.body_names.index(body)] = quaternion
-    for body, column in _HINGE_COLUMNS.items():
+    for body, column in HINGE_COLUMNS.items():
         # The hinge turns about z to the right, which is our -y: the angle changes its sign.
         half = -0.5 * rows[:, column]
         local[:, skeleton.body_names.index(body), 1] = np.sin(half)
         local[:, skeleton.body_names.index(body), 3] = np.cos(half)
-    fps, local, root = _equal_durations(rows[:-1, _DURATION], local, root, name)
+    fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
     root = _lifted(skeleton, local, root, name)
     return MotionClip.from_poses(
         name,
@@ -108,9 +109,9 @@ def _rows(data: dict[str, Any], name: str) -> npt.NDArray[np.float64]:
         rows = np.array(data.get("Frames"), dtype=np.float64)
     except (TypeError, ValueError):
         rows = np.zeros((0, 0))
-    if rows.ndim != 2 or rows.shape[1] != _NUM_COLUMNS:
+    if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
         raise MotionFileError(
-            f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {_NUM_COLUMNS} numbers; "
+            f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
             f"found the keys {', '.join(sorted(data)) or 'nothing'}"
         )
     if not np.isfinite(rows).all():
@@ -118,17 +119,16 @@ def _rows(data: dict[str, Any], name: str) -> npt.NDArray[np.float64]:
     if len(rows) < 2:
         raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
     # The last frame lasts 0 s in most files: nothing comes after it.
-    if (rows[:-1, _DURATION] <= 0.0).any():
-        frame = int((rows[:-1, _DURATION] <= 0.0).argmax())
+    if (rows[:-1, DURATION] <= 0.0).any():
+        frame = int((rows[:-1, DURATION] <= 0.0).argmax())
         raise MotionFileError(
-            f"{name}: frame {frame} lasts {rows[frame, _DURATION]:g} s, expected more than 0"
+            f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected more than 0"
         )
     return rows
 
 
 def _check_joints(skeleton: Skeleton, name: str) -> None:
-    needed = (*_BALL_COLUMNS, *_HINGE_COLUMNS)
-    missing = [body for body in needed if body not in skeleton.body_names]
+    missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
     if missing:
         raise MotionFileError(
             f"{name}: a DeepMimic clip moves bodies that this humanoid has not: {missing}"

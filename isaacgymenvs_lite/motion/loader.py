@@ -12,6 +12,7 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dataset import read_dataset
 from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, find_in_package, is_package_name
 from isaacgymenvs_lite.motion.fitting import fit_to_skeleton
+from isaacgymenvs_lite.motion.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
 from isaacgymenvs_lite.motion.reading import read_json
@@ -20,6 +21,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
+_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
 
 
 def shipped_motions_dir() -> Path:
@@ -43,7 +45,7 @@ def load_clips(
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
             clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
             others are one clip with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
-            `.json` of DeepMimic.
+            `.json` of DeepMimic, `.csv` of joint angles.
         skeleton: the humanoid, in whose order the bodies of the clips are brought; by default the
             one with 28 degrees of freedom.
 
@@ -57,7 +59,7 @@ def load_clips(
     shipped = shipped_motions_dir()
     path = resolve_motion_file(motion_file, (Path(), shipped))
     if path.suffix not in _DATASET_SUFFIXES:
-        return [(_load_file(path, skeleton), 1.0)]
+        return [(_load_file(path, (skeleton,))[0], 1.0)]
     clips = []
     for i, entry in enumerate(read_dataset(path)):
         try:
@@ -65,11 +67,37 @@ def load_clips(
                 found = _load_from_package(entry.file, skeleton)
             else:
                 file = resolve_motion_file(entry.file, (path.parent, shipped))
-                found = [(_load_file(file, skeleton), 1.0)]
+                found = [(_load_file(file, (skeleton,))[0], 1.0)]
         except MotionFileError as error:
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
         clips.extend((clip, entry.weight * weight) for clip, weight in found)
     return clips
+
+
+def load_single_clip(
+    motion_file: str | Path, skeletons: Sequence[Skeleton]
+) -> tuple[MotionClip, Skeleton]:
+    """Read one clip, of whichever of the humanoids it was made for.
+
+    Args:
+        motion_file: as in `load_clips`, but no data set.
+        skeletons: the humanoids; a format that does not name bodies is read for the first.
+
+    Returns:
+        The clip, with its bodies in the order of the humanoid, and the humanoid.
+
+    Raises:
+        MotionFileError: as in `load_clips`, or the file is a data set.
+    """
+    if is_package_name(motion_file):
+        clips = _load_from_package(str(motion_file), skeletons[0])
+        if len(clips) > 1:
+            raise MotionFileError(f"'{motion_file}' is a data set of {len(clips)} clips; give one")
+        return clips[0][0], skeletons[0]
+    path = resolve_motion_file(motion_file, (Path(), shipped_motions_dir()))
+    if path.suffix in _DATASET_SUFFIXES:
+        raise MotionFileError(f"{path}: is a data set; give one of its clips")
+    return _load_file(path, skeletons)
 
 
 def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
@@ -105,24 +133,31 @@ def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, 
     ]
 
 
-def _load_file(path: Path, skeleton: Skeleton) -> MotionClip:
-    """Read one clip by the suffix of its file."""
+def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, Skeleton]:
+    """Read one clip by the suffix of its file, for the one of the humanoids whose bodies it has.
+
+    What does not say its bodies is of the first.
+    """
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
         ".npy": load_poselib_npy,
-        ".json": lambda path: _load_json(path, skeleton),
-        ".txt": lambda path: deepmimic.load_deepmimic(path, skeleton),
+        ".json": lambda path: _load_json(path, skeletons[0]),
+        ".txt": lambda path: deepmimic.load_deepmimic(path, skeletons[0]),
+        ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if path.suffix not in readers:
+        hint = f"; make a clip of it first: {_CONVERT}" if path.suffix == ".bvh" else ""
         raise MotionFileError(
             f"{path}: a clip ends in {', '.join(readers)} and a data set in .yaml, "
-            f"found '{path.suffix}'"
+            f"found '{path.suffix}'{hint}"
         )
     try:
         clip = readers[path.suffix](path)
     except OSError as error:
         raise MotionFileError(f"{path}: cannot be read ({error})") from error
-    return fit_to_skeleton(clip, skeleton)
+    fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
+    skeleton = fitting[0] if fitting else skeletons[0]
+    return fit_to_skeleton(clip, skeleton), skeleton
 
 
 def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:

@@ -5,7 +5,6 @@ docs/motion_formats.md describes the keys.
 
 from __future__ import annotations
 
-import os
 import zipfile
 import zlib
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy.typing as npt
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.motion.writing import written_in_one_step
 
 _FORMAT = "isaacgymenvs_lite.motion"
 _VERSION = 1
@@ -36,14 +36,13 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
         The path of the file.
 
     Raises:
-        MotionFileError: the clip itself is not valid.
+        MotionFileError: the clip itself is not valid, or the file cannot be written.
     """
     clip.validate()
     path = Path(path)
     if path.suffix != ".npz":
         path = path.with_name(path.name + ".npz")
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as stream:
+    with written_in_one_step(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(
             stream,
             format=np.array(_FORMAT),
@@ -57,7 +56,6 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
             linear_velocity_w=clip.linear_velocity_w,
             angular_velocity_w=clip.angular_velocity_w,
         )
-    os.replace(partial, path)
     return path
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -17,6 +17,7 @@ from isaacgymenvs_lite.errors import ConfigError
 
 # The model file, relative to the assets folder, of the humanoid with a number of DOFs.
 _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
+SHIPPED_NUM_DOFS = tuple(_HUMANOIDS)
 _DOFS_OF_JOINT = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_HINGE: 1}
 
 
@@ -36,6 +37,9 @@ class Skeleton:
         dof_offsets: G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
         foot_body_ids: K body ids, the foot that each row of `foot_corners` belongs to.
         foot_corners: (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
+        dof_names: one name per DOF, such as abdomen_x or right_elbow; those of the drives. Empty
+            where the model has not one drive per DOF.
+        dof_limits: (num_dofs, 2) rad, lowest and highest value of each DOF; (0, 2) without names.
     """
 
     body_names: tuple[str, ...]
@@ -45,6 +49,8 @@ class Skeleton:
     dof_offsets: tuple[int, ...]
     foot_body_ids: tuple[int, ...]
     foot_corners: npt.NDArray[np.float64]
+    dof_names: tuple[str, ...] = ()
+    dof_limits: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def num_bodies(self) -> int:
@@ -79,6 +85,7 @@ class Skeleton:
         bodies = [model.body(i) for i in range(1, model.nbody)]
         dof_body_ids, dof_offsets = _joint_groups(model, path)
         foot_body_ids, foot_corners = _foot_corners(model)
+        dof_names, dof_limits = _drives(model, dof_offsets[-1])
         return cls(
             body_names=tuple(body.name for body in bodies),
             parent_indices=tuple(int(body.parentid[0]) - 1 for body in bodies),
@@ -87,6 +94,8 @@ class Skeleton:
             dof_offsets=dof_offsets,
             foot_body_ids=foot_body_ids,
             foot_corners=foot_corners,
+            dof_names=dof_names,
+            dof_limits=dof_limits,
         )
 
 
@@ -154,3 +163,17 @@ def _foot_corners(model: mujoco.MjModel) -> tuple[tuple[int, ...], npt.NDArray[n
             corners.append(geom.pos + (signs * geom.size) @ rotation.reshape(3, 3).T)
             body_ids.extend([int(geom.bodyid[0]) - 1] * len(signs))
     return tuple(body_ids), np.concatenate(corners)
+
+
+def _drives(
+    model: mujoco.MjModel, num_dofs: int
+) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
+    """Return the names of the drives, which stand in DOF order, and their limits (num_dofs, 2)."""
+    if model.nu != num_dofs:
+        return (), np.zeros((0, 2))
+    # A drive of a ball joint carries the limits of its axis, a hinge has them itself.
+    hinges = model.jnt_type[model.actuator_trnid[:, 0]] == mujoco.mjtJoint.mjJNT_HINGE
+    limits = np.where(
+        hinges[:, None], model.jnt_range[model.actuator_trnid[:, 0]], model.actuator_lengthrange
+    )
+    return tuple(model.actuator(i).name for i in range(model.nu)), limits

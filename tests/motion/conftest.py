@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isaacgymenvs_lite.motion import convert
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
@@ -138,6 +139,28 @@ def save_object_npy() -> Callable[[Path, Any], Path]:
         return path
 
     return save
+
+
+@pytest.fixture
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Return `refused(*words)`, the one line that a conversion ends with; no file may appear."""
+
+    def run(*words: str) -> str:
+        before = sorted(Path().iterdir())
+        with pytest.raises(SystemExit) as caught:
+            convert.main(list(words))
+        assert caught.value.code == 2
+        assert sorted(Path().iterdir()) == before
+        output = capsys.readouterr().err.splitlines()
+        (line,) = [line for line in output if line.startswith("error: ")]
+        return line
+
+    return run
 
 
 def _about(axis: str, angles_rad: Any) -> np.ndarray:

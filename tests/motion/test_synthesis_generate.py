@@ -6,6 +6,7 @@ import dataclasses
 import importlib.util
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -47,7 +48,7 @@ def test_unknown_clip_is_refused() -> None:
 def test_missing_mink_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[synthesis\]"):
-        solve._import_mink()
+        solve.PoseSolver(mujoco.MjModel.from_xml_string("<mujoco/>"), ())
 
 
 def test_cycles_of_an_odd_number_of_frames_are_refused() -> None:

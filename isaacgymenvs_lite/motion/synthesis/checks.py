@@ -14,6 +14,7 @@ import torch
 
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.dofs import dofs_from_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.mirror import mirror_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
@@ -92,12 +93,7 @@ def sole_corners(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
 
 def dof_positions(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
     """Return the DOFs (T, D) in rad: rotation vectors of ball joints, angles of hinges."""
-    turns = rotations.quat_log(torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64)))
-    columns = [
-        turns[:, body] if size == 3 else turns[:, body, 1:2]
-        for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
-    ]
-    return torch.cat(columns, dim=-1).numpy()
+    return dofs_from_rotations(skeleton, clip.local_rotation)
 
 
 def limit_margin(clip: MotionClip, skeleton: Skeleton) -> float:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.extras import import_extra
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
@@ -39,7 +37,7 @@ class PoseSolver:
     """
 
     def __init__(self, model: mujoco.MjModel, foot_names: tuple[str, ...]) -> None:
-        self._mink = _import_mink()
+        self._mink = import_extra("mink", "making motion clips", "synthesis")
         self._configuration = self._mink.Configuration(model)
         self._feet = [self._frame_task(name, _FOOT, _FOOT) for name in foot_names]
         self._pelvis = self._frame_task(model.body(1).name, 0.0, _PELVIS)
@@ -95,12 +93,3 @@ def _posture_costs(model: mujoco.MjModel, foot_names: tuple[str, ...]) -> FloatA
             costs[first : first + model.body_dofnum[body]] = _LEG
             body = model.body_parentid[body]
     return costs
-
-
-def _import_mink() -> Any:
-    if importlib.util.find_spec("mink") is None:
-        raise ConfigError(
-            "making motion clips needs the package mink, which is not installed; "
-            'pip install "isaacgymenvs-lite[synthesis]"'
-        )
-    return importlib.import_module("mink")

@@ -1,0 +1,1 @@
+"""Motion capture of other skeletons, brought onto the humanoid by inverse kinematics."""

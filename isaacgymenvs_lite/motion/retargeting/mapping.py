@@ -1,0 +1,177 @@
+"""Mapping files: which joint of a source skeleton moves which body of the humanoid, and how.
+
+docs/motion_formats.md describes them; two are shipped in assets/retargeting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+import yaml
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
+from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.utils import rotations
+
+_AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
+# Bodies whose attitude is taken from the joint's frame; that of others follows from the places of
+# their joints.
+_TURNED = ("pelvis", "torso", "head", "right_foot", "left_foot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BodySettings:
+    """An entry of `bodies`."""
+
+    joint: str = setting()
+    x: str | None = setting(None, choices=_AXES)
+    z: str | None = setting(None, choices=_AXES)
+    turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), min_length=3)
+    level: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MappingSettings:
+    """A mapping file."""
+
+    up: str = setting(choices=_AXES)
+    unit_m: float = setting(above=0.0)
+    bodies: Mapping[str, Any] = setting()
+
+
+@dataclass(frozen=True, eq=False)
+class BodySource:
+    """Where a body of the humanoid gets its motion from.
+
+    Attributes:
+        joint: name of a joint of the source skeleton.
+        frame: (4,) xyzw, rotation of the body's frame relative to the joint's; None where the
+            attitude of the joint is not used.
+        level: the sole is made parallel to the ground where the foot stands.
+    """
+
+    joint: str
+    frame: FloatArray | None
+    level: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SkeletonMapping:
+    """How a source skeleton moves the humanoid.
+
+    Attributes:
+        name: the file, or the name of a shipped mapping.
+        to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
+        unit_m: m per unit of length of the file.
+        sources: of each body of the humanoid with 28 degrees of freedom, by name.
+    """
+
+    name: str
+    to_z_up: FloatArray
+    unit_m: float
+    sources: Mapping[str, BodySource]
+
+    def check_joints(self, joint_names: Iterable[str], clip_name: str) -> None:
+        """Raise a ConfigError if the clip's skeleton lacks a joint of the mapping."""
+        joint_names = list(joint_names)
+        for body, source in self.sources.items():
+            if source.joint not in joint_names:
+                problem = unknown("joint", source.joint, joint_names)
+                raise ConfigError(f"mapping={self.name}: bodies.{body}: {clip_name} has {problem}")
+
+
+def shipped_mappings() -> dict[str, Path]:
+    """Return the files of the shipped mappings by name."""
+    return {path.stem: path for path in sorted((paths.assets_dir() / "retargeting").glob("*.yaml"))}
+
+
+def load_mapping(mapping: str | Path) -> SkeletonMapping:
+    """Read a mapping file, or the shipped one of that name.
+
+    Raises:
+        ConfigError: no such file or name; no YAML; a key is missing, unknown or has a value that
+            cannot be used; a body is missing or unknown; axes that are no frame.
+    """
+    shipped = shipped_mappings()
+    path = shipped.get(str(mapping)) or Path(mapping)
+    if not path.is_file():
+        raise ConfigError(
+            f"mapping={mapping}: no such file; give a YAML file or a shipped mapping: "
+            f"{', '.join(shipped)}"
+        )
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: is no readable YAML text ({one_line(error)})") from error
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: expected the keys up, unit_m and bodies")
+    settings = read_section(_MappingSettings, content, where=str(path), complete=True)
+    return SkeletonMapping(
+        name=str(mapping),
+        to_z_up=_to_z_up(settings.up),
+        unit_m=settings.unit_m,
+        sources=_sources(settings.bodies, str(path)),
+    )
+
+
+def _sources(bodies: Mapping[str, Any], where: str) -> dict[str, BodySource]:
+    known = skeleton_for_num_dofs(28).body_names
+    for body in bodies:
+        if body not in known:
+            raise ConfigError(f"{where}: {unknown('body', str(body), known)}")
+    missing = [body for body in known if body not in bodies]
+    if missing:
+        raise ConfigError(f"{where}: bodies lacks {', '.join(missing)}")
+    return {body: _source(body, bodies[body], f"{where}: bodies.{body}") for body in known}
+
+
+def _source(body: str, entry: Any, where: str) -> BodySource:
+    if isinstance(entry, str):
+        entry = {"joint": entry}
+    settings = read_section(_BodySettings, entry, where=where, complete=True)
+    if settings.x is None and settings.z is None and body not in _TURNED:
+        return BodySource(settings.joint, None, False)
+    if settings.x is None or settings.z is None:
+        raise ConfigError(
+            f"{where}: expected x and z, the axes of the joint '{settings.joint}' that point "
+            "forward and up in the humanoid's zero pose"
+        )
+    x, z = _axis(settings.x), _axis(settings.z)
+    if x @ z != 0.0:
+        raise ConfigError(f"{where}: x is {settings.x} and z {settings.z}, expected two axes")
+    if len(settings.turn_deg) != 3:
+        raise ConfigError(f"{where}.turn_deg is {settings.turn_deg}, expected three numbers")
+    turn = np.radians(np.array(settings.turn_deg))
+    axes = torch.from_numpy(_quaternion(np.stack((x, np.cross(z, x), z), axis=1)))
+    extra = rotations.exp_map_to_quat(torch.from_numpy(turn))
+    return BodySource(settings.joint, rotations.quat_mul(axes, extra).numpy(), settings.level)
+
+
+def _axis(name: str) -> FloatArray:
+    axis = np.zeros(3)
+    axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return axis
+
+
+def _to_z_up(up: str) -> FloatArray:
+    """Return the rotation (4,) that turns the axis `up` into z and the axis behind it into x."""
+    z = _axis(up)
+    x = np.roll(np.abs(z), 1)
+    return _quaternion(np.stack((x, np.cross(z, x), z)))
+
+
+def _quaternion(matrix: FloatArray) -> FloatArray:
+    """Return the quaternion (4,) xyzw of a rotation matrix (3, 3)."""
+    wxyz = np.zeros(4)
+    mujoco.mju_mat2Quat(wxyz, matrix.ravel())
+    return rotations.xyzw_from_wxyz(torch.from_numpy(wxyz)).numpy()

@@ -1,0 +1,175 @@
+"""Where a source skeleton wants the bodies of the humanoid: its motion, scaled limb by limb."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
+
+_log = logging.getLogger(__name__)
+
+SIDES = ("right", "left")
+# Limb by limb, whose body is where its parent's joint points to, at the humanoid's distance.
+_LIMBS = ("lower_arm", "hand", "shin")
+# A foot stands while its joint is slower than this and nearly as low as it ever is.
+_STANDING_SPEED = 0.2  # m/s
+_STANDING_HEIGHT_M = 0.01
+_FEWEST_STANDING_FRAMES = 5
+# A sole that seems to stand on edge by more is no matter of rigs: it does so.
+_MOST_LEVELLING_RAD = np.radians(15.0)
+# The ground is where the lowest corner of a sole, hand or knee is, but for this share of the frames
+# (noise).
+_BELOW_GROUND_SHARE = 0.02
+# Radii of the humanoid's hands and, about the origin of the shin, knees.
+_ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """T poses for J bodies, in the world.
+
+    Attributes:
+        positions: (T, J, 3) m, of the bodies' origins. Limbs have the humanoid's lengths and the
+            source's directions; pelvis and feet are scaled by the length of the legs.
+        turns: (T, 4) xyzw, attitudes of those bodies that take it from the source, by name.
+        scale: the humanoid's leg length by the source's.
+    """
+
+    positions: FloatArray
+    turns: dict[str, FloatArray]
+    scale: float
+
+
+def make_targets(source: MotionClip, mapping: SkeletonMapping, skeleton: Skeleton) -> Targets:
+    """Return the targets of a source motion in m, z up.
+
+    Raises:
+        ConfigError: the source lacks a joint of the mapping.
+    """
+    mapping.check_joints(source.body_names, source.name)
+    everywhere, attitudes = source.global_poses()
+    index = {body: source.body_names.index(s.joint) for body, s in mapping.sources.items()}
+    places = {body: everywhere[:, joint] for body, joint in index.items()}
+    turns = {
+        body: _turned(attitudes[:, index[body]], entry.frame)
+        for body, entry in mapping.sources.items()
+        if entry.frame is not None
+    }
+    scale = _leg_length(_rest_places(skeleton)) / _leg_length(places)
+    scaled = {body: place * scale for body, place in places.items()}
+    feet = [f"{side}_foot" for side in SIDES]
+    for foot in feet:
+        if mapping.sources[foot].level:
+            turns[foot] = _levelled(turns[foot], scaled[foot], source.fps, foot)
+    target = {foot: scaled[foot] for foot in feet}
+    target["pelvis"] = 0.5 * (scaled["right_thigh"] + scaled["left_thigh"])
+    _add_other_bodies(target, skeleton, places, turns)
+    soles = {foot: _sole_height(skeleton, foot, turns[foot]) + target[foot][:, 2] for foot in feet}
+    lowest = [target[body][:, 2] - radius for body, radius in _ROUND_M.items()]
+    ground = float(np.quantile(np.min([*soles.values(), *lowest], axis=0), _BELOW_GROUND_SHARE))
+    positions = np.stack([target[body] for body in skeleton.body_names], axis=1)
+    positions[..., 2] -= ground
+    for foot in feet:
+        # Not below the ground, whatever the noise.
+        deep = np.maximum(ground - soles[foot], 0.0)
+        positions[:, skeleton.body_names.index(foot), 2] += deep
+    return Targets(positions, turns, scale)
+
+
+def _add_other_bodies(
+    target: dict[str, FloatArray],
+    skeleton: Skeleton,
+    places: dict[str, FloatArray],
+    turns: dict[str, FloatArray],
+) -> None:
+    """Place trunk and limbs from the pelvis outwards; what the source has not stays at its parent.
+
+    Sword and shield are no targets; their rows are those of the bodies that hold them.
+    """
+    for i, body in enumerate(skeleton.body_names):
+        if body in target:
+            continue
+        parent = skeleton.body_names[skeleton.parent_indices[i]]
+        offset = skeleton.local_translation[i]
+        if body.partition("_")[2] in _LIMBS:
+            way = places[body] - places[parent]
+            length = np.linalg.norm(way, axis=1, keepdims=True)
+            step = way / np.maximum(length, 1e-9) * np.linalg.norm(offset)
+        elif parent in turns and body in places:
+            step = _applied(turns[parent], offset)
+        else:
+            step = np.zeros(3)
+        target[body] = target[parent] + step
+
+
+def _rest_places(skeleton: Skeleton) -> dict[str, FloatArray]:
+    """Return the places (1, 3) m of the bodies in the zero pose."""
+    places: dict[str, FloatArray] = {}
+    for body, parent, offset in zip(
+        skeleton.body_names, skeleton.parent_indices, skeleton.local_translation, strict=True
+    ):
+        base = places[skeleton.body_names[parent]] if parent >= 0 else 0.0
+        places[body] = base + offset[None]
+    return places
+
+
+def _leg_length(places: dict[str, FloatArray]) -> float:
+    """Return the length in m of thigh and shin, the mean of both legs and all frames."""
+    total = 0.0
+    for side in SIDES:
+        for upper, lower in (("thigh", "shin"), ("shin", "foot")):
+            way = places[f"{side}_{upper}"] - places[f"{side}_{lower}"]
+            total += float(np.linalg.norm(way, axis=1).mean())
+    return total / len(SIDES)
+
+
+def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
+    """Return the attitudes (T, 4) of a foot, turned so that its sole lies flat while it stands.
+
+    Rigs differ in how the frame of a foot lies in it. Its own direction up is taken from the frames
+    in which it stands, the median of all.
+    """
+    speed = np.linalg.norm(np.gradient(places, axis=0), axis=1) * fps
+    low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _STANDING_HEIGHT_M
+    standing = low & (speed < _STANDING_SPEED)
+    if np.count_nonzero(standing) < _FEWEST_STANDING_FRAMES:
+        _log.info("%s: never stands; how its sole lies is taken from the mapping alone", foot)
+        return turns
+    upright = np.tile((0.0, 0.0, 1.0), (int(standing.sum()), 1))
+    inverse = rotations.quat_conjugate(torch.from_numpy(turns[standing]))
+    up = np.median(rotations.quat_apply(inverse, torch.from_numpy(upright)).numpy(), axis=0)
+    up /= np.linalg.norm(up)
+    axis = torch.from_numpy(np.cross((0.0, 0.0, 1.0), up))
+    angle = torch.atan2(axis.norm(), torch.tensor(up[2]))
+    if angle > _MOST_LEVELLING_RAD:
+        _log.info("%s: never stands flat; how its sole lies is taken from the mapping alone", foot)
+        return turns
+    _log.info("%s: sole levelled by %.1f deg", foot, float(torch.rad2deg(angle)))
+    return _turned(turns, rotations.quat_from_angle_axis(angle, axis).numpy())
+
+
+def _sole_height(skeleton: Skeleton, foot: str, turns: FloatArray) -> FloatArray:
+    """Return the height (T) in m of the lowest corner of a foot over the foot's origin."""
+    body = skeleton.body_names.index(foot)
+    corners = skeleton.foot_corners[[owner == body for owner in skeleton.foot_body_ids]]
+    return np.min([_applied(turns, corner)[:, 2] for corner in corners], axis=0)
+
+
+def _turned(turns: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return turns (T, 4) that begin with the rotation `frame` (4,) in the body's own axes."""
+    q = torch.from_numpy(turns)
+    return rotations.quat_mul(q, torch.from_numpy(frame).expand_as(q)).numpy()
+
+
+def _applied(turns: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return a vector (3,) turned by each of turns (T, 4)."""
+    q = torch.from_numpy(turns)
+    return rotations.quat_apply(q, torch.from_numpy(vector).expand(len(q), 3)).numpy()

@@ -1,0 +1,110 @@
+"""BVH files as they are read: the same places by another program's kinematics, and mistakes."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
+
+
+@pytest.fixture
+def walk_file(tmp_path: Path, write_bvh) -> Path:
+    return write_bvh(tmp_path / "walk.bvh", load_clips("walk_slow")[0][0], "lafan1")
+
+
+def read(path: Path, mapping: str = "lafan1"):
+    chosen = load_mapping(mapping)
+    return load_bvh(path, chosen.to_z_up, chosen.unit_m), chosen
+
+
+@pytest.mark.parametrize(
+    ("rig", "order"), [("cmu", ""), ("lafan1", ""), ("lafan1", "XYZ"), ("cmu", "YXZ")]
+)
+def test_joints_are_where_the_bodies_were(tmp_path: Path, write_bvh, rig, order) -> None:
+    clip = load_clips("walk_slow")[0][0]
+    path = write_bvh(tmp_path / "walk.bvh", clip, rig, order=order)
+    motion, mapping = read(path, rig)
+    assert motion.fps == clip.fps
+    expected, places = clip.global_poses()[0], motion.global_poses()[0]
+    for i, body in enumerate(clip.body_names):
+        joint = motion.body_names.index(mapping.sources[body].joint)
+        # Six digits behind the point of degrees and of the file's units: 1e-8 of 1 m each.
+        np.testing.assert_allclose(places[:, joint], expected[:, i], atol=1e-6)
+
+
+def test_position_channels_may_stand_last(walk_file: Path) -> None:
+    before = read(walk_file)[0]
+    text = walk_file.read_text()
+    places, turns = "Xposition Yposition Zposition", "Zrotation Yrotation Xrotation"
+    head, rows = text.replace(f"{places} {turns}", f"{turns} {places}").split("Frame Time")
+    lines = rows.splitlines()
+    for i, line in enumerate(lines[1:], 1):
+        values = line.split()
+        lines[i] = " ".join(values[3:6] + values[:3] + values[6:])
+    walk_file.write_text("Frame Time".join((head, "\n".join(lines))))
+    np.testing.assert_allclose(read(walk_file)[0].global_poses()[0], before.global_poses()[0])
+
+
+def test_windows_line_ends(walk_file: Path) -> None:
+    before = read(walk_file)[0]
+    walk_file.write_bytes(walk_file.read_bytes().replace(b"\n", b"\r\n"))
+    np.testing.assert_array_equal(read(walk_file)[0].local_rotation, before.local_rotation)
+
+
+def drop_last_value(text: str) -> str:
+    return text.rstrip().rsplit(" ", 1)[0] + "\n"
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda text: "", "No ROOT declaration"),
+        (lambda text: text[:200], "no BVH file that can be read"),
+        (lambda text: text[: len(text) // 2], "no BVH file that can be read"),
+        (lambda text: "\n".join(text.splitlines()[:-3]), "declares 109 frames but .* 106"),
+        (drop_last_value, "no BVH file that can be read"),
+        (lambda text: text.replace("CHANNELS 3 Z", "CHANNELS 4 Z", 1), "declares 4 channels"),
+        (lambda text: text.replace("CHANNELS 3 Zrotation", "CHANNELS 2"), "exactly 3 rotation"),
+        (lambda text: text.replace("OFFSET", "OFFSETT", 1), "unexpected token 'OFFSETT'"),
+        (lambda text: text.replace("Frames: 109", "Frames: many"), "many"),
+        (lambda text: text.replace("JOINT LeftUpLeg", "JOINT"), "no BVH file that can be read"),
+        (
+            lambda text: text.replace("Frame Time: 0.03", "Frame Time: -0.03"),
+            "must be >= 0, got -0.0",
+        ),
+        (lambda text: text[: text.rindex("\n", 0, -1)] + "\n" + "nan " * 69, "NaN or infinite"),
+        (lambda text: text.replace("OFFSET 0.000000", "OFFSET inf", 1), "NaN or infinite"),
+    ],
+)
+def test_damaged_files(walk_file: Path, damage, message) -> None:
+    walk_file.write_text(damage(walk_file.read_text()))
+    with pytest.raises(MotionFileError, match=message) as caught:
+        read(walk_file)
+    assert str(caught.value).startswith(str(walk_file))
+    assert "\n" not in str(caught.value)
+
+
+def test_binary_rubbish(tmp_path: Path) -> None:
+    pytest.importorskip("pybvh")
+    (tmp_path / "clip.bvh").write_bytes(bytes(range(256)) * 10)
+    with pytest.raises(MotionFileError, match="no BVH file that can be read"):
+        read(tmp_path / "clip.bvh")
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    pytest.importorskip("pybvh")
+    with pytest.raises(MotionFileError, match=r"none\.bvh: no such file"):
+        read(tmp_path / "none.bvh")
+
+
+def test_a_missing_library_names_the_extra(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"needs the package pybvh.*lite\[retarget\]"):
+        read(tmp_path / "clip.bvh")

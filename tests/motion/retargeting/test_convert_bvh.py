@@ -1,0 +1,38 @@
+"""The command that converts clips, with motion capture of other skeletons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.motion import convert as command
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.npz import load_npz
+from isaacgymenvs_lite.motion.retargeting.mapping import shipped_mappings
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
+
+
+def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) -> None:
+    write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], "cmu")
+    own = Path("own.yaml")
+    own.write_text(shipped_mappings()["cmu"].read_text())
+    with caplog.at_level("INFO"):
+        command.main(["dance.bvh", "dance.npz", "mapping=own.yaml", "end_s=1", "fps=15"])
+    assert load_npz("dance.npz").num_frames == 16
+    assert "left_foot: 0.000" in caplog.text
+
+
+def test_a_damaged_bvh_file_leaves_nothing(refused, write_bvh) -> None:
+    path = write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], "cmu")
+    path.write_text(path.read_text()[:5000])
+    line = refused("dance.bvh", "a.npz", "mapping=cmu")
+    assert "dance.bvh: is no BVH file that can be read" in line
+
+
+def test_the_wrong_skeleton_lists_the_joints(refused, write_bvh) -> None:
+    write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], "cmu")
+    line = refused("dance.bvh", "a.npz", "mapping=lafan1")
+    assert "unknown joint 'Spine2' (did you mean 'Spine" in line
+    assert "choices: Head, Hips" in line

@@ -1,0 +1,52 @@
+"""Files appear in one step, and none is replaced unasked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.writing import check_output, written_in_one_step
+
+
+def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
+    path = tmp_path / "clip.npz"
+    path.write_text("old")
+    with written_in_one_step(path) as partial:
+        partial.write_text("new")
+        assert path.read_text() == "old"
+    assert [file.name for file in tmp_path.iterdir()] == ["clip.npz"]
+    assert path.read_text() == "new"
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_failure_leaves_nothing(tmp_path: Path, error) -> None:
+    path = tmp_path / "clip.npz"
+    with pytest.raises(error), written_in_one_step(path) as partial:
+        partial.write_text("half")
+        raise error
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
+    path = tmp_path / "none" / "clip.npz"
+    with (
+        pytest.raises(MotionFileError, match=r"cannot write .*none/clip\.npz \(No such file"),
+        written_in_one_step(path) as partial,
+    ):
+        partial.write_text("")
+
+
+def test_outputs_are_checked_before_the_work(tmp_path: Path) -> None:
+    suffixes = (".npz", ".csv")
+    path = tmp_path / "clip.npz"
+    check_output(path, suffixes, overwrite=False)
+    path.write_text("")
+    with pytest.raises(MotionFileError, match="exists already; overwrite=True replaces it"):
+        check_output(path, suffixes, overwrite=False)
+    check_output(path, suffixes, overwrite=True)
+    with pytest.raises(MotionFileError, match=r"found '\.fbx'; choices: \.npz, \.csv"):
+        check_output(tmp_path / "clip.fbx", suffixes, overwrite=True)
+    with pytest.raises(MotionFileError, match=r"the folder .*none does not exist"):
+        check_output(tmp_path / "none" / "clip.npz", suffixes, overwrite=True)
