@@ -50,11 +50,17 @@ class LaunchSettings:
     """CPU threads of the physics and of the networks, in turns; 0 means one for each CPU."""
     multi_gpu: bool = setting(False)
 
+    progress_interval: float = setting(10.0, above=0)
+    """Seconds between lines of progress where the output is no terminal."""
     headless: bool = setting(True)
     force_render: bool = setting(False)
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
+    """Environment steps from the start of one video to that of the next."""
     capture_video_len: int = setting(100, minimum=1)
+    """Environment steps of a video."""
+    capture_video_envs: int = setting(1, minimum=1)
+    """Environments that a video shows in tiles, from the first one on."""
 
     wandb_activate: bool = setting(False)
     wandb_group: str = setting("")
@@ -134,7 +140,6 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
     """
     asked = {
         "multi_gpu": (settings.multi_gpu, "data-parallel training"),
-        "capture_video": (settings.capture_video, "recording videos"),
         "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
     }
     for key, (value, feature) in asked.items():

@@ -42,12 +42,25 @@ class _TrackMaker:
         self._converter = StateConverter(model, layout)
         self.root_size = _ROOT if layout.has_free_root else 0
 
-    def track(self, root_states: Tensor, dof_pos: Tensor) -> Track:
-        """Return the track of root states (T, 7 or more) and degrees of freedom (T, D)."""
+    def track(
+        self, root_states: Tensor, dof_pos: Tensor, object_states: Tensor | None = None
+    ) -> Track:
+        """Return the track of what was at T times.
+
+        Args:
+            root_states: (T, 7 or more).
+            dof_pos: (T, D).
+            object_states: (T, K, 13); None: the objects stay at their places in the model.
+        """
         roots = torch.zeros(len(dof_pos), 13)
         roots[:, :_ROOT] = root_states[:, :_ROOT]
         dofs = dof_pos.cpu()
-        return self._converter.rows(roots, dofs, torch.zeros_like(dofs))[0]
+        qpos = self._converter.rows(roots, dofs, torch.zeros_like(dofs))[0]
+        if object_states is not None and object_states.shape[1] > 0:
+            qpos = np.array(qpos)
+            objects = self._converter.object_rows(object_states.cpu())[0]
+            qpos[:, -objects[0].size :] = objects.reshape(len(qpos), -1)
+        return qpos
 
 
 class PoseRecorder:
@@ -66,24 +79,23 @@ class PoseRecorder:
         self._ids = torch.tensor(env_ids, device=env.simulation.device)
         self._marks_of = getattr(env, "marks", lambda env_id: ())
         self._marks: list[tuple[tuple[Mark, ...], ...]] = []
-        self._root_states: list[Tensor] = []
-        self._dof_pos: list[Tensor] = []
+        self._states: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self) -> None:
         """Keep the present state; call it after `env.step`, before resets."""
-        if len(self._dof_pos) < self._num_steps:
-            self._root_states.append(self._simulation.root_states.index_select(0, self._ids))
-            self._dof_pos.append(self._simulation.dof_pos.index_select(0, self._ids))
+        if len(self._states) < self._num_steps:
+            simulation = self._simulation
+            state = (simulation.root_states, simulation.dof_pos, simulation.object_states)
+            root_states, dof_pos, objects = (of_all.index_select(0, self._ids) for of_all in state)
+            self._states.append((root_states, dof_pos, objects))
             self._marks.append(tuple(self._marks_of(env_id) for env_id in self._ids.tolist()))
 
     def tracks(self) -> list[Track]:
         """Return one track for each environment, of the steps kept so far; [] before the first."""
-        if not self._dof_pos:
+        if not self._states:
             return []
-        states = zip(
-            torch.stack(self._root_states, dim=1), torch.stack(self._dof_pos, dim=1), strict=True
-        )
-        return [self._maker.track(roots, dofs) for roots, dofs in states]
+        columns = [torch.stack(column, dim=1) for column in zip(*self._states, strict=True)]
+        return [self._maker.track(*states) for states in zip(*columns, strict=True)]
 
     def marks(self) -> list[tuple[tuple[Mark, ...], ...]]:
         """Return what was to be seen beside the figures: for each step, for each environment."""
