@@ -43,6 +43,7 @@ from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.watching.start import Watching
+from isaacgymenvs_lite.watching.window import WindowClosedError
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
@@ -170,8 +171,10 @@ class Session:
         if not self._checkpoint:
             log.warning("test=True without checkpoint=: playing an untrained policy")
         folder = run_of_checkpoint(self._checkpoint) or self._folder.path
-        self._watching.start(self._task, folder, f"play{self._run_name.removeprefix(self._name)}")
-        self._launch({"train": False, "play": True}, AlgoObserver())
+        prefix = f"play{self._run_name.removeprefix(self._name)}"
+        self._watching.start(self._task, folder, _end_play, prefix)
+        with contextlib.suppress(WindowClosedError):
+            self._launch({"train": False, "play": True}, AlgoObserver())
 
     def _train(self) -> None:
         self._folder.create(self._cfg)
@@ -190,7 +193,7 @@ class Session:
         observers += [figures, progress, advice]
         self._params["config"]["print_stats"] = False
         try:
-            self._watching.start(self._task, self._folder.path)
+            self._watching.start(self._task, self._folder.path, self._stop.ask)
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
         except UserError:
@@ -250,6 +253,10 @@ class Session:
         if agent is not None and not plain.exists():
             with _output_to_log():
                 agent.save(str(plain.with_suffix("")))
+
+
+def _end_play() -> None:
+    raise WindowClosedError
 
 
 def registered_names(runner: Runner) -> KnownNames:

@@ -53,7 +53,15 @@ class LaunchSettings:
     progress_interval: float = setting(10.0, above=0)
     """Seconds between lines of progress where the output is no terminal."""
     headless: bool = setting(True)
-    force_render: bool = setting(False)
+    """False opens a window."""
+    force_render: bool = setting(True)
+    """Show every step in a window; False: only when the task is asked to render."""
+    viewer: str = setting("", choices=("", "web"))
+    """`web` serves a page that shows environment 0."""
+    viewer_port: int = setting(8080, minimum=0, maximum=65535)
+    """Of the page; 0 takes a free one."""
+    viewer_host: str = setting("localhost")
+    """Where the page is served; 0.0.0.0 for all addresses of the machine."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
     """Environment steps from the start of one video to that of the next."""

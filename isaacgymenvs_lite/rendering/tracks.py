@@ -102,6 +102,59 @@ class PoseRecorder:
         return list(self._marks)
 
 
+class PoseReader:
+    """Reads the present pose of environments of a task.
+
+    Args:
+        env: a task (`VecTask`).
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._simulation = env.simulation
+        self._maker = _TrackMaker(env.simulation.model)
+
+    def __call__(self, env_id: int) -> npt.NDArray[np.float64]:
+        """Return the joint positions (nq,) of an environment, those of objects included."""
+        simulation = self._simulation
+        states = (simulation.root_states, simulation.dof_pos, simulation.object_states)
+        return self._maker.track(*(of_all[env_id : env_id + 1] for of_all in states))[0]
+
+
+class ReferenceClips:
+    """The reference clips of a task as tracks.
+
+    Args:
+        env: a task with a motion library.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._motion_lib: MotionLib = env.motion_lib
+        self._dt_s = float(env.dt)
+        self._maker = _TrackMaker(env.simulation.model)
+        self._joints = [self._joints_of(i) for i in range(env.motion_lib.num_motions())]
+
+    def _joints_of(self, motion_id: int) -> Track:
+        """Return what is not the root's of a clip's poses, one for each control step."""
+        length_s = float(self._motion_lib.get_motion_length([motion_id]))
+        frames = range(max(1, math.ceil(length_s / self._dt_s)))
+        return self.track(motion_id, frames)[:, self._maker.root_size :]
+
+    def phase(self, like: Track) -> tuple[int, int]:
+        """Return the clip, and the control step in it, nearest to the first moments of `like`."""
+        beginning = like[:_PHASE_STEPS, self._maker.root_size :]
+        best = (math.inf, 0, 0)
+        for motion_id, joints in enumerate(self._joints):
+            windows = np.stack([np.roll(joints, -step, axis=0) for step in range(len(beginning))])
+            distances = np.linalg.norm(windows - beginning[:, None], axis=-1).sum(axis=0)
+            frame = int(distances.argmin())
+            best = min(best, (float(distances[frame]), motion_id, frame))
+        return best[1:]
+
+    def track(self, motion_id: int, steps: range) -> Track:
+        """Return a clip's poses at control steps; it goes on from where it ends."""
+        return _clip_track(self._motion_lib, self._maker, motion_id, self._dt_s, steps)
+
+
 def reference_track(env: Any, like: Track) -> Track:
     """Return the reference clip of a task, as long as `like` and beginning in the same phase.
 
@@ -113,20 +166,9 @@ def reference_track(env: Any, like: Track) -> Track:
         env: a task with a motion library.
         like: (T, nq), a track of the task.
     """
-    maker = _TrackMaker(env.simulation.model)
-    beginning = like[:_PHASE_STEPS, maker.root_size :]
-    best = (math.inf, 0, 0)
-    for motion_id in range(env.motion_lib.num_motions()):
-        length_s = float(env.motion_lib.get_motion_length([motion_id]))
-        frames = range(max(1, math.ceil(length_s / env.dt)))
-        joints = _clip_track(env.motion_lib, maker, motion_id, env.dt, frames)[:, maker.root_size :]
-        windows = np.stack([np.roll(joints, -step, axis=0) for step in range(len(beginning))])
-        distances = np.linalg.norm(windows - beginning[:, None], axis=-1).sum(axis=0)
-        frame = int(distances.argmin())
-        best = min(best, (float(distances[frame]), motion_id, frame))
-    _, motion_id, first = best
-    steps = range(first, first + len(like))
-    return _clip_track(env.motion_lib, maker, motion_id, env.dt, steps)
+    clips = ReferenceClips(env)
+    motion_id, first = clips.phase(like)
+    return clips.track(motion_id, range(first, first + len(like)))
 
 
 def _clip_track(

@@ -72,6 +72,18 @@ class View:
         )
 
 
+def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
+    """Let the camera of a viewer begin with the view of a model, and follow a robot."""
+    view = View.of_model(model)
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    camera.distance = view.distance_m
+    if view.moves_about:
+        camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        camera.trackbodyid = int(model.jnt_bodyid[0])
+    else:
+        camera.lookat[:] = (*view.centre_xy_m, view.look_at_height_m)
+
+
 def has_free_root(model: mujoco.MjModel) -> bool:
     """Return whether the first joint of a model is free: a robot that moves about."""
     return model.njnt > 0 and int(model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)

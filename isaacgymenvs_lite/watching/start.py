@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.tasks.base.watcher import Watcher
-from isaacgymenvs_lite.watching.studio import Studio
+from isaacgymenvs_lite.watching.film_maker import FilmMaker
 from isaacgymenvs_lite.watching.video_capture import VideoCapture
+from isaacgymenvs_lite.watching.web_page import WebPage, check_page
+from isaacgymenvs_lite.watching.window import Window, check_display
 
 log = logging.getLogger(__name__)
 
@@ -25,7 +28,7 @@ class Watching:
 
     Raises:
         RenderingError: this machine cannot draw what is asked for.
-        ConfigError: a package that is needed is missing.
+        ConfigError: a package that is needed is missing, there is no display, a port is taken.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
@@ -35,21 +38,35 @@ class Watching:
         if settings.capture_video:
             check_encoder()
             ensure_gl()
+        if not settings.headless:
+            check_display()
+        if settings.viewer == "web":
+            check_page(settings.viewer_host, settings.viewer_port)
 
-    def start(self, env: Any, run_folder: Path, prefix: str = "rl-video") -> None:
+    def start(
+        self, env: Any, run_folder: Path, on_quit: Callable[[], None], prefix: str = "rl-video"
+    ) -> None:
         """Begin to watch a task.
 
         Args:
             env: the task.
             run_folder: videos go to the folder `videos/` in it.
+            on_quit: called in the task's thread when somebody closes the window.
             prefix: of the names of videos.
 
         Raises:
-            ConfigError: the folder of videos cannot be written.
+            ConfigError: the folder of videos cannot be written, or a port was taken meanwhile.
         """
+        settings, folder = self._settings, run_folder / "videos"
         self._env = env
-        if self._settings.capture_video:
-            self._add(self._capture(env, run_folder / "videos", prefix))
+        if settings.capture_video:
+            self._add(self._capture(env, folder, prefix))
+        if not settings.headless:
+            self._add(Window(env, folder, on_quit, every_step=settings.force_render))
+        if settings.viewer == "web":
+            # A training on a server is not held up; a play would be over before one could look.
+            page = WebPage(env, settings.viewer_host, settings.viewer_port, real_time=settings.test)
+            self._add(page)
 
     def _add(self, watcher: Watcher) -> None:
         self._watchers.append(watcher)
@@ -66,7 +83,7 @@ class Watching:
         log.info("videos go to %s", folder)
         return VideoCapture(
             env,
-            Studio(on_done),
+            FilmMaker(on_done),
             folder,
             every=settings.capture_video_freq,
             length=settings.capture_video_len,

@@ -1,7 +1,7 @@
 """Videos of a training or a play: every so many steps the next ones are recorded, then drawn.
 
 Recording copies the state of the environments that are shown, some dozens of numbers. Drawing and
-encoding, which take a hundred times as long, are left to a thread (`Studio`).
+encoding, which take a hundred times as long, are left to a thread (`FilmMaker`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
-from isaacgymenvs_lite.watching.studio import Film, Studio
+from isaacgymenvs_lite.watching.film_maker import Film, FilmMaker
 
 log = logging.getLogger(__name__)
 
@@ -21,7 +21,7 @@ class VideoCapture:
 
     Args:
         env: the task.
-        studio: draws what was recorded.
+        film_maker: draws what was recorded.
         folder: where the files go; it exists.
         every: control steps from the start of one recording to that of the next.
         length: control steps of a recording.
@@ -32,7 +32,7 @@ class VideoCapture:
     def __init__(
         self,
         env: Any,
-        studio: Studio,
+        film_maker: FilmMaker,
         folder: Path,
         *,
         every: int,
@@ -41,7 +41,7 @@ class VideoCapture:
         prefix: str = "rl-video",
     ) -> None:
         self._env = env
-        self._studio = studio
+        self._film_maker = film_maker
         self._folder = folder
         self._every = every
         self._length = length
@@ -68,10 +68,10 @@ class VideoCapture:
     def close(self) -> None:
         """Let a recording that was begun end here, and wait for what is still drawn."""
         self._finish()
-        self._studio.close()
+        self._film_maker.close()
 
     def _finish(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             name = f"{self._prefix}-step-{self._first_step}.mp4"
-            self._studio.make(Film.of_recording(self._env, recorder, self._folder / name))
+            self._film_maker.make(Film.of_recording(self._env, recorder, self._folder / name))

@@ -16,7 +16,7 @@ ROOT_KEYS = {
     *("wandb_name", "wandb_project", "wandb_tags", "capture_video", "capture_video_freq"),
     *("capture_video_len", "force_render", "headless", "latent"),
     # ours
-    *("capture_video_envs", "progress_interval"),
+    *("capture_video_envs", "progress_interval", "viewer", "viewer_port", "viewer_host"),
 }
 
 

@@ -12,13 +12,13 @@ import pytest
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.making import make_from_config, seed_everything
-from isaacgymenvs_lite.watching import studio
+from isaacgymenvs_lite.watching import film_maker
 
 
 @pytest.fixture
 def small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr(studio, "_ALONE", (160, 120))
-    monkeypatch.setattr(studio, "_TILE", (80, 60))
+    monkeypatch.setattr(film_maker, "_ALONE", (160, 120))
+    monkeypatch.setattr(film_maker, "_TILE", (80, 60))
 
 
 @pytest.fixture

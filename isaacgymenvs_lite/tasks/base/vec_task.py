@@ -121,7 +121,7 @@ class VecTask(Env):
         progress_buf: (N,) int64, control steps of the running episode.
         timeout_buf: (N,) bool, ended by the time limit.
         extras: what `step` returns as infos; the same dictionary at every step.
-        watchers: told of every step; see `Watcher`. Who adds one closes it.
+        watchers: told of every step; see `Watcher`.
         max_episode_length: control steps; a task must set it.
     """
 
@@ -291,7 +291,9 @@ class VecTask(Env):
             watcher.render()
 
     def close(self) -> None:
-        """Free the simulation; the task cannot be stepped afterwards."""
+        """Free the simulation and those who watch; the task cannot be stepped afterwards."""
+        while self.watchers:
+            self.watchers.pop().close()
         self.simulation.close()
 
     def _observations(self) -> dict[str, Tensor]:

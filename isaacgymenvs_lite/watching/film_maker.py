@@ -56,7 +56,7 @@ class Film:
         return cls(path, simulation.model, simulation.dt, tracks, marks, follow)
 
 
-class Studio:
+class FilmMaker:
     """Makes films one after the other in a thread that starts with the first.
 
     A film that cannot be made is reported in the log: it is no reason to end a training.
