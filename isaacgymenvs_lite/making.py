@@ -14,9 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.watching.window import Window, check_display
+from isaacgymenvs_lite.watching.window import Window
 
 
 def make_task(

@@ -18,6 +18,8 @@ from isaacgymenvs_lite.rendering.view import View, has_free_root
 
 Image = npt.NDArray[np.uint8]
 """(height, width, 3), RGB."""
+Track = npt.NDArray[np.float64]
+"""(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
 
 # MuJoCo takes the nearest and the farthest that is seen from the size of the model. A terrain's
 # would cut off the robot, hence at most this many distances of the camera.

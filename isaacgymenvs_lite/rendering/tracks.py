@@ -23,11 +23,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.rendering.scene import Track
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_planes import StateConverter
-
-Track = npt.NDArray[np.float64]
-"""(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
 
 _ROOT = 7  # numbers of a free joint: position, quaternion
 # Steps that tell the phase of a motion: one pose may occur twice, going up and going down.

@@ -24,8 +24,7 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.marks import Mark
-from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
-from isaacgymenvs_lite.rendering.tracks import Track
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer, Track
 from isaacgymenvs_lite.rendering.view import View
 
 PANEL_WIDTH, PANEL_HEIGHT = 320, 480

@@ -9,13 +9,14 @@ from typing import Any
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.tasks.base.watcher import Watcher
 from isaacgymenvs_lite.watching.film_maker import FilmMaker
 from isaacgymenvs_lite.watching.video_capture import VideoCapture
 from isaacgymenvs_lite.watching.web_page import WebPage, check_page
-from isaacgymenvs_lite.watching.window import Window, check_display
+from isaacgymenvs_lite.watching.window import Window
 
 log = logging.getLogger(__name__)
 

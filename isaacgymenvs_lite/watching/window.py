@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.watching.film_maker import Film, FilmMaker
@@ -139,22 +137,3 @@ class Window:
         # A window that still draws when the process ends takes it down.
         for thread in self._threads:
             thread.join(_CLOSING_S)
-
-
-def check_display() -> None:
-    """Say at once that there is no display, or nothing to open a window with.
-
-    Raises:
-        ConfigError: so it is.
-    """
-    instead = "without one: headless=True, viewer=web for a browser, capture_video=True for videos"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW's reason why not
-            shown = bool(importlib.import_module("glfw").init())
-    except Exception as error:  # the library behind it may be missing in many ways
-        raise ConfigError(
-            f"headless=False: no window can be opened here ({error}); {instead}"
-        ) from error
-    if not shown:
-        raise ConfigError(f"headless=False: there is no display (DISPLAY is not set?); {instead}")

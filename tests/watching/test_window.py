@@ -12,10 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.watching import window
 from isaacgymenvs_lite.watching.keys import Keys
-from isaacgymenvs_lite.watching.window import check_display
 from tests.watching.conftest import assert_is_a_film, frames_of
 
 ESCAPE = 256
@@ -33,24 +30,6 @@ def test_what_the_keys_mean():
         keys.press(key)
     keys.update()
     assert (keys.sync, keys.recording, keys.quit) == (True, False, True)
-
-
-@pytest.mark.parametrize("reason", ["no display", "no library"])
-def test_without_a_display_there_is_one_line(reason, monkeypatch):
-    class Glfw:
-        @staticmethod
-        def init() -> bool:
-            return False
-
-    def import_module(name: str) -> type:
-        if reason == "no library":
-            raise ImportError("libglfw.so.3")
-        return Glfw
-
-    monkeypatch.setattr(window.importlib, "import_module", import_module)
-    with pytest.raises(ConfigError, match=r"headless=False: .*viewer=web") as caught:
-        check_display()
-    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture
