@@ -45,7 +45,7 @@ def run_command(
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", metavar="key=value")
-    given = parser.parse_args(arguments, words).settings
+    given = parser.parse_args(arguments, words or argparse.Namespace()).settings
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         action(read_settings(cls, given))

@@ -86,7 +86,7 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
         angles_axes.plot(times_s, angle, style, label=body.replace("_", " "), linewidth=1.2)
     angles_axes.set_ylabel("joint angle (rad)")
     angles_axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-    angles_axes.set_title(clip.name)
+    angles_axes.set_title(Path(clip.name).name)
     root_axes.plot(times_s, clip.root_translation[:, 2], color="black")
     root_axes.set_ylabel("root height (m)")
     _draw_contacts(feet_axes, times_s, foot_contacts(clip))

@@ -14,6 +14,7 @@ import logging
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -69,7 +70,9 @@ def view_clip(name: str, settings: ViewSettings) -> None:
         _show(model, poses, clip.fps, settings.azimuth)
         return
     view = View(azimuth_deg=settings.azimuth)
-    images = draw_tracks(model, [poses], [clip.name], width=_WIDTH, height=_HEIGHT, view=view)
+    images = draw_tracks(
+        model, [poses], [Path(clip.name).name], width=_WIDTH, height=_HEIGHT, view=view
+    )
     path = save_video(settings.out, images, clip.fps)
     log.info("%s: wrote %s, %d frames at %g Hz", clip.name, path, len(poses), clip.fps)
 

@@ -125,3 +125,54 @@ def test_a_missing_encoder_is_found_before_the_task_is_made(in_tmp, monkeypatch)
     monkeypatch.setattr(runner, "make_from_config", lambda *_, **__: pytest.fail("a task"))
     with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[video\]"):
         run(cfg_of(*PPO, *VIDEOS))
+
+
+class ClosedWindow:
+    """A window that somebody closes after three steps."""
+
+    def __init__(self, env, folder, on_quit, *, every_step: bool) -> None:
+        del env, folder
+        self._on_quit = on_quit
+        self.steps = 0
+        assert every_step  # force_render, as published
+
+    def after_step(self) -> None:
+        self.steps += 1
+        if self.steps == 3:
+            self._on_quit()
+
+    def render(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def closed_window(monkeypatch) -> None:
+    monkeypatch.setattr(start, "check_display", lambda: None)
+    monkeypatch.setattr(start, "Window", ClosedWindow)
+
+
+@pytest.mark.usefixtures("closed_window")
+def test_a_training_ends_with_its_window_after_the_epoch(in_tmp, caplog):
+    run(cfg_of(*PPO, "max_iterations=50", "headless=False"))
+    assert list(in_tmp.glob("runs/*/nn/Cartpole.pth"))
+    assert "ending after this epoch with a checkpoint" in caplog.text
+
+
+@pytest.mark.usefixtures("closed_window")
+def test_a_play_ends_with_its_window_at_once(in_tmp, caplog):
+    run(cfg_of("task=Cartpole", "test=True", "headless=False"))
+    assert "episodes" not in caplog.text
+
+
+@pytest.mark.usefixtures("no_training")
+def test_without_a_display_no_task_is_made(in_tmp, monkeypatch):
+    def refuse() -> None:
+        raise ConfigError("no display")
+
+    monkeypatch.setattr(start, "check_display", refuse)
+    monkeypatch.setattr(runner, "make_from_config", lambda *_, **__: pytest.fail("a task"))
+    with pytest.raises(ConfigError, match="no display"):
+        run(cfg_of(*PPO, "headless=False"))
