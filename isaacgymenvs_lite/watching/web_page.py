@@ -6,7 +6,9 @@ and then. It has no password: whoever reaches the port can look on, hence localh
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import copy
 import importlib
 import io
 import logging
@@ -17,6 +19,7 @@ from typing import Any
 import mujoco
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader
 from isaacgymenvs_lite.watching.ghost import FigurePainter, Ghost
 
@@ -48,7 +51,11 @@ class WebPage:
         check_page(host, port)
         self._env = env
         self._read_pose = PoseReader(env)
-        self._model: mujoco.MjModel = env.simulation.model
+        # Of rough ground a browser gets the piece about the robot, too.
+        self._whole: mujoco.MjModel = copy.copy(env.simulation.model)
+        self._ground = TerrainWindow(self._whole)
+        self._ground.move(self._read_pose(0)[:2])
+        self._model = copy.copy(self._whole)
         self._data = mujoco.MjData(self._model)
         self._ghost = Ghost(env) if hasattr(env, "motion_lib") else None
         self._painter = FigurePainter(self._model)
@@ -59,6 +66,7 @@ class WebPage:
 
         self._page = start_server(self._model, _ADDRESSES.get(host, host), port)
         self.url = f"http://{host}:{self._page.port}/"
+        atexit.register(self.close)  # a thread that goes on when Python ends takes it down
         self.render()
         log.info("watch it at %s (no password: who reaches the port can look on)", self.url)
 
@@ -78,6 +86,8 @@ class WebPage:
             return
         qpos = self._read_pose(0)
         self._data.qpos[:] = qpos
+        if self._ground.move(qpos[:2]):
+            self._model = copy.copy(self._whole)  # another model: browsers fetch it
         if self._ghost is not None:
             self._scene.ngeom = 0
             self._painter.add_to(self._scene, self._ghost.pose(qpos))
@@ -86,6 +96,7 @@ class WebPage:
 
     def close(self) -> None:
         """End the server; a second call does nothing."""
+        atexit.unregister(self.close)
         with contextlib.redirect_stdout(io.StringIO()):
             self._page.handle.close()
 

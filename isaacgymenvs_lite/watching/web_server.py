@@ -122,6 +122,8 @@ def _let_the_log_decide() -> None:
     server_log.handlers.clear()
     server_log.propagate = True
     server_log.setLevel(logging.WARNING)
+    # A browser that leaves while it is sent a state is no error.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
 
 
 def _free_port(address: str) -> int:

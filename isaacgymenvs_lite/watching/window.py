@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import threading
 import time
@@ -72,6 +73,7 @@ class Window:
             show_right_ui=False,
         )
         self._threads = set(threading.enumerate()) - others
+        atexit.register(self.close)
         with self._viewer.lock():
             aim_camera(self._viewer.cam, self._model)
         log.info("%s", Keys.HELP)
@@ -131,6 +133,7 @@ class Window:
 
     def close(self) -> None:
         """Close the window, after what was recorded is written; a second call does nothing."""
+        atexit.unregister(self.close)
         self._end_recording()
         self._film_maker.close()
         self._viewer.close()
