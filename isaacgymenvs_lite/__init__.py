@@ -26,7 +26,7 @@ def make(
     headless: bool = True,
     multi_gpu: bool = False,
     virtual_screen_capture: bool = False,
-    force_render: bool = False,
+    force_render: bool = True,
     cfg: DictConfig | None = None,
 ) -> VecTask:
     """Make a task; arguments, names and order as IsaacGymEnvs' `make`, all with a default.
@@ -38,10 +38,10 @@ def make(
         sim_device: physics device.
         rl_device: torch device of what `step` and `reset` return.
         graphics_device_id: index of the rendering device.
-        headless: no viewer.
+        headless: no window; with False the program ends when its window is closed, or by ESC.
         multi_gpu: not supported yet.
         virtual_screen_capture: not supported yet.
-        force_render: not supported yet.
+        force_render: show every step in the window; False: only when `render` is called.
         cfg: a composed tree to use instead of composing one; task, num_envs and seed are then
             taken from it, and the class from `cfg.task.name`.
 

@@ -27,6 +27,7 @@ def run_command(
     cls: type[T],
     action: Callable[[T], object],
     arguments: Sequence[str] | None = None,
+    words: argparse.Namespace | None = None,
 ) -> int:
     """Read `key=value` words into a settings dataclass and run an action with it.
 
@@ -37,16 +38,17 @@ def run_command(
         cls: a dataclass, see `schema.setting`.
         action: what the command does.
         arguments: without the program's name; None = `sys.argv`.
+        words: filled with the parser's own options and words before the action runs.
 
     Returns:
         The exit code.
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", metavar="key=value")
-    words = parser.parse_args(arguments).settings
+    given = parser.parse_args(arguments, words or argparse.Namespace()).settings
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
-        action(read_settings(cls, words))
+        action(read_settings(cls, given))
     except UserError as error:
         parser.exit(EXIT_USER_ERROR, f"error: {error}\n")
     return 0

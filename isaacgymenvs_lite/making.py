@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.watching.window import Window
 
 
 def make_task(
@@ -47,7 +51,9 @@ def make_task(
         )
     settings = check_config(cfg)
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    return make_from_config(
+    if not headless:
+        check_display()
+    env = make_from_config(
         cfg,
         sim_device=sim_device,
         rl_device=rl_device,
@@ -56,6 +62,10 @@ def make_task(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
+    if not headless:
+        # As in Isaac Gym, the program ends with its window.
+        env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
+    return env
 
 
 def make_from_config(

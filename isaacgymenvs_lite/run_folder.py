@@ -52,3 +52,9 @@ class RunFolder:
         """Return the checkpoint that was written last."""
         files = self.checkpoints.glob("*.pth")
         return max(files, key=lambda file: file.stat().st_mtime, default=None)
+
+
+def run_of_checkpoint(checkpoint: str) -> Path | None:
+    """Return the run folder that a checkpoint lies in, `<run>/nn/<name>.pth`; None elsewhere."""
+    path = Path(checkpoint)
+    return path.parent.parent if checkpoint and path.parent.name == "nn" else None

@@ -41,11 +41,13 @@ from isaacgymenvs_lite.observers import (
     TaskScalarsObserver,
 )
 from isaacgymenvs_lite.registration import build_runner, known_names, register_env
-from isaacgymenvs_lite.run_folder import RunFolder
+from isaacgymenvs_lite.run_folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import thread_count
+from isaacgymenvs_lite.watching.start import Watching
+from isaacgymenvs_lite.watching.window import WindowClosedError
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
@@ -77,6 +79,7 @@ class Session:
     def __init__(self, cfg: DictConfig, settings: LaunchSettings, seed: int) -> None:
         self._cfg = cfg
         self._settings = settings
+        self._watching = Watching(settings)
         self._seed = seed
         self._name = settings.experiment or str(cfg.train.params.config.name)
         train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
@@ -113,6 +116,7 @@ class Session:
         finally:
             torch.set_num_threads(threads)
             register_env()  # the task made here is of no use to others
+            self._watching.close()
             for env in self._envs:
                 env.close()
 
@@ -170,13 +174,18 @@ class Session:
     def _play(self) -> None:
         if not self._checkpoint:
             log.warning("test=True without checkpoint=: playing an untrained policy")
-        self._launch({"train": False, "play": True}, AlgoObserver())
+        folder = run_of_checkpoint(self._checkpoint) or self._folder.path
+        prefix = f"play{self._run_name.removeprefix(self._name)}"
+        self._watching.start(self._task, folder, _end_play, prefix)
+        with contextlib.suppress(WindowClosedError):
+            self._launch({"train": False, "play": True}, AlgoObserver())
 
     def _train(self) -> None:
         self._folder.create(self._cfg)
         imitation = self._imitation_observer()
         figures = FiguresObserver()
-        progress = ProgressObserver(self._stop, figures, imitation)
+        interval_s = self._settings.progress_interval
+        progress = ProgressObserver(self._stop, figures, imitation, interval_s)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
         if self._settings.wandb_activate:
             from isaacgymenvs_lite.wandb_observer import WandbObserver
@@ -188,6 +197,7 @@ class Session:
         observers += [figures, progress, advice]
         self._params["config"]["print_stats"] = False
         try:
+            self._watching.start(self._task, self._folder.path, self._stop.ask)
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
         except UserError:
@@ -247,6 +257,10 @@ class Session:
         if agent is not None and not plain.exists():
             with _output_to_log():
                 agent.save(str(plain.with_suffix("")))
+
+
+def _end_play() -> None:
+    raise WindowClosedError
 
 
 def registered_names(runner: Runner) -> KnownNames:

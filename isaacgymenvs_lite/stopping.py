@@ -33,6 +33,11 @@ class StopRequest:
         for number, handler in self._former.items():
             signal.signal(number, handler)
 
+    def ask(self) -> None:
+        """Ask for the end, as the first signal does."""
+        self.requested = True
+        log.warning("ending after this epoch with a checkpoint")
+
     def _handle(self, number: int, frame: FrameType | None) -> None:
         del frame
         if self.requested:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -64,3 +65,15 @@ class WandbObserver(AlgoObserver):
         )
         if settings.wandb_logcode_dir and wandb.run is not None:
             wandb.run.log_code(root=settings.wandb_logcode_dir)
+
+
+def log_video(path: Path) -> None:
+    """Add a video to the open run; one that cannot be added is reported and left out."""
+    import wandb  # type: ignore[import-not-found]
+
+    if wandb.run is None:
+        return
+    try:
+        wandb.log({"video": wandb.Video(str(path), format="mp4")})
+    except Exception as error:  # as for opening the run
+        log.warning("wandb: %s was not added: %s", path, error)

@@ -1,4 +1,4 @@
-"""What tests of several rooms share: a small clip of each humanoid."""
+"""What tests of several rooms share: a small clip of each humanoid, a machine that can draw."""
 
 from __future__ import annotations
 
@@ -11,9 +11,19 @@ from scipy.spatial.transform import Rotation
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
+
+
+@pytest.fixture(scope="session")
+def gl() -> str:
+    """The OpenGL library that draws here."""
+    try:
+        return ensure_gl()
+    except RenderingError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

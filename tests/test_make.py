@@ -12,6 +12,7 @@ import torch
 from omegaconf import DictConfig
 
 import isaacgymenvs_lite
+from isaacgymenvs_lite import making
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, DeviceError, MotionFileError
 from isaacgymenvs_lite.making import make_from_config
@@ -78,8 +79,20 @@ def test_keywords(make) -> None:
     assert infos["amp_obs"].shape == (3, 210)
 
 
-def test_positions(make) -> None:
+def test_positions(make, monkeypatch) -> None:
+    opened = []
+
+    class Window:
+        def __init__(self, env, *_, every_step) -> None:
+            opened.append((env, every_step))
+
+        def close(self) -> None:
+            opened.clear()
+
+    monkeypatch.setattr(making, "check_display", lambda: None)
+    monkeypatch.setattr(making, "Window", Window)
     task = make(7, "HumanoidAMP", 2, "cpu", "cpu", 0, False, False, False, False)
+    assert opened == [(task, False)]
     assert task.num_envs == 2
     assert not task.headless
     assert task.graphics_device_id == 0

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
-from isaacgymenvs_lite.wandb_observer import WandbObserver
+from isaacgymenvs_lite.wandb_observer import WandbObserver, log_video
 
 
 class FakeWandb(types.ModuleType):
@@ -62,3 +62,21 @@ def test_wandb_failing_never_ends_a_training(failures, attempts, open_wandb, cap
     assert len(fake.inits) == attempts
     assert "no network" in caplog.text
     assert ("goes on without" in caplog.text) is (failures > attempts)
+
+
+def test_a_video_goes_to_the_run(monkeypatch, tmp_path, caplog):
+    fake: Any = FakeWandb(0)
+    fake.Video = lambda path, format: (path, format)
+    fake.log = fake.logged.append
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    log_video(tmp_path / "a.mp4")
+    assert fake.logged == [{"video": (str(tmp_path / "a.mp4"), "mp4")}]
+
+    def fail(*_: object) -> None:
+        raise ConnectionError("no network")
+
+    fake.log = fail
+    log_video(tmp_path / "a.mp4")
+    assert "no network" in caplog.text
+    fake.run = None
+    log_video(tmp_path / "a.mp4")  # the run could not be opened

@@ -50,11 +50,25 @@ class LaunchSettings:
     """CPU threads of the physics and of the networks, in turns; 0 means one for each CPU."""
     multi_gpu: bool = setting(False)
 
+    progress_interval: float = setting(10.0, above=0)
+    """Seconds between lines of progress where the output is no terminal."""
     headless: bool = setting(True)
-    force_render: bool = setting(False)
+    """False opens a window."""
+    force_render: bool = setting(True)
+    """Show every step in a window; False: only when the task is asked to render."""
+    viewer: str = setting("", choices=("", "web"))
+    """`web` serves a page that shows environment 0."""
+    viewer_port: int = setting(8080, minimum=0, maximum=65535)
+    """Of the page; 0 takes a free one."""
+    viewer_host: str = setting("localhost")
+    """Where the page is served; 0.0.0.0 for all addresses of the machine."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
+    """Environment steps from the start of one video to that of the next."""
     capture_video_len: int = setting(100, minimum=1)
+    """Environment steps of a video."""
+    capture_video_envs: int = setting(1, minimum=1)
+    """Environments that a video shows in tiles, from the first one on."""
 
     wandb_activate: bool = setting(False)
     wandb_group: str = setting("")
@@ -134,7 +148,6 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
     """
     asked = {
         "multi_gpu": (settings.multi_gpu, "data-parallel training"),
-        "capture_video": (settings.capture_video, "recording videos"),
         "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
     }
     for key, (value, feature) in asked.items():

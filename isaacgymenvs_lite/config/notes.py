@@ -15,7 +15,6 @@ from isaacgymenvs_lite.paths import cfg_dir
 _ROOT_KEYS = ("physics_engine", "solver_type", "num_subscenes", "graphics_device_id")
 _TASK_KEYS = (
     "env.envSpacing",
-    "env.cameraFollow",
     "env.enableDebugVis",
     "env.enableCameraSensors",
     "env.renderFPS",
@@ -66,10 +65,6 @@ def startup_notes(cfg: DictConfig) -> list[str]:
     notes = []
     if without_effect := physx_only_keys(cfg):
         notes.append(f"no effect here, PhysX or viewer only: {', '.join(without_effect)}")
-    shown = [key for key, off in (("headless", True), ("force_render", False)) if cfg[key] != off]
-    if shown:
-        given = ", ".join(f"{key}={cfg[key]}" for key in shown)
-        notes.append(f"{given}: there is no viewer in this version, running without")
     if not cfg.test and (note := cpu_defaults_note(cfg)):
         notes.append(note)
     return notes

@@ -23,6 +23,7 @@ from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
+from isaacgymenvs_lite.rendering.view import View
 
 _MODEL = "mjcf/amp_humanoid.xml"
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
@@ -45,7 +46,8 @@ def draw_poses(
     Raises:
         RenderingError: this machine cannot draw.
     """
-    with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, azimuth_deg=azimuth_deg) as renderer:
+    view = View(azimuth_deg=azimuth_deg)
+    with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
 
 

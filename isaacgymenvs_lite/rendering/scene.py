@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,13 +13,20 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.marks import Arrow, Colour, Mark
 from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
+from isaacgymenvs_lite.rendering.view import View, has_free_root
 
 Image = npt.NDArray[np.uint8]
 """(height, width, 3), RGB."""
+Track = npt.NDArray[np.float64]
+"""(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
 
-# Half width of the area in which shadows are drawn, in extents of the model: with MuJoCo's 1 the
-# shadow map ends in the picture, as noise on the floor.
-_SHADOW_CLIP = 4.0
+# MuJoCo takes the nearest and the farthest that is seen from the size of the model. A terrain's
+# would cut off the robot, hence at most this many distances of the camera.
+_MAX_EXTENT = 0.7
+# Half the width of the area in which shadows are drawn, in sizes of the model and m: with MuJoCo's
+# one size the shadow map ends in the picture, as noise on the floor.
+_SHADOW_CLIP, _MIN_SHADOW_M = 4.0, 6.9
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
@@ -34,10 +42,7 @@ class SceneRenderer:
         model: the model; it is not changed.
         width: of the pictures, pixels.
         height: pixels.
-        azimuth_deg: where the camera looks: 90 along +y, 180 along -x.
-        elevation_deg: negative looks down.
-        distance_m: from the camera to where it looks.
-        look_at_height_m: height of that point above the floor.
+        view: from where; a model that is fixed to the world is drawn whole unless one is given.
         fast: coarser shadows, jagged edges and no reflections, for videos rendered in software.
 
     Raises:
@@ -50,25 +55,24 @@ class SceneRenderer:
         width: int,
         height: int,
         *,
-        azimuth_deg: float = 90.0,
-        elevation_deg: float = -4.0,
-        distance_m: float = 2.5,
-        look_at_height_m: float = 0.82,
+        view: View | None = None,
         fast: bool = False,
     ) -> None:
         ensure_gl()
         self._model = model = copy.copy(model)
         self._data = mujoco.MjData(model)
         self._fast = fast
-        self._look_at_height_m = look_at_height_m
-        self._follows = model.njnt > 0 and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+        if view is None:
+            view = View() if has_free_root(model) else View.of_model(model)
+        self._view = view
+        self._ground = TerrainWindow(model)
+        self._ground.move(np.zeros(2))  # the renderer takes long for all of it
         self._camera = mujoco.MjvCamera()
-        mujoco.mjv_defaultFreeCamera(model, self._camera)
-        if self._follows:
-            self._camera.azimuth, self._camera.elevation = azimuth_deg, elevation_deg
-            self._camera.distance = distance_m
+        self._camera.azimuth, self._camera.elevation = view.azimuth_deg, view.elevation_deg
+        self._camera.distance = view.distance_m
+        model.stat.extent = min(model.stat.extent, _MAX_EXTENT * view.distance_m)
         visual = model.vis
-        visual.map.shadowclip = _SHADOW_CLIP
+        visual.map.shadowclip = max(_SHADOW_CLIP, _MIN_SHADOW_M / model.stat.extent)
         visual.global_.offwidth, visual.global_.offheight = width, height
         if fast:
             visual.quality.shadowsize = _FAST_SHADOW_SIZE
@@ -76,18 +80,28 @@ class SceneRenderer:
             visual.quality.numslices, visual.quality.numstacks = _FAST_FACES
         self._renderer = mujoco.Renderer(model, height, width)
 
-    def draw(self, qpos: npt.ArrayLike, label: str = "", marks: Sequence[Mark] = ()) -> Image:
+    def draw(
+        self,
+        qpos: npt.ArrayLike,
+        label: str = "",
+        marks: Sequence[Mark] = (),
+        look_at: npt.ArrayLike | None = None,
+    ) -> Image:
         """Return a picture of the model at joint positions `qpos` (nq,).
 
         Args:
             qpos: in MuJoCo's order and units, quaternions wxyz.
             label: text in the upper left corner.
             marks: what else to draw.
+            look_at: joint positions whose root the camera looks at; by default `qpos`.
         """
         self._data.qpos[:] = qpos
-        mujoco.mj_forward(self._model, self._data)
-        if self._follows:
-            self._camera.lookat[:] = (*self._data.qpos[:2], self._look_at_height_m)
+        self._aim(np.asarray(qpos if look_at is None else look_at)[:3])
+        # What a picture needs of mj_forward: where everything is.
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         if self._fast:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
@@ -96,6 +110,23 @@ class SceneRenderer:
         if label:
             self._add_label(label)
         return self._renderer.render()
+
+    def _aim(self, root: npt.NDArray[np.float64]) -> None:
+        """Let the camera look at a root (3,) m, and the ground be there."""
+        view, lookat = self._view, self._camera.lookat
+        if not view.moves_about:
+            lookat[:] = (*view.centre_xy_m, view.look_at_height_m)
+            return
+        if self._ground.move(root[:2]):
+            self._upload_ground()
+        below = root[2] if view.flies else self._ground.height(root[:2])
+        lookat[:] = (*root[:2], below + view.look_at_height_m)
+
+    def _upload_ground(self) -> None:
+        # MuJoCo's Renderer has no method for it.
+        renderer: Any = self._renderer
+        renderer._gl_context.make_current()
+        mujoco.mjr_uploadHField(self._model, renderer._mjr_context, 0)
 
     def _add_mark(self, mark: Mark) -> None:
         if isinstance(mark, Arrow):

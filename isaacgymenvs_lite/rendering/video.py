@@ -24,8 +24,8 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.marks import Mark
-from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
-from isaacgymenvs_lite.rendering.tracks import Track
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer, Track
+from isaacgymenvs_lite.rendering.view import View
 
 PANEL_WIDTH, PANEL_HEIGHT = 320, 480
 """Pixels of one track's panel."""
@@ -118,12 +118,21 @@ class VideoWriter:
         self.close()
 
 
-def _import_av() -> Any:
+def check_encoder() -> None:
+    """Say at once that videos cannot be encoded here.
+
+    Raises:
+        ConfigError: PyAV is not installed.
+    """
     if importlib.util.find_spec("av") is None:
         raise ConfigError(
             "writing videos needs the package av (PyAV), which is not installed;"
             ' pip install "isaacgymenvs-lite[video]"'
         )
+
+
+def _import_av() -> Any:
+    check_encoder()
     return importlib.import_module("av")
 
 
@@ -136,8 +145,11 @@ def draw_tracks(
     width: int = PANEL_WIDTH,
     height: int = PANEL_HEIGHT,
     fast: bool = True,
+    columns: int | None = None,
+    view: View | None = None,
+    follow: bool = True,
 ) -> Iterator[Image]:
-    """Draw tracks side by side, each with a camera of its own, for as long as all of them last.
+    """Draw tracks in panels, each with a camera of its own, for as long as all of them last.
 
     Args:
         model: of the figures.
@@ -147,20 +159,32 @@ def draw_tracks(
         width: of one panel, pixels.
         height: pixels.
         fast: see `SceneRenderer`.
+        columns: panels side by side; None: all of them.
+        view: see `SceneRenderer`.
+        follow: go along with figures that move about, rather than look at where each begins.
 
     Yields:
-        A picture (height, len(tracks) * width, 3) for each time.
+        A picture (rows * height, columns * width, 3) for each time; panels that remain are black.
 
     Raises:
         RenderingError: this machine cannot draw.
     """
     labels = labels or [""] * len(tracks)
-    with SceneRenderer(model, width, height, fast=fast) as renderer:
+    columns = columns or len(tracks)
+    black = np.zeros((height, width, 3), np.uint8)
+    with SceneRenderer(model, width, height, view=view, fast=fast) as renderer:
         nothing = [()] * len(tracks)
         times = marks or itertools.repeat(nothing)
         for poses, beside in zip(zip(*tracks, strict=False), times, strict=False):
-            panels = zip(poses, labels, beside, strict=True)
-            yield np.concatenate([renderer.draw(*panel) for panel in panels], axis=1)
+            places = poses if follow else [track[0] for track in tracks]
+            panels = zip(poses, labels, beside, places, strict=True)
+            pictures = [renderer.draw(*panel) for panel in panels]
+            pictures += [black] * (-len(pictures) % columns)
+            rows = [
+                np.concatenate(pictures[first : first + columns], axis=1)
+                for first in range(0, len(pictures), columns)
+            ]
+            yield np.concatenate(rows)
 
 
 def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:

@@ -15,6 +15,8 @@ ROOT_KEYS = {
     *("multi_gpu", "wandb_activate", "wandb_group", "wandb_entity", "wandb_logcode_dir"),
     *("wandb_name", "wandb_project", "wandb_tags", "capture_video", "capture_video_freq"),
     *("capture_video_len", "force_render", "headless", "latent"),
+    # ours
+    *("capture_video_envs", "progress_interval", "viewer", "viewer_port", "viewer_host"),
 }
 
 

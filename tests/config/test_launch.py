@@ -72,7 +72,8 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("~train.params", "the key 'train.params' is missing"),
         ("latent=random", "latent=random chooses what a trained policy shows: add test=True"),
         ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),
-        ("capture_video=True", "capture_video=True: recording videos is not implemented"),
+        ("capture_video_envs=0", "capture_video_envs: got 0"),
+        ("progress_interval=0", "progress_interval: got 0"),
         ("pbt.enabled=True", "pbt.enabled=True: population-based training is not implemented"),
     ],
 )

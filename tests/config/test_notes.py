@@ -77,8 +77,6 @@ def test_sizes_that_the_user_gave_are_not_named(config_dir):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("headless=False", "headless=False: there is no viewer in this version"),
-        ("force_render=True", "force_render=True: there is no viewer in this version"),
         ("solver_type=0", "no effect here, PhysX or viewer only: solver_type"),
     ],
 )

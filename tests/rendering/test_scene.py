@@ -6,6 +6,7 @@ import pytest
 
 from isaacgymenvs_lite.marks import Arrow, Ball
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
+from isaacgymenvs_lite.rendering.view import View
 
 pytestmark = pytest.mark.usefixtures("gl")
 
@@ -49,7 +50,8 @@ def test_the_azimuth_turns_the_view(humanoid):
     """From the right the left limbs, which are green, are hidden; from the front they are not."""
     green = []
     for azimuth_deg in (90.0, 180.0):
-        with SceneRenderer(humanoid, 120, 160, azimuth_deg=azimuth_deg) as renderer:
+        view = View(azimuth_deg=azimuth_deg)
+        with SceneRenderer(humanoid, 120, 160, view=view) as renderer:
             image = renderer.draw(humanoid.qpos0).astype(int)
         green.append((image[..., 1] > image[..., [0, 2]].max(axis=2) + 15).sum())
     assert green[1] > 3 * green[0] + 50

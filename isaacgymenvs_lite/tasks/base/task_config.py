@@ -7,7 +7,8 @@ from typing import Any
 
 from isaacgymenvs_lite.schema import read_section, setting
 
-# Accepted and without effect here: they belong to Isaac Gym's viewer, grid or cameras.
+# Without effect on a task: they belong to Isaac Gym's viewer, grid or cameras. Who films the task
+# reads `cameraFollow`.
 _IGNORED = (
     "envSpacing",
     "cameraFollow",

@@ -24,6 +24,7 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
+from isaacgymenvs_lite.tasks.base.watcher import Watcher
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -132,6 +133,7 @@ class VecTask(Env):
         progress_buf: (N,) int64, control steps of the running episode.
         timeout_buf: (N,) bool, ended by the time limit.
         extras: what `step` returns as infos; the same dictionary at every step.
+        watchers: told of every step; see `Watcher`.
         max_episode_length: control steps; a task must set it.
     """
 
@@ -163,6 +165,7 @@ class VecTask(Env):
             raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
         self.dt = float(_required(self.sim_params, "task.sim.dt"))
         self._failures_reported = 0
+        self.watchers: list[Watcher] = []
         self.create_sim()
         self.allocate_buffers()
         self.randomizer = self._make_randomizer(config.get("task") or {})
@@ -230,6 +233,8 @@ class VecTask(Env):
             if self.randomizer is not None:
                 self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
             self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
+            for watcher in self.watchers:
+                watcher.after_step()
             return (
                 self._observations(),
                 self._for_trainer(self.rew_buf),
@@ -292,11 +297,15 @@ class VecTask(Env):
         return self._clamped(self.states_buf)
 
     def render(self, mode: str = "rgb_array") -> None:
-        """Do nothing: there is no viewer yet."""
+        """Let whoever watches show the present state; nothing without a viewer."""
         del mode
+        for watcher in self.watchers:
+            watcher.render()
 
     def close(self) -> None:
-        """Free the simulation; the task cannot be stepped afterwards."""
+        """Free the simulation and those who watch; the task cannot be stepped afterwards."""
+        while self.watchers:
+            self.watchers.pop().close()
         self.simulation.close()
 
     def _observations(self) -> dict[str, Tensor]:

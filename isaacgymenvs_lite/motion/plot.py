@@ -1,0 +1,135 @@
+"""Draws what a clip does: python -m isaacgymenvs_lite.motion.plot CLIP out=FILE.png.
+
+Over time: the angles of all joints (rad; of ball joints the length of the rotation vector), the
+height of the root (m), and when each foot is on the ground.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import forward_kinematics
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.utils import rotations
+
+log = logging.getLogger(__name__)
+
+# A foot whose body is this much above its lowest place in the clip, and slower than this, stands.
+_STANDING_HEIGHT_M, _STANDING_SPEED = 0.05, 0.4
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotSettings:
+    """Arguments of the command."""
+
+    out: str = setting()
+    """File to write: .png, .svg or .pdf."""
+
+
+def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints."""
+    turns = rotations.quat_log(torch.from_numpy(np.asarray(clip.local_rotation, np.float64)))
+    angles = {}
+    for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True):
+        vectors = turns[:, body]
+        angle = vectors[:, 1] if size == 1 else vectors.norm(dim=-1)
+        angles[skeleton.body_names[body]] = angle.numpy()
+    return angles
+
+
+def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return when each foot (T,) stands: it is low, and slow."""
+    places, _ = forward_kinematics(
+        clip.parent_indices, clip.local_translation, clip.local_rotation, clip.root_translation
+    )
+    contacts = {}
+    for body, name in enumerate(clip.body_names):
+        if "foot" not in name:
+            continue
+        heights = places[:, body, 2]
+        speeds = np.linalg.norm(clip.linear_velocity_w[:, body], axis=-1)
+        low = heights < heights.min() + _STANDING_HEIGHT_M
+        contacts[name] = np.asarray(low & (speeds < _STANDING_SPEED))
+    return contacts
+
+
+def plot_clip(name: str, settings: PlotSettings) -> Path:
+    """Draw the first clip of a motion file; return the file.
+
+    Raises:
+        UserError: the clip cannot be read, the file cannot be written, matplotlib is missing.
+    """
+    figure_module = _import_matplotlib()
+    clip = load_clips(name)[0][0]
+    figure = figure_module.Figure(figsize=(9, 8), layout="constrained")
+    heights = {"height_ratios": [4, 1.5, 1]}
+    angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
+    times_s = np.arange(clip.num_frames) / clip.fps
+    for body, angle in joint_angles(clip, skeleton_for_num_dofs(28)).items():
+        style = "--" if body.startswith("left") else "-"
+        angles_axes.plot(times_s, angle, style, label=body.replace("_", " "), linewidth=1.2)
+    angles_axes.set_ylabel("joint angle (rad)")
+    angles_axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+    angles_axes.set_title(Path(clip.name).name)
+    root_axes.plot(times_s, clip.root_translation[:, 2], color="black")
+    root_axes.set_ylabel("root height (m)")
+    _draw_contacts(feet_axes, times_s, foot_contacts(clip))
+    feet_axes.set_xlabel("time (s)")
+    path = Path(settings.out)
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as error:  # ValueError: a format that it does not know
+        raise ConfigError(f"out={settings.out}: cannot be written ({error})") from error
+    log.info("%s: wrote %s", clip.name, path)
+    return path
+
+
+def _draw_contacts(
+    axes: Any, times_s: npt.NDArray[np.float64], contacts: dict[str, npt.NDArray[np.bool_]]
+) -> None:
+    for row, stands in enumerate(contacts.values()):
+        axes.fill_between(times_s, row, row + 0.8, where=stands, step="mid", linewidth=0)
+    axes.set_yticks([row + 0.4 for row in range(len(contacts))])
+    axes.set_yticklabels([name.replace("_", " ") for name in contacts])
+    axes.set_ylabel("on the ground")
+
+
+def _import_matplotlib() -> Any:
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ConfigError(
+            "plots need the package matplotlib, which is not installed;"
+            ' pip install "isaacgymenvs-lite[docs]"'
+        )
+    return importlib.import_module("matplotlib.figure")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.motion.plot", description=__doc__
+    )
+    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
+    words = argparse.Namespace()
+    return run_command(
+        parser, PlotSettings, lambda settings: plot_clip(words.clip, settings), arguments, words
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""Shows or records a clip: python -m isaacgymenvs_lite.motion.view CLIP [out=FILE.mp4].
+
+    python -m isaacgymenvs_lite.motion.view walk                   # in a window, again and again
+    python -m isaacgymenvs_lite.motion.view walk out=walk.mp4      # without a display
+    python -m isaacgymenvs_lite.motion.view run.npy out=run.webp seconds=2 azimuth=180
+
+CLIP is a motion file of any format, or the name of one in assets/amp/motions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.qpos import qpos_from_poses
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.rendering.display import check_display
+from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video
+from isaacgymenvs_lite.rendering.view import View, aim_camera
+from isaacgymenvs_lite.schema import setting
+
+log = logging.getLogger(__name__)
+
+_MODEL = "mjcf/amp_humanoid.xml"
+_WIDTH, _HEIGHT = 480, 480
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings:
+    """Arguments of the command."""
+
+    out: str = setting("")
+    """File to write, .mp4 or .webp; '': show it in a window."""
+    seconds: float = setting(0.0, minimum=0)
+    """Time to show; 0: the clip's length. A clip that ends goes on from its start."""
+    azimuth: float = setting(90.0)
+    """Degrees: 90 from the right, 180 from the front."""
+
+
+def view_clip(name: str, settings: ViewSettings) -> None:
+    """Show or record the first clip of a motion file.
+
+    Raises:
+        UserError: the clip cannot be read, or there is no way to show it.
+    """
+    if settings.out:
+        check_encoder()
+    else:
+        check_display("motion.view without out=", "out=FILE.mp4")
+    clip = load_clips(name)[0][0]
+    model_path = str(paths.assets_dir() / _MODEL)
+    model = mujoco.MjModel.from_xml_path(model_path)
+    qpos = qpos_from_poses(
+        Skeleton.from_mjcf(model_path), clip.root_translation, clip.local_rotation
+    )
+    poses = qpos[_frames(clip, settings.seconds)]
+    if not settings.out:
+        _show(model, poses, clip.fps, settings.azimuth)
+        return
+    view = View(azimuth_deg=settings.azimuth)
+    images = draw_tracks(
+        model, [poses], [Path(clip.name).name], width=_WIDTH, height=_HEIGHT, view=view
+    )
+    path = save_video(settings.out, images, clip.fps)
+    log.info("%s: wrote %s, %d frames at %g Hz", clip.name, path, len(poses), clip.fps)
+
+
+def _frames(clip: MotionClip, seconds: float) -> npt.NDArray[np.int64]:
+    """Return the frames (n,) to show, from the start again after the last."""
+    number = clip.num_frames if seconds == 0 else max(1, round(seconds * clip.fps))
+    return np.arange(number) % clip.num_frames
+
+
+def _show(
+    model: mujoco.MjModel, poses: npt.NDArray[np.float64], fps: float, azimuth_deg: float
+) -> None:
+    """Show poses (T, nq) in a window, again and again until it is closed."""
+    from mujoco import viewer  # needs GLFW
+
+    data = mujoco.MjData(model)
+    with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+        aim_camera(window.cam, model)
+        window.cam.azimuth = azimuth_deg
+        while window.is_running():
+            for pose in poses:
+                data.qpos[:] = pose
+                mujoco.mj_forward(model, data)
+                window.sync()
+                time.sleep(1.0 / fps)
+                if not window.is_running():
+                    break
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.motion.view", description=__doc__
+    )
+    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
+    words = argparse.Namespace()
+    return run_command(
+        parser, ViewSettings, lambda settings: view_clip(words.clip, settings), arguments, words
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

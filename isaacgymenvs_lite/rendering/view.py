@@ -1,0 +1,113 @@
+"""Where a camera stands: what of a model is to be seen, from which side and how far away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+Points = npt.NDArray[np.float64]
+
+# Distances in half diagonals of what is shown: a figure with room about it to move in, and what
+# stays at its place as a whole.
+_ROOM, _WHOLE = 2.6, 2.1
+_MIN_DISTANCE_M = 1.6
+# A robot that is this high above the ground in its default pose flies.
+_FLIES_M = 0.3
+_ELEVATION_DEG = -12.0
+# On rough ground steps and slopes about the robot are to be seen.
+_TERRAIN_ELEVATION_DEG, _TERRAIN_DISTANCE_M = -20.0, 3.0
+# Floors say nothing about where a robot is.
+_GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera; the defaults show a humanoid from its right side.
+
+    Attributes:
+        azimuth_deg: where the camera looks: 90 along +y, 180 along -x.
+        elevation_deg: negative looks down.
+        distance_m: from the camera to where it looks.
+        look_at_height_m: height of that point above the ground; of a figure that flies above its
+            root; of one that does not move about above the origin.
+        centre_xy_m: where it looks if the figure does not move about.
+        moves_about: whether the camera looks at a root body.
+        flies: whether it goes along in height, too.
+    """
+
+    azimuth_deg: float = 90.0
+    elevation_deg: float = -4.0
+    distance_m: float = 2.5
+    look_at_height_m: float = 0.82
+    centre_xy_m: tuple[float, float] = (0.0, 0.0)
+    moves_about: bool = True
+    flies: bool = False
+
+    @classmethod
+    def of_model(cls, model: mujoco.MjModel) -> View:
+        """Return a view that fits a model in its default pose.
+
+        A robot with a free root is seen from its right side, anything else across its longer side.
+        """
+        moves_about = has_free_root(model)
+        low, high = _bounds(model, moves_about)
+        half_size = 0.5 * (high - low)
+        half_diagonal = float(np.linalg.norm(half_size))
+        if not moves_about:
+            x, y, height = (float(value) for value in 0.5 * (low + high))
+            azimuth_deg = 90.0 if half_size[0] > half_size[1] else 180.0
+            distance_m = max(_MIN_DISTANCE_M, _WHOLE * half_diagonal)
+            return cls(azimuth_deg, _ELEVATION_DEG, distance_m, height, (x, y), moves_about=False)
+        terrain = model.nhfield > 0
+        flies = not terrain and float(low[2]) > _FLIES_M
+        nearest_m = _TERRAIN_DISTANCE_M if terrain else _MIN_DISTANCE_M
+        return cls(
+            elevation_deg=_TERRAIN_ELEVATION_DEG if terrain else _ELEVATION_DEG,
+            distance_m=max(nearest_m, _ROOM * half_diagonal),
+            look_at_height_m=0.0 if flies else float(half_size[2]),
+            flies=flies,
+        )
+
+
+def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
+    """Let the camera of a viewer begin with the view of a model, and follow a robot."""
+    view = View.of_model(model)
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    camera.distance = view.distance_m
+    if view.moves_about:
+        camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        camera.trackbodyid = int(model.jnt_bodyid[0])
+    else:
+        camera.lookat[:] = (*view.centre_xy_m, view.look_at_height_m)
+
+
+def has_free_root(model: mujoco.MjModel) -> bool:
+    """Return whether the first joint of a model is free: a robot that moves about."""
+    return model.njnt > 0 and int(model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def _bounds(model: mujoco.MjModel, moves_about: bool) -> tuple[Points, Points]:
+    """Return the lowest and highest coordinates (3,) m of what a model shows in its default pose.
+
+    Args:
+        model: the compiled model.
+        moves_about: leave out what is not a part of the first body's tree.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    root = int(model.jnt_bodyid[0]) if model.njnt > 0 else 0
+    corners = [np.zeros((1, 3))]
+    for geom in range(model.ngeom):
+        if int(model.geom_type[geom]) in _GROUNDS:
+            continue
+        if moves_about and model.body_rootid[model.geom_bodyid[geom]] != root:
+            continue
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+        turn = data.geom_xmat[geom].reshape(3, 3)
+        corners.append(data.geom_xpos[geom] + (centre + signs * half) @ turn.T)
+    points = np.concatenate(corners[1:] or corners)
+    return points.min(axis=0), points.max(axis=0)

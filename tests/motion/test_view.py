@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import av
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion import view
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_clip_becomes_a_video_without_a_display(walk_clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(view, "_WIDTH", 120)
+    monkeypatch.setattr(view, "_HEIGHT", 120)
+    out = tmp_path / "walk.mp4"
+    assert view.main([str(walk_clip), f"out={out}", "seconds=2"]) == 0
+    with av.open(str(out)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert container.streams.video[0].average_rate == 30
+    assert len(frames) == 60  # the clip has 46: it goes on from its start
+    assert frames[0].mean() > 60
+    assert (np.abs(frames[10].astype(int) - frames[0]) > 30).mean() > 0.001
+
+
+def test_without_out_a_display_is_needed(walk_clip, monkeypatch, capsys):
+    def refuse(asked: str, instead: str) -> None:
+        raise ConfigError(f"{asked}: no display; {instead}")
+
+    monkeypatch.setattr(view, "check_display", refuse)
+    with pytest.raises(SystemExit) as stop:
+        view.main([str(walk_clip)])
+    assert stop.value.code == 2
+    assert "out=FILE.mp4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["wlak", "out=x.mp4"], ["walk", "out=x.avi"], ["walk", "ot=x"]])
+def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        view.main(words)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert error.startswith("error: ")
+    assert "\n" not in error
