@@ -39,6 +39,9 @@ class SACAgent(RLGamesSACAgent):
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
         super().__init__(base_name, params)
+        nothing = torch.zeros((), device=self._device)
+        no_loss = nothing if self.learnable_temperature else None
+        self._last_of_actor = (nothing, nothing, self.alpha.detach(), no_loss)
         if bfloat16 and on_cpu:
             network = self.model.sac_network
             for critic in (network.critic, network.critic_target):
@@ -68,12 +71,22 @@ class SACAgent(RLGamesSACAgent):
                 self.log_alpha.copy_(weights["log_alpha"])
 
     def update(self, step: int) -> Any:
-        """Make a gradient step, once the replay buffer holds a batch."""
+        """Make a gradient step, once the replay buffer holds a batch.
+
+        Returns:
+            actor's loss, entropy, temperature and its loss; losses of both critics. Of a step that
+            leaves the actor alone (`policy_frequency`), what the last one with the actor gave:
+            rl_games gives zeros and None, which it cannot average with others.
+        """
         buffer = self.replay_buffer
         if not buffer.full and buffer.idx < self.batch_size:
             nothing = torch.zeros((), device=self._device)
-            return (nothing, nothing, self.alpha.detach(), None), nothing, nothing
-        return super().update(step)
+            return self._last_of_actor, nothing, nothing
+        updates_actor = (self.update_counter + 1) % self.policy_frequency == 0
+        of_actor, *of_critics = super().update(step)
+        if updates_actor:
+            self._last_of_actor = of_actor
+        return self._last_of_actor, *of_critics
 
 
 def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:

@@ -77,6 +77,24 @@ def test_it_trains_in_bfloat16(make_classic_agent) -> None:
     assert all(parameter.isfinite().all() for parameter in after)
 
 
+def test_the_first_batch_may_come_in_the_middle_of_an_epoch(make_classic_agent) -> None:
+    # After ten steps of 7 environments, two of them in the second epoch: seven updates are left in it.
+    agent = make_classic_agent(
+        *(*SMALL, "num_envs=7", "max_iterations=6", "train.params.config.batch_size=70"),
+        "train.params.config.num_warmup_steps=1",
+    )
+    noted: list[tuple[Any, ...]] = []
+    note = agent.extract_actor_stats
+    agent.extract_actor_stats = lambda *args: (noted.append(args[-1]), note(*args))
+    agent.train()
+    losses = [loss.item() for loss, *_ in noted]
+    first = next(i for i, loss in enumerate(losses) if loss != 0.0)
+    # Every second step has the actor's loss of the one before.
+    assert all(loss != 0.0 for loss in losses[first:])
+    assert losses[first] == losses[first + 1] != losses[first + 2]
+    assert all(alpha_loss is not None for *_, alpha_loss in noted)
+
+
 def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_path: Path) -> None:
     trained.save(str(tmp_path / "saved"))
     assert trained.alpha.item() != 1.0
