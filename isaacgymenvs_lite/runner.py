@@ -178,10 +178,12 @@ class Session:
         figures = FiguresObserver()
         progress = ProgressObserver(self._stop, figures, imitation)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
+        wandb = None
         if self._settings.wandb_activate:
             from isaacgymenvs_lite.wandb_observer import WandbObserver
 
-            observers.append(WandbObserver(self._cfg, self._settings, self._run_name))
+            wandb = WandbObserver(self._cfg, self._settings, self._run_name)
+            observers.append(wandb)
         if imitation is not None:
             observers.append(imitation)
         advice = AdviceObserver(figures, imitation, self._task.max_episode_length)
@@ -199,6 +201,8 @@ class Session:
         finally:
             progress.close()
             self._agent_holder.flush()
+            if wandb is not None:
+                wandb.close()
         self._save_under_plain_name()
         self._report_end()
 

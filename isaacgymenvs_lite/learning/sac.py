@@ -23,6 +23,13 @@ class SACAgent(RLGamesSACAgent):
         params: the section `params` of a train file, prepared by the Runner.
     """
 
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        # rl_games' other agents call it before they make their TensorBoard writer.
+        config = params["config"]
+        name = config.get("full_experiment_name") or config["name"]
+        config["features"]["observer"].before_init(base_name, config, name)
+        super().__init__(base_name, params)
+
     @property
     def curr_frames(self) -> int:
         """Environment steps of an epoch, under the name that rl_games' other agents have for it."""
