@@ -187,10 +187,12 @@ class Session:
         interval_s = self._settings.progress_interval
         progress = ProgressObserver(self._stop, figures, imitation, interval_s)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
+        wandb = None
         if self._settings.wandb_activate:
             from isaacgymenvs_lite.wandb_observer import WandbObserver
 
-            observers.append(WandbObserver(self._cfg, self._settings, self._run_name))
+            wandb = WandbObserver(self._cfg, self._settings, self._run_name)
+            observers.append(wandb)
         if imitation is not None:
             observers.append(imitation)
         advice = AdviceObserver(figures, imitation, self._task.max_episode_length)
@@ -209,6 +211,9 @@ class Session:
         finally:
             progress.close()
             self._agent_holder.flush()
+            self._watching.close()  # its last videos belong to wandb's run, too
+            if wandb is not None:
+                wandb.close()
         self._save_under_plain_name()
         self._report_end()
 

@@ -24,8 +24,9 @@ class WandbObserver(AlgoObserver):
 
     Args:
         cfg: the composed tree, stored with the run.
-        settings: the keys wandb_project, _entity, _group, _tags, _logcode_dir.
-        run_name: name of the run.
+        settings: the keys wandb_project, _entity, _group, _name, _tags, _logcode_dir.
+        run_name: name of the run folder. The run has it, too, unless `wandb_name` was set to
+            something else than the train file's name.
     """
 
     def __init__(self, cfg: DictConfig, settings: LaunchSettings, run_name: str) -> None:
@@ -33,6 +34,7 @@ class WandbObserver(AlgoObserver):
         self._cfg = cfg
         self._settings = settings
         self._run_name = run_name
+        self._run: Any = None
 
     def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
         """Open the run; up to three attempts with growing pauses."""
@@ -48,23 +50,38 @@ class WandbObserver(AlgoObserver):
                 return
         log.error("wandb could not be opened; training goes on without it")
 
+    def close(self) -> None:
+        """Write what is left, and end the run, so that another may begin in this process."""
+        if self._run is None:
+            return
+        try:
+            self._run.finish()
+        except Exception as error:
+            log.warning("wandb: the run could not be finished: %s", error)
+        self._run = None
+
+    def _display_name(self) -> str:
+        given = self._settings.wandb_name
+        default = OmegaConf.select(self._cfg, "train.params.config.name")
+        return given if given and given != default else self._run_name
+
     def _open(self) -> None:
         import wandb  # type: ignore[import-not-found]  # the extra [wandb]
 
         settings = self._settings
-        wandb.init(
+        self._run = wandb.init(
             project=settings.wandb_project,
             entity=settings.wandb_entity or None,
             group=settings.wandb_group or None,
             tags=settings.wandb_tags,
             id=f"uid_{self._run_name}",
-            name=self._run_name,
+            name=self._display_name(),
             resume="allow",
             sync_tensorboard=True,
             config=OmegaConf.to_container(self._cfg, resolve=True),  # type: ignore[arg-type]
         )
-        if settings.wandb_logcode_dir and wandb.run is not None:
-            wandb.run.log_code(root=settings.wandb_logcode_dir)
+        if settings.wandb_logcode_dir:
+            self._run.log_code(root=settings.wandb_logcode_dir)
 
 
 def log_video(path: Path) -> None:

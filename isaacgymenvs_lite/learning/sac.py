@@ -38,6 +38,9 @@ class SACAgent(RLGamesSACAgent):
         on_cpu = device.type == "cpu"
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
+        # rl_games' other agents call it before they make their TensorBoard writer.
+        name = config.get("full_experiment_name") or config["name"]
+        config["features"]["observer"].before_init(base_name, config, name)
         super().__init__(base_name, params)
         nothing = torch.zeros((), device=self._device)
         no_loss = nothing if self.learnable_temperature else None

@@ -78,7 +78,7 @@ def test_it_trains_in_bfloat16(make_classic_agent) -> None:
 
 
 def test_the_first_batch_may_come_in_the_middle_of_an_epoch(make_classic_agent) -> None:
-    # After ten steps of 7 environments, two of them in the second epoch: seven updates are left in it.
+    # After ten steps of 7 environments, in the second epoch: seven updates are left in it.
     agent = make_classic_agent(
         *(*SMALL, "num_envs=7", "max_iterations=6", "train.params.config.batch_size=70"),
         "train.params.config.num_warmup_steps=1",
