@@ -47,7 +47,7 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
             motion = pybvh.read_bvh_file(path, world_up="+y")
             root, wxyz = motion.to_quat()
     except _READ_ERRORS as error:
-        reason = one_line(error).replace(f" {path}", " it")
+        reason = one_line(error).replace(f" in file {path}", "").replace(f" in {path}", "")
         raise MotionFileError(f"{path}: is no BVH file that can be read ({reason})") from error
     joints = [node for node in motion.nodes if not node.is_end_site()]
     offsets = np.array([node.offset for node in joints], dtype=np.float64)
