@@ -1,4 +1,4 @@
-"""What tests of several rooms share: a small clip of each humanoid."""
+"""What tests of several rooms share: a small clip of each humanoid, a machine that can draw."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
@@ -32,6 +33,15 @@ def armed_walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the same of the humanoid with sword and shield."""
     path = tmp_path_factory.mktemp("armed_motions") / "walk.npz"
     return save_npz(path, _walk(skeleton_for_num_dofs(31)))
+
+
+@pytest.fixture(scope="session")
+def gl() -> str:
+    """The OpenGL library that draws here."""
+    try:
+        return ensure_gl()
+    except RenderingError as error:
+        pytest.skip(str(error))
 
 
 def _walk(skeleton: Skeleton) -> MotionClip:

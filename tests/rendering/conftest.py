@@ -1,4 +1,4 @@
-"""A machine that can draw, the humanoid's model, and a few real humanoids."""
+"""The humanoid's model, and a few real humanoids."""
 
 from __future__ import annotations
 
@@ -13,16 +13,6 @@ import torch
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.paths import assets_dir
-from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
-
-
-@pytest.fixture(scope="session")
-def gl() -> str:
-    """The OpenGL library that draws here."""
-    try:
-        return ensure_gl()
-    except RenderingError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
