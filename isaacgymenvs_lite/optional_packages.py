@@ -7,7 +7,7 @@ import importlib.util
 from isaacgymenvs_lite.errors import MissingPackageError
 
 # Module -> extra of this package that installs it.
-EXTRAS = {"stable_baselines3": "sb3", "skrl": "skrl", "rsl_rl": "rsl-rl"}
+EXTRAS = {"av": "video", "rsl_rl": "rsl-rl", "skrl": "skrl", "stable_baselines3": "sb3"}
 
 
 def require(module: str, wanted_by: str) -> None:

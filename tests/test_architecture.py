@@ -29,8 +29,9 @@ FORBIDDEN = {
     "policies": {"tasks", "learning", "simulation", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
-# Nobody imports those that stand above: demo, train.py, check -> runner -> registration -> rooms.
-ABOVE = ("demo", "train", "check", "runner", "registration")
+# Nobody imports those that stand above: workflows, demo, train.py, check -> runner -> registration
+# -> rooms.
+ABOVE = ("workflows", "demo", "train", "check", "runner", "registration")
 
 
 @cache

@@ -8,10 +8,10 @@ and a fall is told from a time limit. The adapters give this the form of their l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,9 +20,6 @@ from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 from isaacgymenvs_lite.wrappers.episode_statistics import EndedEpisodes, EpisodeStatistics
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Observations = dict[str, Tensor]
 """{"obs": (N, F)[, "states": (N, S)]}; states are for asymmetric critics."""
@@ -68,6 +65,11 @@ class AutoresetTask:
         adapter: whose name errors give.
         random: what the task draws from.
 
+    Attributes:
+        task: the task.
+        last_step: what the last step gave; None before the first.
+        after_step: called in each step, when the task has moved and before episodes start.
+
     Raises:
         WrapperError: `task` is something else, an environment that was wrapped before for example.
     """
@@ -75,6 +77,8 @@ class AutoresetTask:
     def __init__(self, task: Any, adapter: str, random: RandomStream | None = None) -> None:
         self.task = checked_task(task, adapter)
         self.task.keeps_final_observations = True
+        self.last_step: Transition | None = None
+        self.after_step: list[Callable[[], None]] = []
         self._random = random or RandomStream()
         self._statistics = EpisodeStatistics(self.task.num_envs, self.task.rl_device)
 
@@ -118,6 +122,8 @@ class AutoresetTask:
             raise ConfigError(f"actions of shape {tuple(actions.shape)}: expected {expected}")
         with self._stepping():
             observations, rewards, dones, infos = self.task.step(actions.to(torch.float32))
+            for listener in self.after_step:
+                listener()
             ended = dones != 0
             final = None
             if ended.any():
@@ -125,7 +131,7 @@ class AutoresetTask:
                 observations = self.task.reset_done()[0]
             truncated = infos["time_outs"] & ended
             per_env, scalars = _sorted_infos(infos, self.num_envs)
-            return Transition(
+            self.last_step = Transition(
                 observations=observations,
                 final_observations=final,
                 rewards=rewards,
@@ -135,6 +141,7 @@ class AutoresetTask:
                 scalars=scalars,
                 episodes=self._statistics.count(rewards, ended),
             )
+            return self.last_step
 
     def close(self) -> None:
         """Free the task's simulation."""

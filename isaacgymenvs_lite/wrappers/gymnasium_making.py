@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.compose import compose_task
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
 from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
-
-# A tree has a train file, and not every task one of its own. Nothing of it is read here.
-_ANY_TRAIN_FILE = "CartpolePPO"
 
 
 def make_vector_env(
@@ -74,10 +71,7 @@ def _make(
 ) -> tuple[VecTask, RandomStream]:
     words = [f"num_envs={num_envs}", "rl_device=cpu"]
     words += [f"{key}={_as_word(value)}" for key, value in keys.items()]
-    for group, name in (("task", task), ("train", _ANY_TRAIN_FILE)):
-        if not any(word.startswith(f"{group}=") for word in (*overrides, *words)):
-            words.insert(0, f"{group}={name}")
-    cfg = compose([*words, *overrides], config_dir)
+    cfg = compose_task(task, [*words, *overrides], config_dir)
     settings = check_config(cfg)
     random = RandomStream()
     if "seed" in keys and settings.seed >= 0:

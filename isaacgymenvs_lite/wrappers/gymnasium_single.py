@@ -31,6 +31,7 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
 
     Attributes:
         task: the task.
+        stepper: steps the task.
 
     Raises:
         WrapperError: `task` is no task.
@@ -48,8 +49,8 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
         height: int = 240,
         random: RandomStream | None = None,
     ) -> None:
-        self._env = AutoresetTask(task, type(self).__name__, random)
-        self.task = self._env.task
+        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        self.task = self.stepper.task
         if self.task.num_envs != 1:
             raise ConfigError(
                 f"GymnasiumEnv: got a task with num_envs={self.task.num_envs}, expected 1;"
@@ -72,12 +73,12 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
         """
         super().reset(seed=seed)
         del options
-        observations = self._env.reset(seed)
+        observations = self.stepper.reset(seed)
         return _row(observations.pop("obs")), {name: _row(v) for name, v in observations.items()}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Advance by one control step with an action (A,)."""
-        step = self._env.step(torch.as_tensor(np.asarray(action, dtype=np.float32))[None])
+        step = self.stepper.step(torch.as_tensor(np.asarray(action, dtype=np.float32))[None])
         observations = dict(step.final_observations or step.observations)
         observation = _row(observations.pop("obs"))
         told = {name: _row(rows) for name, rows in {**step.per_env, **observations}.items()}
@@ -102,7 +103,7 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
         if not self._is_closed:
             self._is_closed = True
             self._camera.close()
-            self._env.close()
+            self.stepper.close()
 
 
 def _row(rows: torch.Tensor) -> Any:

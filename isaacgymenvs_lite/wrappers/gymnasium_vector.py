@@ -39,6 +39,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
 
     Attributes:
         task: the task.
+        stepper: steps the task.
 
     Raises:
         WrapperError: `task` is no task.
@@ -59,8 +60,8 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         height: int = 240,
         random: RandomStream | None = None,
     ) -> None:
-        self._env = AutoresetTask(task, type(self).__name__, random)
-        self.task = self._env.task
+        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        self.task = self.stepper.task
         self.render_mode = checked_render_mode(render_mode)
         self.metadata = {**self.metadata, "render_fps": render_fps(self.task.simulation.dt)}
         self._camera = TaskCamera(self.task, width, height)
@@ -89,9 +90,9 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
         if mask is None:
-            observations = self._env.reset(seed)
+            observations = self.stepper.reset(seed)
         else:
-            observations = self._env.reset_some(self._checked_mask(mask), seed)
+            observations = self.stepper.reset_some(self._checked_mask(mask), seed)
         told = {name: rows for name, rows in observations.items() if name != "obs"}
         everywhere = np.ones(self.num_envs, dtype=bool)
         return as_numpy(observations["obs"]), _masked(told, {}, everywhere)
@@ -105,7 +106,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         Returns:
             observations (N, F), rewards (N,), terminated (N,), truncated (N,) and infos.
         """
-        step = self._env.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
+        step = self.stepper.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
         return (
             as_numpy(step.observations["obs"]),
             as_numpy(step.rewards),
@@ -155,7 +156,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         """Free renderer and simulation."""
         del kwargs
         self._camera.close()
-        self._env.close()
+        self.stepper.close()
 
 
 def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:

@@ -9,7 +9,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
-from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations, Transition
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 
 ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
 """Groups of observations: what policies see, and the states of asymmetric critics."""
@@ -27,7 +27,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     Attributes:
         task: the task.
-        last_step: the last step's transition; None before the first.
+        stepper: steps the task.
         max_episode_length: control steps.
 
     Raises:
@@ -35,15 +35,14 @@ class RslRlVecEnvWrapper(VecEnv):
     """
 
     def __init__(self, task: Any) -> None:
-        self._stepper = AutoresetTask(task, type(self).__name__)
-        self.task = self._stepper.task
-        self.last_step: Transition | None = None
+        self.stepper = AutoresetTask(task, type(self).__name__)
+        self.task = self.stepper.task
         self.num_envs = self.task.num_envs
         self.num_actions = self.task.num_actions
         self.max_episode_length = self.task.max_episode_length
         self.device = self.task.rl_device
         self.cfg = self.task.cfg
-        self._observations = self._grouped(self._stepper.reset())
+        self._observations = self._grouped(self.stepper.reset())
 
     @property
     def episode_length_buf(self) -> Tensor:
@@ -60,7 +59,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
         """Start new episodes and return their observations, and no extras."""
-        self._observations = self._grouped(self._stepper.reset())
+        self._observations = self._grouped(self.stepper.reset())
         return self._observations, {}
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
@@ -69,7 +68,7 @@ class RslRlVecEnvWrapper(VecEnv):
         Returns:
             observations by group, rewards (N,), dones (N,) int64 and extras.
         """
-        self.last_step = step = self._stepper.step(actions)
+        step = self.stepper.step(actions)
         self._observations = self._grouped(step.observations)
         extras: dict[str, Any] = {**step.per_env, "time_outs": step.truncated}
         if step.scalars:
@@ -78,7 +77,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     def close(self) -> None:
         """Free the simulation."""
-        self._stepper.close()
+        self.stepper.close()
 
     def _grouped(self, observations: Observations) -> TensorDict:
         groups = {ACTOR_GROUP: observations["obs"]}

@@ -35,7 +35,7 @@ class Sb3VecEnvWrapper(VecEnv):
 
     Attributes:
         task: the task.
-        last_step: the last step's transition as tensors; None before the first.
+        stepper: steps the task; its `last_step` is the last step as tensors.
 
     Raises:
         WrapperError: `task` is no task.
@@ -43,9 +43,8 @@ class Sb3VecEnvWrapper(VecEnv):
     """
 
     def __init__(self, task: Any, render_mode: str | None = None) -> None:
-        self._env = AutoresetTask(task, type(self).__name__)
-        self.task = self._env.task
-        self.last_step: Transition | None = None
+        self.stepper = AutoresetTask(task, type(self).__name__)
+        self.task = self.stepper.task
         self._given_render_mode = checked_render_mode(render_mode)
         self._camera = TaskCamera(self.task)
         self._actions = torch.zeros(self.task.num_envs, self.task.num_actions)
@@ -56,7 +55,7 @@ class Sb3VecEnvWrapper(VecEnv):
 
         The seed of `seed` counts: what the task draws from now on depends on it alone.
         """
-        observations = self._env.reset(self._seeds[0])
+        observations = self.stepper.reset(self._seeds[0])
         self._reset_seeds()
         self._reset_options()
         return as_numpy(observations["obs"])
@@ -67,7 +66,7 @@ class Sb3VecEnvWrapper(VecEnv):
 
     def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
         """Return observations (N, F), rewards (N,), dones (N,) and N infos; see the class."""
-        self.last_step = step = self._env.step(self._actions)
+        step = self.stepper.step(self._actions)
         return (
             as_numpy(step.observations["obs"]),
             as_numpy(step.rewards),
@@ -101,7 +100,7 @@ class Sb3VecEnvWrapper(VecEnv):
     def close(self) -> None:
         """Free renderer and simulation."""
         self._camera.close()
-        self._env.close()
+        self.stepper.close()
 
     def get_images(self) -> Sequence[Image]:
         """Return a picture of each environment.

@@ -11,7 +11,7 @@ from skrl.envs.wrappers.torch import Wrapper
 from torch import Tensor
 
 from isaacgymenvs_lite.rendering.scene import Image
-from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations, Transition
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 from isaacgymenvs_lite.wrappers.camera import TaskCamera, checked_render_mode
 
 
@@ -29,7 +29,7 @@ class SkrlVecEnvWrapper(Wrapper):
 
     Attributes:
         task: the task.
-        last_step: the last step's transition; None before the first.
+        stepper: steps the task.
 
     Raises:
         WrapperError: `task` is no task.
@@ -37,9 +37,8 @@ class SkrlVecEnvWrapper(Wrapper):
     """
 
     def __init__(self, task: Any, render_mode: str | None = None) -> None:
-        self._stepper = AutoresetTask(task, type(self).__name__)
-        self.task = self._stepper.task
-        self.last_step: Transition | None = None
+        self.stepper = AutoresetTask(task, type(self).__name__)
+        self.task = self.stepper.task
         self._render_mode = checked_render_mode(render_mode)
         self._camera = TaskCamera(self.task)
         self._states: Tensor | None = None
@@ -47,7 +46,7 @@ class SkrlVecEnvWrapper(Wrapper):
 
     def reset(self) -> tuple[Tensor, dict[str, Any]]:
         """Start new episodes and return their observations (N, F) and no infos."""
-        return self._observed(self._stepper.reset()), {}
+        return self._observed(self.stepper.reset()), {}
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance by one control step with actions (N, A).
@@ -55,7 +54,7 @@ class SkrlVecEnvWrapper(Wrapper):
         Returns:
             observations (N, F), rewards (N, 1), terminated (N, 1), truncated (N, 1) and infos.
         """
-        self.last_step = step = self._stepper.step(actions)
+        step = self.stepper.step(actions)
         infos: dict[str, Any] = dict(step.per_env)
         if step.scalars:
             infos["episode"] = {
@@ -64,8 +63,9 @@ class SkrlVecEnvWrapper(Wrapper):
             }
         if step.final_observations is not None:
             infos["final_observations"] = step.final_observations["obs"]
+        # Copies: agents add to the rewards.
         columns = (step.rewards, step.terminated, step.truncated)
-        rewards, terminated, truncated = (column.unsqueeze(-1) for column in columns)
+        rewards, terminated, truncated = (column.clone().unsqueeze(-1) for column in columns)
         return self._observed(step.observations), rewards, terminated, truncated, infos
 
     def state(self) -> Tensor | None:
@@ -84,7 +84,7 @@ class SkrlVecEnvWrapper(Wrapper):
     def close(self) -> None:
         """Free renderer and simulation."""
         self._camera.close()
-        self._stepper.close()
+        self.stepper.close()
 
     def _observed(self, observations: Observations) -> Tensor:
         self._states = observations.get("states")

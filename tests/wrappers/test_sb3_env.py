@@ -80,8 +80,8 @@ def test_its_episodes_are_those_that_vec_monitor_counts(env):
 
 
 def _own_return(env: Sb3VecEnvWrapper, info: dict) -> float:
-    episodes = env.last_step.episodes
-    rows = env.last_step.final_observations["obs"][episodes.env_ids].numpy()
+    episodes = env.stepper.last_step.episodes
+    rows = env.stepper.last_step.final_observations["obs"][episodes.env_ids].numpy()
     (place,) = (rows == info["terminal_observation"]).all(axis=1).nonzero()[0]
     assert int(episodes.lengths[place]) == info["episode"]["l"]
     return float(episodes.returns[place])
@@ -92,7 +92,7 @@ def test_what_the_task_tells_stands_in_each_info(make_task):
     env.reset()
     *_, infos = env.step(np.zeros((NUM_ENVS, 28)))
     told = np.stack([info["amp_obs"] for info in infos])
-    assert np.array_equal(told, env.last_step.per_env["amp_obs"].numpy())
+    assert np.array_equal(told, env.stepper.last_step.per_env["amp_obs"].numpy())
     assert infos[0]["log"] == {"diverged_simulations": 0.0}
 
 
