@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from isaacgymenvs_lite import gymnasium_ids
 from isaacgymenvs_lite._version import __version__
 
 if TYPE_CHECKING:
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 __all__ = ["__version__", "make", "register_task"]
+
+gymnasium_ids.register_tasks()
 
 
 def make(
@@ -71,6 +74,8 @@ def make(
 
 def register_task(name: str, task: Callable[..., VecTask], *, replace: bool = False) -> None:
     """Make `name: <name>` of a task file mean a task of one's own; see docs/own_task.md.
+
+    Gymnasium knows it as `IsaacGymEnvsLite/<name>-v0` from then on.
 
     Args:
         name: as in the task file.

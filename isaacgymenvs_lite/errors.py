@@ -31,6 +31,14 @@ class CheckpointError(UserError, ValueError):
     """A checkpoint is missing, damaged, unsafe or of another network."""
 
 
+class WrapperError(UserError, TypeError):
+    """An adapter was given something else than a task."""
+
+
+class MissingPackageError(UserError, ImportError):
+    """A package is not installed that an extra of this one brings along."""
+
+
 def suggest(given: str, choices: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
     near = difflib.get_close_matches(str(given), [str(choice) for choice in choices], n=1)

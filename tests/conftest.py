@@ -44,6 +44,15 @@ def armed_walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_npz(path, _walk(skeleton_for_num_dofs(31)))
 
 
+@pytest.fixture(scope="session")
+def gl() -> str:
+    """The OpenGL library that draws here."""
+    try:
+        return ensure_gl()
+    except RenderingError as error:
+        pytest.skip(str(error))
+
+
 def _walk(skeleton: Skeleton) -> MotionClip:
     t = np.arange(_NUM_FRAMES) / _FPS
     swing = 0.2 * np.sin(2.0 * np.pi * t / 1.2)

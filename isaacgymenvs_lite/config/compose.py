@@ -27,6 +27,8 @@ CONFIG_NAME = "config"
 # in the working directory, `_self_` in the defaults list), and 1.1 warns at every start.
 HYDRA_VERSION_BASE = "1.3"
 
+_ANY_TRAIN_FILE = "CartpolePPO"
+
 
 def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
@@ -56,6 +58,27 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
     with open_dict(cfg):
         del cfg["hydra"]
     return cfg
+
+
+def compose_task(
+    task: str, overrides: Sequence[str] = (), config_dir: Path | str | None = None
+) -> DictConfig:
+    """Compose the tree of a task that another library's agent trains on; see `compose`.
+
+    A tree has a train file, and not every task one of its own: one is taken that there always is,
+    and nothing of it is read.
+
+    Args:
+        task: name of a task file.
+        overrides: further words; `task=` and `train=` among them count instead.
+        config_dir: as `compose`.
+    """
+    words = [
+        f"{group}={name}"
+        for group, name in (("task", task), ("train", _ANY_TRAIN_FILE))
+        if not any(word.startswith(f"{group}=") for word in overrides)
+    ]
+    return compose([*words, *overrides], config_dir)
 
 
 def make_loader(

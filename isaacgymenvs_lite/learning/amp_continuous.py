@@ -255,14 +255,7 @@ class AMPAgent(CommonAgent):
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Keep the policy's AMP observations: all until the buffer is full, then a few."""
-        fakes = self._fakes(batch_dict)
-        rows = torch.arange(len(fakes["amp_obs"]), device=fakes["amp_obs"].device)
-        if self._replay_buffer.get_total_count() > self._replay_buffer.get_buffer_size():
-            rows = rows[torch.rand(len(rows), device=rows.device) < self._amp.amp_replay_keep_prob]
-        if len(rows) > self._replay_buffer.get_buffer_size():
-            chosen = torch.randperm(len(rows), device=rows.device)
-            rows = rows[chosen[: self._replay_buffer.get_buffer_size()]]
-        self._replay_buffer.store({name: values[rows] for name, values in fakes.items()})
+        self._replay_buffer.store_some(self._fakes(batch_dict), self._amp.amp_replay_keep_prob)
 
     # --- checkpoint ------------------------------------------------------------------------
 

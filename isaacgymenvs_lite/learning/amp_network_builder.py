@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from rl_games.algos_torch.network_builder import A2CBuilder
-from torch import Tensor, nn
+from torch import nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.actor_critic_network import ActorCriticNetwork
-from isaacgymenvs_lite.learning.losses import input_gradient
-
-# The last layer of the discriminator starts in U(-1, 1), as IsaacGymEnvs and ASE.
-_DISC_LOGIT_INIT_SCALE = 1.0
+from isaacgymenvs_lite.learning.discriminator_layers import DiscriminatorLayers
 
 
 class AMPBuilder(A2CBuilder):
@@ -24,7 +20,7 @@ class AMPBuilder(A2CBuilder):
     `sigma, actor_mlp, critic_mlp, value, mu, _disc_mlp, _disc_logits`.
     """
 
-    class Network(ActorCriticNetwork):
+    class Network(DiscriminatorLayers, ActorCriticNetwork):
         """Actor and critic, and a discriminator beside them.
 
         Args:
@@ -57,12 +53,8 @@ class AMPBuilder(A2CBuilder):
                 raise ConfigError(
                     "train.params.network.disc.units=[]: expected at least one hidden layer"
                 )
-            self._disc_mlp = self._hidden_layers(input_shape[0], disc["units"], disc)
-            self._disc_logits = nn.Linear(disc["units"][-1], 1)
-            nn.init.uniform_(
-                self._disc_logits.weight, -_DISC_LOGIT_INIT_SCALE, _DISC_LOGIT_INIT_SCALE
-            )
-            nn.init.zeros_(self._disc_logits.bias)
+            hidden = self._hidden_layers(input_shape[0], disc["units"], disc)
+            self._set_disc_layers(hidden, disc["units"][-1])
 
         def _hidden_layers(
             self, inputs: int, units: Sequence[int], section: dict[str, Any]
@@ -84,37 +76,6 @@ class AMPBuilder(A2CBuilder):
                 if isinstance(layer, nn.Linear):
                     init(layer.weight)
                     nn.init.zeros_(layer.bias)
-
-        def eval_disc(self, amp_obs: Tensor) -> Tensor:
-            """Return discriminator logits (n, 1) for normalised AMP observations (n, F)."""
-            return self._disc_logits(self._disc_mlp(amp_obs))
-
-        def eval_disc_with_gradient(
-            self, amp_obs: Tensor, *latents: Tensor
-        ) -> tuple[Tensor, Tensor]:
-            """Return logits (n, 1) and their gradients by the normalised AMP observations (n, F).
-
-            The gradients can be differentiated by the parameters. Arguments as `eval_disc`.
-            """
-            with torch.enable_grad():
-                amp_obs = amp_obs.detach().requires_grad_()
-                logits = self.eval_disc(amp_obs, *latents)
-            # The backward pass computes as the forward pass did; autocast has no say in it.
-            with torch.autocast(amp_obs.device.type, enabled=False):
-                return logits, input_gradient(logits, amp_obs)
-
-        def disc_parameters(self) -> list[nn.Parameter]:
-            """Return the parameters of the discriminator."""
-            return [*self._disc_mlp.parameters(), *self._disc_logits.parameters()]
-
-        def get_disc_logit_weights(self) -> Tensor:
-            """Return the last layer's weights, flat."""
-            return self._disc_logits.weight.flatten()
-
-        def get_disc_weights(self) -> list[Tensor]:
-            """Return all weight matrices of the discriminator, flat; no biases."""
-            layers = [m for m in self._disc_mlp.modules() if isinstance(m, nn.Linear)]
-            return [layer.weight.flatten() for layer in layers] + [self.get_disc_logit_weights()]
 
     def build(self, name: str, **kwargs: Any) -> AMPBuilder.Network:
         """Build the network; rl_games calls this through the model."""

@@ -67,6 +67,22 @@ class ReplayBuffer:
             ring[: kept - before_end] = newest[before_end:]
         self._head = (self._head + n) % self._size
 
+    def store_some(self, data: dict[str, Tensor], keep_prob: float) -> None:
+        """Append all rows until more were stored than fit, then a random share of them.
+
+        Args:
+            data: as `store`; of more rows than fit some are drawn.
+            keep_prob: with which a row is kept once the buffer is full.
+        """
+        values = next(iter(data.values()))
+        rows = torch.arange(len(values), device=values.device)
+        if self._total_count > self._size:
+            rows = rows[torch.rand(len(rows), device=rows.device) < keep_prob]
+        if len(rows) > self._size:
+            chosen = torch.randperm(len(rows), device=rows.device)
+            rows = rows[chosen[: self._size]]
+        self.store({name: values[rows] for name, values in data.items()})
+
     def sample(self, n: int) -> dict[str, Tensor]:
         """Return n rows, name -> (n, ...).
 

@@ -7,10 +7,8 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.gymnasium_ids import ENTRY_POINTS, register_task_id
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-
-ENTRY_POINTS = "isaacgymenvs_lite.tasks"
-"""Group of entry points: an installed package names its tasks there."""
 
 TaskMaker = Callable[..., VecTask]
 
@@ -37,6 +35,7 @@ def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
             " another name, or replace=True"
         )
     isaacgym_task_map[name] = task
+    register_task_id(name)
 
 
 def find_task(name: str) -> TaskMaker:

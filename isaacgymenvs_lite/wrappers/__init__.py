@@ -1,1 +1,61 @@
-"""Shape and dtype adapters between our tasks and RL libraries, nothing else."""
+"""Shape and dtype adapters between our tasks and RL libraries, nothing else.
+
+    from isaacgymenvs_lite.wrappers import Sb3VecEnvWrapper
+
+    env = Sb3VecEnvWrapper(isaacgymenvs_lite.make(task="Ant", num_envs=64))
+
+An adapter goes around the task itself; wrappers of the library go around the adapter. Their modules
+are imported when a name is asked for, as the libraries are optional.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from isaacgymenvs_lite.optional_packages import require
+
+if TYPE_CHECKING:
+    from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
+    from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+    from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
+    from isaacgymenvs_lite.wrappers.rsl_rl_env import RslRlVecEnvWrapper
+    from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
+    from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
+
+__all__ = [
+    "GymnasiumEnv",
+    "GymnasiumVectorEnv",
+    "RLGPUEnv",
+    "RslRlVecEnvWrapper",
+    "Sb3VecEnvWrapper",
+    "SkrlVecEnvWrapper",
+]
+
+# Name -> its module here, and the package that it needs beside those that are always installed.
+_PLACES: dict[str, tuple[str, str | None]] = {
+    "GymnasiumEnv": ("gymnasium_single", None),
+    "GymnasiumVectorEnv": ("gymnasium_vector", None),
+    "RLGPUEnv": ("rl_games_env", None),
+    "RslRlVecEnvWrapper": ("rsl_rl_env", "rsl_rl"),
+    "Sb3VecEnvWrapper": ("sb3_env", "stable_baselines3"),
+    "SkrlVecEnvWrapper": ("skrl_env", "skrl"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import an adapter.
+
+    Raises:
+        MissingPackageError: its library is not installed.
+    """
+    if name not in _PLACES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module, package = _PLACES[name]
+    if package is not None:
+        require(package, name)
+    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

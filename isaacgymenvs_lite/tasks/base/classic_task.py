@@ -181,6 +181,7 @@ class ClassicTask(VecTask):
         self._failure_buf = torch.zeros_like(self.timeout_buf)
         self._time_out_buf = torch.zeros_like(self.timeout_buf)
         self.reward_terms: Terms = {}
+        self._final_observations: dict[str, Tensor] = {}
 
     # --- step -------------------------------------------------------------------------------
 
@@ -202,6 +203,9 @@ class ClassicTask(VecTask):
             self.advance()
             self.compute_reset()
             self.compute_reward()
+            if self.keeps_final_observations and self.reset_buf.any():
+                self.compute_observations()
+                self._final_observations = self._observations()
             self._reset_finished()
             self.compute_observations()
         else:
@@ -248,6 +252,12 @@ class ClassicTask(VecTask):
     def failures(self) -> Tensor:
         """Return (N,) bool: the last step ended the episode by a failure."""
         return self._failure_buf
+
+    def final_observations(self) -> dict[str, Tensor]:
+        """See `VecTask.final_observations`."""
+        return (
+            self._final_observations if self.resets_in_same_step else super().final_observations()
+        )
 
     # --- reset ------------------------------------------------------------------------------
 

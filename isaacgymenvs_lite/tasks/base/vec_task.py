@@ -135,6 +135,8 @@ class VecTask(Env):
         extras: what `step` returns as infos; the same dictionary at every step.
         watchers: told of every step; see `Watcher`.
         max_episode_length: control steps; a task must set it.
+        keeps_final_observations: whether a task that starts episodes in the step that ended the one
+            before observes the end, too; see `final_observations`.
     """
 
     simulation: SimulationBackend
@@ -144,6 +146,7 @@ class VecTask(Env):
     """Name of the robot in `task.task.randomization_params.actor_params`."""
     resets_on_request: ClassVar[bool] = False
     """Whether episodes start when somebody calls `reset_done`, and not by themselves in `step`."""
+    keeps_final_observations: bool = False
 
     def __init__(
         self,
@@ -287,6 +290,14 @@ class VecTask(Env):
             if len(done_ids) > 0:
                 self.reset_idx(done_ids)
             return self._observations(), done_ids.to(self.rl_device)
+
+    def final_observations(self) -> dict[str, Tensor]:
+        """Return what the episodes that the last step ended came to, between it and `reset_done`.
+
+        Rows of other environments mean nothing. A task that starts episodes within the step has it
+        only while `keeps_final_observations` is set.
+        """
+        return self._observations()
 
     def zero_actions(self) -> Tensor:
         """Return (N, numActions) zeros on rl_device."""

@@ -1,0 +1,111 @@
+"""Names of the tasks in Gymnasium's registry: `IsaacGymEnvsLite/Cartpole-v0`.
+
+Importing Gymnasium takes longer than everything that a user's mistake on train.py's command line
+costs otherwise. So that `import isaacgymenvs_lite` need not do it, the tasks are registered when
+somebody else does: at once if it is imported already, else in the moment when it is. Nothing here
+imports a task; Gymnasium's registry holds the names of the functions that make them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+from isaacgymenvs_lite.paths import cfg_dir
+
+NAMESPACE = "IsaacGymEnvsLite"
+ENTRY_POINTS = "isaacgymenvs_lite.tasks"
+"""Group of entry points: an installed package names its tasks there."""
+
+_REGISTRY = "gymnasium.envs"
+_MAKERS = "isaacgymenvs_lite.wrappers.gymnasium_making"
+
+# Names that were given before Gymnasium was there.
+_waiting: list[str] = []
+
+
+def env_id(task: str) -> str:
+    """Return Gymnasium's name of a task: `IsaacGymEnvsLite/Cartpole-v0`."""
+    return f"{NAMESPACE}/{task}-v0"
+
+
+def register_tasks() -> None:
+    """Register the shipped tasks and those of installed packages, now or when Gymnasium is here."""
+    if _REGISTRY in sys.modules:
+        _register_all()
+    else:
+        sys.meta_path.insert(0, _WhenImported())
+
+
+def register_task_id(task: str) -> None:
+    """Register one task by name, now or when Gymnasium is imported; a second time does nothing."""
+    if _REGISTRY in sys.modules:
+        _register(task)
+    else:
+        _waiting.append(task)
+
+
+def _register_all() -> None:
+    from importlib.metadata import entry_points  # takes longer to import than all of this package
+
+    offered = (point.name for point in entry_points(group=ENTRY_POINTS))
+    for task in (*_shipped(), *offered, *_waiting):
+        _register(task)
+
+
+def _register(task: str) -> None:
+    from gymnasium.envs.registration import register, registry
+
+    # What Gymnasium takes for a name; other tasks can be made by isaacgymenvs_lite.make only.
+    if env_id(task) in registry or not re.fullmatch(r"[\w.:-]+", task):
+        return
+    register(
+        env_id(task),
+        entry_point=f"{_MAKERS}:make_single_env",
+        vector_entry_point=f"{_MAKERS}:make_vector_env",
+        kwargs={"task": task},
+    )
+
+
+def _shipped() -> list[str]:
+    """Return the task files that say whose they are; the others are parts of them."""
+    files = sorted((cfg_dir() / "task").glob("*.yaml"))
+    return [file.stem for file in files if re.search("^name:", file.read_text(), re.MULTILINE)]
+
+
+class _WhenImported(MetaPathFinder):
+    """Hands Gymnasium's import on to those who know how, and registers the tasks after it."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        del path, target
+        if fullname != _REGISTRY:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _ThenRegister(spec.loader)
+        return spec
+
+
+class _ThenRegister(Loader):
+    """A module's own loader, and then the registration."""
+
+    def __init__(self, loader: Loader) -> None:
+        self._loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        spec = module.__spec__
+        if spec is not None:
+            spec.loader = module.__loader__ = self._loader
+        self._loader.exec_module(module)
+        _register_all()

@@ -1,0 +1,42 @@
+"""Random numbers of one environment, apart from those of everybody else in the process."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+import torch
+from torch import Tensor
+
+
+class RandomStream:
+    """Lends torch's CPU generator a state of its own. Use it in a `with` statement.
+
+    Tasks draw from torch's generator, as the agent that acts in them does. An environment that
+    somebody seeds must not make the agent repeat its noise; until it is seeded it draws with all
+    others. Switching the state costs about a microsecond.
+    """
+
+    def __init__(self) -> None:
+        self._own: Tensor | None = None
+        self._others: Tensor | None = None
+
+    def seed(self, seed: int) -> None:
+        """Begin a sequence of one's own."""
+        self._own = torch.Generator().manual_seed(seed).get_state()
+
+    def __enter__(self) -> RandomStream:
+        if self._own is not None:
+            self._others = torch.get_rng_state()
+            torch.set_rng_state(self._own)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._others is not None:
+            self._own = torch.get_rng_state()
+            torch.set_rng_state(self._others)
+            self._others = None

@@ -1,0 +1,119 @@
+# pyright: reportMissingImports=false
+"""PPO of rsl_rl on a task."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import GaussianDistribution
+from rsl_rl.runners import OnPolicyRunner
+
+from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.workflows.agent_files import AgentSettings, check_arguments
+from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
+from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
+from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
+
+# Given by the workflow, or able to name code.
+_RESERVED_PPO = (
+    *("actor", "critic", "storage", "device", "multi_gpu_cfg"),
+    *("rnd_cfg", "symmetry_cfg"),
+)
+_RESERVED_MODEL = ("obs", "obs_groups", "obs_set", "output_dim", "distribution_cfg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RslRlSettings(AgentSettings):
+    """An agent file."""
+
+    num_steps_per_env: int = setting(minimum=1)
+    algorithm: dict[str, Any] = setting()
+    """Arguments of PPO."""
+    actor: dict[str, Any] = setting()
+    """Arguments of MLPModel."""
+    critic: dict[str, Any] = setting()
+    """The same."""
+    distribution: dict[str, Any] = setting()
+    """Arguments of GaussianDistribution, of the actor."""
+
+
+class RslRlAgent:
+    """The on-policy runner with PPO and two networks.
+
+    Checkpoints are `model_<iteration>.pt`.
+
+    Args:
+        task: the task.
+        content: of an agent file.
+        device: of the networks.
+        seed: the generators are seeded already.
+
+    Attributes:
+        stepper: steps the task.
+        max_iterations: see `library.Agent`.
+        runner: rsl_rl's.
+
+    Raises:
+        ConfigError: a key of the agent file that cannot be used.
+    """
+
+    def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
+        del seed
+        settings = read_section(RslRlSettings, content, "agent", complete=True)
+        self.max_iterations = settings.max_iterations
+        self._env = env = RslRlVecEnvWrapper(task)
+        self.stepper = env.stepper
+        self._device = device
+        self.runner = OnPolicyRunner(env, _runner_settings(settings, task), None, device)
+
+    def learn(self, folder: Path) -> None:
+        """See `library.Agent`."""
+        self.runner.logger.log_dir = str(folder)
+        self.runner.learn(self.max_iterations)
+
+    def load(self, checkpoint: Path) -> None:
+        """See `library.Agent`."""
+        state = read_parameters(checkpoint, LIBRARY)
+        apply(lambda: self.runner.alg.load(state, None, True), checkpoint)
+
+    def player(self) -> Callable[[], None]:
+        """See `library.Agent`."""
+        policy = self.runner.get_inference_policy(self._device)
+        observations, _ = self._env.reset()
+
+        def step() -> None:
+            nonlocal observations
+            with torch.no_grad():
+                actions = policy(observations)
+            observations, *_ = self._env.step(actions)
+
+        return step
+
+
+def _runner_settings(settings: RslRlSettings, task: VecTask) -> dict[str, Any]:
+    """Return what the runner wants to be told; the classes are named here only."""
+    check_arguments(PPO, settings.algorithm, "agent.algorithm", _RESERVED_PPO)
+    check_arguments(
+        GaussianDistribution, settings.distribution, "agent.distribution", ("output_dim",)
+    )
+    models = {"actor": settings.actor, "critic": settings.critic}
+    for name, model in models.items():
+        check_arguments(MLPModel, model, f"agent.{name}", _RESERVED_MODEL)
+    distribution = {"class_name": "GaussianDistribution", **settings.distribution}
+    critic_group = CRITIC_GROUP if task.num_states > 0 else ACTOR_GROUP
+    return {
+        "num_steps_per_env": settings.num_steps_per_env,
+        "save_interval": settings.checkpoint_interval,
+        "obs_groups": {"actor": [ACTOR_GROUP], "critic": [critic_group]},
+        "algorithm": {"class_name": "PPO", **settings.algorithm},
+        "actor": {"class_name": "MLPModel", "distribution_cfg": distribution, **settings.actor},
+        "critic": {"class_name": "MLPModel", **settings.critic},
+        "logger": "tensorboard",
+    }

@@ -1,0 +1,11 @@
+"""Trains an agent of rsl_rl: python -m isaacgymenvs_lite.workflows.rsl_rl.train --help."""
+
+from __future__ import annotations
+
+import sys
+
+from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
+from isaacgymenvs_lite.workflows.training import train
+
+if __name__ == "__main__":
+    sys.exit(train(LIBRARY))

@@ -1,0 +1,11 @@
+"""Trains an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows.sb3.train --help."""
+
+from __future__ import annotations
+
+import sys
+
+from isaacgymenvs_lite.workflows.sb3 import LIBRARY
+from isaacgymenvs_lite.workflows.training import train
+
+if __name__ == "__main__":
+    sys.exit(train(LIBRARY))

@@ -1,0 +1,58 @@
+"""Training an agent of any library: task, agent, folder, videos."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from isaacgymenvs_lite.workflows.agent_files import load_agent_file
+from isaacgymenvs_lite.workflows.arguments import (
+    add_number,
+    make_asked_task,
+    make_parser,
+    run_workflow,
+)
+from isaacgymenvs_lite.workflows.library import Library
+from isaacgymenvs_lite.workflows.log_folder import create_folder
+from isaacgymenvs_lite.workflows.recording import VideoRecorder
+
+log = logging.getLogger(__name__)
+
+
+def train(library: Library, arguments: Sequence[str] | None = None) -> int:
+    """Train as the command line says; returns the exit code.
+
+    Args:
+        library: whose agent.
+        arguments: without the program's name; None = `sys.argv`.
+    """
+    parser = make_parser(library, "train")
+    add_number(parser, "--max_iterations", "default: the agent file's", None)
+    add_number(parser, "--video_interval", "control steps from one to the next", 2000)
+    parser.add_argument("--checkpoint", help="a file to go on from")
+    return run_workflow(library, parser, lambda args: _train(library, args), arguments)
+
+
+def _train(library: Library, args: argparse.Namespace) -> None:
+    made = make_asked_task(args)
+    try:
+        name = Path(args.task).stem
+        content = load_agent_file(library.name, name, args.agent, made.agent_words)
+        if args.max_iterations is not None:
+            content["max_iterations"] = args.max_iterations
+        agent = library.make_agent(made.task, content, made.rl_device, made.seed)
+        if args.checkpoint is not None:
+            agent.load(Path(args.checkpoint))
+        folder = create_folder(Path(args.logs), library, name, made.settings, content)
+        log.info("log folder: %s", folder)
+        recorder = None
+        if args.video:
+            lengths = (args.video_length, args.video_interval)
+            recorder = VideoRecorder(agent.stepper, folder / "videos", *lengths)
+        agent.learn(folder)
+        if recorder is not None:
+            recorder.finish()
+    finally:
+        made.task.close()

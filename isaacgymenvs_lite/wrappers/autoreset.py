@@ -1,0 +1,200 @@
+"""What all adapters build on: a task whose episodes follow each other without a gap.
+
+Some tasks start a new episode when they are asked to, others by themselves in the next step, others
+within the step that ended the last one (`VecTask.resets_on_request`, `ClassicTask`). Here all of
+them do it within the step, the last observation of an episode is kept beside the first of the next,
+and a fall is told from a time limit. The adapters give this the form of their library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError, WrapperError
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.utils.random_stream import RandomStream
+from isaacgymenvs_lite.wrappers.episode_statistics import EndedEpisodes, EpisodeStatistics
+
+Observations = dict[str, Tensor]
+"""{"obs": (N, F)[, "states": (N, S)]}; states are for asymmetric critics."""
+
+
+@dataclass(frozen=True)
+class Transition:
+    """What a step of N environments gave; nothing of it is written to later.
+
+    Attributes:
+        observations: of the episodes that run now, the first ones where one ended.
+        final_observations: of the step's end, before episodes started; only the rows of ended
+            episodes count. None if none ended.
+        rewards: (N,) float32.
+        terminated: (N,) bool, ended by a failure.
+        truncated: (N,) bool, ended by the time limit and nothing else.
+        per_env: what else the task told of each environment, (N, ...) each, of the step's end:
+            `amp_obs` of an ended episode is its last.
+        scalars: what it told of all together, by name: `episode/rew_torque`.
+        episodes: those that ended.
+    """
+
+    observations: Observations
+    final_observations: Observations | None
+    rewards: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    per_env: dict[str, Tensor]
+    scalars: dict[str, float]
+    episodes: EndedEpisodes
+
+    @property
+    def ended(self) -> Tensor:
+        """(N,) bool, ended at all."""
+        return self.terminated | self.truncated
+
+
+class AutoresetTask:
+    """Steps a task; see the module docstring.
+
+    Args:
+        task: what `isaacgymenvs_lite.make` returns.
+        adapter: whose name errors give.
+        random: what the task draws from.
+
+    Attributes:
+        task: the task.
+        last_step: what the last step gave; None before the first.
+        after_step: called in each step, when the task has moved and before episodes start.
+
+    Raises:
+        WrapperError: `task` is something else, an environment that was wrapped before for example.
+    """
+
+    def __init__(self, task: Any, adapter: str, random: RandomStream | None = None) -> None:
+        self.task = checked_task(task, adapter)
+        self.task.keeps_final_observations = True
+        self.last_step: Transition | None = None
+        self.after_step: list[Callable[[], None]] = []
+        self._random = random or RandomStream()
+        self._statistics = EpisodeStatistics(self.task.num_envs, self.task.rl_device)
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        return self.task.num_envs
+
+    def reset(self, seed: int | None = None) -> Observations:
+        """Start a new episode in every environment and return the first observations.
+
+        Args:
+            seed: what the task draws from now on depends on it alone; None changes nothing.
+        """
+        if seed is not None:
+            self._random.seed(seed)
+        self._statistics.restart(self._all())
+        with self._stepping():
+            return self.task.reset()
+
+    def reset_some(self, mask: Tensor, seed: int | None = None) -> Observations:
+        """Start new episodes where `mask` (N,) bool says so; observations of all."""
+        if seed is not None:
+            self._random.seed(seed)
+        self._statistics.restart(mask.to(self.task.rl_device))
+        with self._stepping():
+            self.task.reset_buf.masked_fill_(mask.to(self.task.device), 1)
+            return self.task.reset_done()[0]
+
+    def step(self, actions: Tensor) -> Transition:
+        """Advance all environments by one control step, and start the next episodes.
+
+        Args:
+            actions: (N, A).
+
+        Raises:
+            ConfigError: actions of another shape.
+        """
+        expected = (self.num_envs, self.task.num_actions)
+        if tuple(actions.shape) != expected:
+            raise ConfigError(f"actions of shape {tuple(actions.shape)}: expected {expected}")
+        with self._stepping():
+            observations, rewards, dones, infos = self.task.step(actions.to(torch.float32))
+            for listener in self.after_step:
+                listener()
+            ended = dones != 0
+            final = None
+            if ended.any():
+                final = self.task.final_observations()
+                observations = self.task.reset_done()[0]
+            truncated = infos["time_outs"] & ended
+            per_env, scalars = _sorted_infos(infos, self.num_envs)
+            self.last_step = Transition(
+                observations=observations,
+                final_observations=final,
+                rewards=rewards,
+                terminated=ended & ~truncated,
+                truncated=truncated,
+                per_env=per_env,
+                scalars=scalars,
+                episodes=self._statistics.count(rewards, ended),
+            )
+            return self.last_step
+
+    def close(self) -> None:
+        """Free the task's simulation."""
+        self.task.close()
+
+    def _all(self) -> Tensor:
+        return torch.ones(self.num_envs, dtype=torch.bool, device=self.task.rl_device)
+
+    @contextmanager
+    def _stepping(self) -> Iterator[None]:
+        """Draw from the environment's numbers; make tensors that may be written to later.
+
+        rsl_rl steps in inference mode: what a task keeps from then could not be changed outside.
+        """
+        with self._random, torch.inference_mode(False), torch.no_grad():
+            yield
+
+
+def checked_task(env: Any, adapter: str) -> VecTask:
+    """Return `env` if it is a task that nobody wrapped.
+
+    Raises:
+        WrapperError: it is something else.
+    """
+    if isinstance(env, VecTask):
+        return env
+    given = type(env).__name__
+    inner = getattr(getattr(env, "unwrapped", env), "task", None)
+    hint = (
+        f"; {given} is a task in another wrapper already: adapters do not go around others, wrap"
+        " the task itself, and put the library's own wrappers around the adapter"
+        if isinstance(inner, VecTask)
+        else ""
+    )
+    raise WrapperError(
+        f"{adapter}: got {given}, expected a task as isaacgymenvs_lite.make(task=...) returns"
+        f" it{hint}"
+    )
+
+
+def _sorted_infos(
+    infos: Mapping[str, Any], num_envs: int
+) -> tuple[dict[str, Tensor], dict[str, float]]:
+    """Tell what concerns each environment from what concerns all of them; no `time_outs`."""
+    per_env: dict[str, Tensor] = {}
+    scalars: dict[str, float] = {}
+    for name, value in infos.items():
+        if name == "time_outs":
+            continue
+        if isinstance(value, Mapping):
+            scalars |= {f"{name}/{key}": float(entry) for key, entry in value.items()}
+        elif isinstance(value, Tensor) and value.dim() > 0 and len(value) == num_envs:
+            per_env[name] = value
+        elif isinstance(value, (int, float)) or (isinstance(value, Tensor) and value.dim() == 0):
+            scalars[name] = float(value)
+    return per_env, scalars

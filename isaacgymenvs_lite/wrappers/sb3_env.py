@@ -1,0 +1,144 @@
+# pyright: reportMissingImports=false
+"""A task as a vectorised environment of Stable-Baselines3: numpy in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
+from isaacgymenvs_lite.wrappers.camera import TaskCamera, checked_render_mode
+from isaacgymenvs_lite.wrappers.gymnasium_vector import Bools, Floats, as_numpy
+
+
+class Sb3VecEnvWrapper(VecEnv):
+    """N environments of a task for Stable-Baselines3.
+
+    An ended episode's `infos[i]` holds `terminal_observation` (F,), `TimeLimit.truncated` and
+    `episode` {"r": return, "l": length, "t": s since the start}, so that no `VecMonitor` is needed.
+    What the task tells of each environment stands in every `infos[i]`, `amp_obs` (F,) for example,
+    of the step's end; what it tells of all together in `infos[i]["log"]`.
+
+    Wrap the task with it, and this with the library's own: `VecNormalize(Sb3VecEnvWrapper(task))`.
+
+    Args:
+        task: what `isaacgymenvs_lite.make` returns.
+        render_mode: `rgb_array` or None.
+
+    Attributes:
+        task: the task.
+        stepper: steps the task; its `last_step` is the last step as tensors.
+
+    Raises:
+        WrapperError: `task` is no task.
+        ConfigError: another render mode.
+    """
+
+    def __init__(self, task: Any, render_mode: str | None = None) -> None:
+        self.stepper = AutoresetTask(task, type(self).__name__)
+        self.task = self.stepper.task
+        self._given_render_mode = checked_render_mode(render_mode)
+        self._camera = TaskCamera(self.task)
+        self._actions = torch.zeros(self.task.num_envs, self.task.num_actions)
+        super().__init__(self.task.num_envs, self.task.observation_space, self.task.action_space)
+
+    def reset(self) -> Floats:
+        """Start new episodes and return their observations (N, F).
+
+        The seed of `seed` counts: what the task draws from now on depends on it alone.
+        """
+        observations = self.stepper.reset(self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        return as_numpy(observations["obs"])
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Take actions (N, A) for `step_wait`."""
+        self._actions = torch.as_tensor(np.asarray(actions, dtype=np.float32))
+
+    def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
+        """Return observations (N, F), rewards (N,), dones (N,) and N infos; see the class."""
+        step = self.stepper.step(self._actions)
+        return (
+            as_numpy(step.observations["obs"]),
+            as_numpy(step.rewards),
+            as_numpy(step.ended),
+            self._infos(step),
+        )
+
+    def _infos(self, step: Transition) -> list[dict[str, Any]]:
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for name, rows in step.per_env.items():
+            for info, row in zip(infos, as_numpy(rows), strict=True):
+                info[name] = row
+        if step.scalars:
+            for info in infos:
+                info["log"] = step.scalars
+        if step.final_observations is None:
+            return infos
+        episodes = step.episodes
+        time_s = round(episodes.time_s, 6)
+        last = as_numpy(step.final_observations["obs"])
+        truncated = step.truncated.tolist()
+        values = (episodes.env_ids.tolist(), episodes.returns.tolist(), episodes.lengths.tolist())
+        for env_id, episode_return, length in zip(*values, strict=True):
+            infos[env_id] |= {
+                "terminal_observation": last[env_id],
+                "TimeLimit.truncated": truncated[env_id],
+                "episode": {"r": episode_return, "l": length, "t": time_s},
+            }
+        return infos
+
+    def close(self) -> None:
+        """Free renderer and simulation."""
+        self._camera.close()
+        self.stepper.close()
+
+    def get_images(self) -> Sequence[Image]:
+        """Return a picture of each environment.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        return self._camera.draw(range(self.num_envs))
+
+    # --- what Stable-Baselines3 asks each environment for; here there is one task ----------------
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the task, once for each environment."""
+        value = (
+            self._given_render_mode if attr_name == "render_mode" else getattr(self.task, attr_name)
+        )
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the task, which is that of all environments.
+
+        Raises:
+            ConfigError: of some environments only.
+        """
+        if len(set(self._get_indices(indices))) != self.num_envs:
+            raise ConfigError(
+                f"set_attr('{attr_name}', indices={indices}): the environments are one task;"
+                " leave indices out"
+            )
+        setattr(self.task, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the task, once, and return its result for each environment."""
+        result = getattr(self.task, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Say that episodes are monitored, as their returns and lengths are in the infos."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]

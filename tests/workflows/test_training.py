@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import av
+import numpy as np
+import yaml
+
+from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
+from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
+from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
+
+# rsl_rl normalises no returns, and takes longer.
+ITERATIONS = {"sb3": "30", "skrl": "30", "rsl_rl": "70"}
+SMALL = ("--num_envs", "4", "--headless", "num_threads=1")
+
+
+def folder_of(tmp_path: Path, library) -> Path:
+    (folder,) = (tmp_path / "logs" / library.name / "Cartpole").iterdir()
+    return folder
+
+
+def test_the_pole_stands_after_training(library, run_train, run_play):
+    run_train(
+        library, "--num_envs", "64", "--max_iterations", ITERATIONS[library.name], "num_threads=1"
+    )
+    told = run_play(library, "--num_envs", "32", "--use_last_checkpoint", "num_threads=1")
+    assert "episodes: 32" in told
+    (mean,) = re.findall(r"length: mean ([\d.]+)", told)
+    assert float(mean) > 400.0  # of 499
+
+
+def test_a_training_leaves_what_it_was_made_of(library, run_train, tmp_path):
+    words = ("task.env.maxEffort=300", "agent.checkpoint_interval=1")
+    run_train(library, *SMALL, "--max_iterations", "2", "--seed", "5", *words)
+    folder = folder_of(tmp_path, library)
+    env = yaml.safe_load((folder / "params" / "env.yaml").read_text())
+    assert env["task"]["env"]["maxEffort"] == 300
+    assert env["task"]["env"]["numEnvs"] == 4
+    assert env["seed"] == 5
+    agent = yaml.safe_load((folder / "params" / "agent.yaml").read_text())
+    assert (agent["max_iterations"], agent["checkpoint_interval"]) == (2, 1)
+    assert len([file for pattern in library.checkpoints for file in folder.glob(pattern)]) >= 2
+    assert list(folder.glob("events.out.tfevents.*"))
+
+
+def test_a_training_goes_on_from_a_checkpoint(library, run_train, tmp_path):
+    run_train(library, *SMALL, "--max_iterations", "1")
+    folder = folder_of(tmp_path, library)
+    (file, *_) = (file for pattern in library.checkpoints for file in folder.glob(pattern))
+    run_train(library, *SMALL, "--max_iterations", "1", "--checkpoint", str(file))
+
+
+def test_a_task_without_a_file_of_its_own_trains_with_the_default(library, run_train, tmp_path):
+    run_train(library, *SMALL, "--task", "BallBalance", "--max_iterations", "1")
+    assert (tmp_path / "logs" / library.name / "BallBalance").is_dir()
+
+
+def test_asymmetric_states_are_the_critics(library, run_train):
+    run_train(library, *SMALL, "--max_iterations", "1", "task.env.asymmetric_observations=True")
+
+
+def test_videos_are_written(gl, library, run_train, tmp_path):
+    words = ("--video", "--video_length", "6", "--video_interval", "20")
+    run_train(library, *SMALL, "--max_iterations", "1", *words)
+    videos = sorted((folder_of(tmp_path, library) / "videos").iterdir())
+    assert [file.name for file in videos] == ["step_0.mp4", "step_20.mp4"]
+    with av.open(str(videos[0])) as container:
+        frames = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
+    assert len(frames) == 6
+    assert all(frame.std() > 5 for frame in frames)
+    assert (np.abs(frames[5].astype(int) - frames[0]) > 30).any()
+
+
+def test_a_played_checkpoint_can_be_filmed(gl, library, run_train, run_play, tmp_path):
+    run_train(library, *SMALL, "--max_iterations", "1")
+    told = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
+    assert "episodes: 4, " in told
+    assert (folder_of(tmp_path, library) / "videos" / "play" / "step_0.mp4").is_file()
+
+
+def test_a_checkpoint_of_another_library_or_task_is_one_line(
+    library, run_train, run_play, fails, tmp_path
+):
+    run_train(library, *SMALL, "--max_iterations", "1")
+    folder = folder_of(tmp_path, library)
+    file = next(file for pattern in library.checkpoints for file in folder.glob(pattern))
+    for other in (SB3, SKRL, RSL_RL):
+        words = (*SMALL, "--checkpoint", str(file))
+        if other is library:
+            line = fails(run_play, library, *words, "--task", "Ant")
+            assert "of another network or task" in line
+        elif importlib.util.find_spec(other.package) is not None:
+            line = fails(run_play, other, *words, "--agent", "Cartpole")
+            assert f"a checkpoint of {library.name}, expected one of {other.title}" in line
+    assert "no checkpoint below" in fails(
+        run_play, library, *SMALL, "--use_last_checkpoint", "--logs", str(tmp_path / "none")
+    )
+
+
+def test_a_library_that_is_not_installed_is_one_line(library, run_train, fails, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    line = fails(run_train, library, *SMALL)
+    assert f"needs the package {library.package}, which is not installed; pip install" in line
+
+
+def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
+    def line(*words: str) -> str:
+        return fails(run_train, library, *SMALL, *words)
+
+    assert "Cartpole" in line("--task", "Cartpol")
+    assert "unknown agent key 'max_iteration' (did you mean" in line("agent.max_iteration=3")
+    assert "unknown --agent 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
+    (tmp_path / "file").touch()
+    assert "cannot write the log folder" in line("--logs", str(tmp_path / "file"))
+    unknown = tmp_path / "agent.yaml"
+    unknown.write_text("max_iterations: 1\n")
+    assert "is missing" in line("--agent", str(unknown))
