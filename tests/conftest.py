@@ -18,15 +18,6 @@ _NUM_FRAMES = 46  # 1.5 s
 
 
 @pytest.fixture(scope="session")
-def gl() -> str:
-    """The OpenGL library that draws here."""
-    try:
-        return ensure_gl()
-    except RenderingError as error:
-        pytest.skip(str(error))
-
-
-@pytest.fixture(scope="session")
 def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return `walk.npz`, 1.5 s at 30 Hz of the humanoid going forward on a curve, limbs swinging.
 

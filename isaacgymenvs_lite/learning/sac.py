@@ -105,7 +105,7 @@ def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:
                 inputs = layer(inputs)
         return last(inputs.float())
 
-    network.forward = forward
+    network.forward = forward  # type: ignore[method-assign]
 
 
 class SACPlayer(EpisodePlayer, RLGamesSACPlayer):

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.tasks.base.watcher import Watcher
-from isaacgymenvs_lite.watching.film_maker import FilmMaker
-from isaacgymenvs_lite.watching.video_capture import VideoCapture
+from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.watching.web_page import WebPage, check_page
 from isaacgymenvs_lite.watching.window import Window
 
@@ -61,7 +59,7 @@ class Watching:
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
         if settings.capture_video:
-            self._add(self._capture(env, folder, prefix))
+            self._watchers.append(self._capture(env, folder, prefix))
         if not settings.headless:
             self._add(Window(env, folder, on_quit, every_step=settings.force_render))
         if settings.viewer == "web":
@@ -73,23 +71,21 @@ class Watching:
         self._watchers.append(watcher)
         self._env.watchers.append(watcher)
 
-    def _capture(self, env: Any, folder: Path, prefix: str) -> VideoCapture:
+    def _capture(self, env: Any, folder: Path, prefix: str) -> Watcher:
         settings = self._settings
-        make_video_folder(folder)
         on_done = None
         if settings.wandb_activate:
             from isaacgymenvs_lite.wandb_observer import log_video
 
             on_done = log_video
-        log.info("videos go to %s", folder)
-        return VideoCapture(
+        return capture_videos(
             env,
-            FilmMaker(on_done),
             folder,
             every=settings.capture_video_freq,
             length=settings.capture_video_len,
             num_envs=settings.capture_video_envs,
             prefix=prefix,
+            on_done=on_done,
         )
 
     def close(self) -> None:
@@ -104,22 +100,3 @@ class Watching:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-
-def make_video_folder(folder: Path) -> None:
-    """Make a folder and prove that files can be written into it.
-
-    Raises:
-        ConfigError: they cannot.
-    """
-    trial = folder / ".trial"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        trial.touch()
-        trial.unlink()
-    except OSError as error:
-        raise ConfigError(
-            f"cannot write the video folder {folder.absolute()} ({error.strerror or error}); choose"
-            " another folder of runs with +train.params.config.train_dir=FOLDER, or set"
-            " capture_video=False"
-        ) from error

@@ -7,13 +7,78 @@ encoding, which take a hundred times as long, are left to a thread (`FilmMaker`)
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
+from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.watching.film_maker import Film, FilmMaker
 
 log = logging.getLogger(__name__)
+
+
+def capture_videos(
+    env: Any,
+    folder: Path,
+    *,
+    every: int,
+    length: int,
+    num_envs: int = 1,
+    prefix: str = "rl-video",
+    on_done: Callable[[Path], None] | None = None,
+) -> VideoCapture:
+    """Begin to record a task; closing it, or what is returned, finishes what was begun.
+
+    Args:
+        env: the task.
+        folder: where the files go; made if it does not exist.
+        every: see `VideoCapture`.
+        length: see `VideoCapture`.
+        num_envs: see `VideoCapture`.
+        prefix: see `VideoCapture`.
+        on_done: called with the path of each video, in another thread.
+
+    Raises:
+        ConfigError: the folder cannot be written, or there is no encoder.
+        RenderingError: this machine cannot draw.
+    """
+    check_encoder()
+    ensure_gl()
+    make_video_folder(folder)
+    log.info("videos go to %s", folder)
+    capture = VideoCapture(
+        env,
+        FilmMaker(on_done),
+        folder,
+        every=every,
+        length=length,
+        num_envs=num_envs,
+        prefix=prefix,
+    )
+    env.watchers.append(capture)
+    return capture
+
+
+def make_video_folder(folder: Path) -> None:
+    """Make a folder and prove that files can be written into it.
+
+    Raises:
+        ConfigError: they cannot.
+    """
+    trial = folder / ".trial"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise ConfigError(
+            f"cannot write the video folder {folder.absolute()} ({error.strerror or error}); choose"
+            " another folder of runs, for train.py with +train.params.config.train_dir=FOLDER, or"
+            " record no videos"
+        ) from error
 
 
 class VideoCapture:

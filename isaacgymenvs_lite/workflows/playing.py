@@ -11,11 +11,11 @@ from pathlib import Path
 
 import torch
 
+from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.arguments import make_asked_task, make_parser, run_workflow
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import agent_file_of, last_checkpoint, videos_folder
-from isaacgymenvs_lite.workflows.recording import VideoRecorder
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 log = logging.getLogger(__name__)
@@ -76,14 +76,11 @@ def _play(library: Library, args: argparse.Namespace) -> None:
         agent = library.make_agent(made.task, content, made.rl_device, made.seed)
         agent.load(checkpoint)
         log.info("checkpoint: %s", checkpoint)
-        recorder = None
         if args.video:
-            videos = videos_folder(checkpoint)
             never_again = args.video_length + made.task.max_episode_length
-            recorder = VideoRecorder(agent.stepper, videos, args.video_length, never_again)
+            videos, length = videos_folder(checkpoint), args.video_length
+            capture_videos(made.task, videos, every=never_again, length=length)
         played = play_episodes(agent.stepper, agent.player())
-        if recorder is not None:
-            recorder.finish()
     finally:
         made.task.close()
     sys.stdout.write("\n".join([*played.lines(), ""]))

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.arguments import (
     add_number,
@@ -16,7 +17,6 @@ from isaacgymenvs_lite.workflows.arguments import (
 )
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import create_folder
-from isaacgymenvs_lite.workflows.recording import VideoRecorder
 
 log = logging.getLogger(__name__)
 
@@ -47,12 +47,9 @@ def _train(library: Library, args: argparse.Namespace) -> None:
             agent.load(Path(args.checkpoint))
         folder = create_folder(Path(args.logs), library, name, made.settings, content)
         log.info("log folder: %s", folder)
-        recorder = None
         if args.video:
-            lengths = (args.video_length, args.video_interval)
-            recorder = VideoRecorder(agent.stepper, folder / "videos", *lengths)
+            every, length = args.video_interval, args.video_length
+            capture_videos(made.task, folder / "videos", every=every, length=length)
         agent.learn(folder)
-        if recorder is not None:
-            recorder.finish()
     finally:
         made.task.close()

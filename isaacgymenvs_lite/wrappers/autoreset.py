@@ -8,7 +8,7 @@ and a fall is told from a time limit. The adapters give this the form of their l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -68,7 +68,6 @@ class AutoresetTask:
     Attributes:
         task: the task.
         last_step: what the last step gave; None before the first.
-        after_step: called in each step, when the task has moved and before episodes start.
 
     Raises:
         WrapperError: `task` is something else, an environment that was wrapped before for example.
@@ -78,7 +77,6 @@ class AutoresetTask:
         self.task = checked_task(task, adapter)
         self.task.keeps_final_observations = True
         self.last_step: Transition | None = None
-        self.after_step: list[Callable[[], None]] = []
         self._random = random or RandomStream()
         self._statistics = EpisodeStatistics(self.task.num_envs, self.task.rl_device)
 
@@ -122,8 +120,6 @@ class AutoresetTask:
             raise ConfigError(f"actions of shape {tuple(actions.shape)}: expected {expected}")
         with self._stepping():
             observations, rewards, dones, infos = self.task.step(actions.to(torch.float32))
-            for listener in self.after_step:
-                listener()
             ended = dones != 0
             final = None
             if ended.any():

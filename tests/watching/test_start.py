@@ -14,6 +14,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import RenderingError
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.watching import start
+from isaacgymenvs_lite.watching.video_capture import make_video_folder
 from tests.watching.conftest import assert_is_a_film, frames_of
 
 CONFIG = "train.params.config"
@@ -98,7 +99,7 @@ def test_a_folder_that_cannot_be_written_is_refused(in_tmp):
     (in_tmp / "runs" / "mine").mkdir(parents=True)
     (in_tmp / "runs" / "mine" / "videos").write_text("in the way")
     with pytest.raises(ConfigError, match="cannot write the video folder") as caught:
-        start.make_video_folder(in_tmp / "runs" / "mine" / "videos")
+        make_video_folder(in_tmp / "runs" / "mine" / "videos")
     assert "\n" not in str(caught.value)
 
 

@@ -66,7 +66,7 @@ def test_videos_are_written(gl, library, run_train, tmp_path):
     words = ("--video", "--video_length", "6", "--video_interval", "20")
     run_train(library, *SMALL, "--max_iterations", "1", *words)
     videos = sorted((folder_of(tmp_path, library) / "videos").iterdir())
-    assert [file.name for file in videos] == ["step_0.mp4", "step_20.mp4"]
+    assert [file.name for file in videos] == ["rl-video-step-0.mp4", "rl-video-step-20.mp4"]
     with av.open(str(videos[0])) as container:
         frames = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
     assert len(frames) == 6
@@ -78,7 +78,7 @@ def test_a_played_checkpoint_can_be_filmed(gl, library, run_train, run_play, tmp
     run_train(library, *SMALL, "--max_iterations", "1")
     told = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
     assert "episodes: 4, " in told
-    assert (folder_of(tmp_path, library) / "videos" / "play" / "step_0.mp4").is_file()
+    assert (folder_of(tmp_path, library) / "videos" / "play" / "rl-video-step-0.mp4").is_file()
 
 
 def test_a_checkpoint_of_another_library_or_task_is_one_line(
