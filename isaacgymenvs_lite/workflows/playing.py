@@ -14,6 +14,7 @@ import torch
 from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.arguments import make_asked_task, make_parser, run_workflow
+from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import agent_file_of, last_checkpoint, videos_folder
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
@@ -69,6 +70,7 @@ def _play(library: Library, args: argparse.Namespace) -> None:
         checkpoint = last_checkpoint(logs, library, name)
     else:
         checkpoint = Path(args.checkpoint).expanduser()
+    read_parameters(checkpoint, library)  # whose it is, before its folder's agent file is read
     file = args.agent or agent_file_of(checkpoint)
     made = make_asked_task(args)
     try:

@@ -15,6 +15,7 @@ from isaacgymenvs_lite.workflows.arguments import (
     make_parser,
     run_workflow,
 )
+from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import create_folder
 
@@ -36,6 +37,8 @@ def train(library: Library, arguments: Sequence[str] | None = None) -> int:
 
 
 def _train(library: Library, args: argparse.Namespace) -> None:
+    if args.checkpoint is not None:
+        read_parameters(Path(args.checkpoint), library)  # a mistake shows before anything is made
     made = make_asked_task(args)
     try:
         name = Path(args.task).stem
