@@ -59,7 +59,9 @@ def main() -> None:
         import envpool  # type: ignore[import-not-found]
     except ImportError:
         sys.exit("error: EnvPool is not installed; pip install envpool==1.2.5")
-    words = [word for word in sys.argv[1:] if word not in ("--rounds", str(args.rounds))]
+    words = ["--num-envs", str(args.num_envs), "--threads", str(args.threads), *args.overrides]
+    words += ["--epochs", str(args.epochs), "--envpool-task", args.envpool_task]
+    words += ["--as-published"] * args.as_published
     pairs = []
     for _ in range(args.rounds):
         ours, theirs = (
