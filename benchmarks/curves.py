@@ -25,6 +25,7 @@ from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
 from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.report.scalars import FloatArray, Series
 
 _PANELS = {
@@ -63,7 +64,8 @@ def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     """Write the picture.
 
     Raises:
-        ConfigError: matplotlib is not installed, or the folder of `path` does not exist.
+        MissingPackageError: matplotlib is not installed.
+        ConfigError: the folder of `path` does not exist.
     """
     figure: Any = _figure(path)
     panels = figure.subplots(1, len(_PANELS))
@@ -114,16 +116,11 @@ def _top(series: Sequence[Series]) -> float | None:
 
 
 def _figure(path: Path, num_panels: int = len(_PANELS)) -> Any:
-    try:
-        from matplotlib.figure import Figure  # type: ignore[import-not-found]
-    except ImportError as error:
-        raise ConfigError(
-            '--out needs matplotlib: pip install "isaacgymenvs-lite[docs]"'
-        ) from error
+    figure_module = import_package("matplotlib.figure", f"--out {path}")
     if not path.absolute().parent.is_dir():
         raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
     width = max(12.0, 2.4 * num_panels)
-    return Figure(figsize=(width, 3.6), dpi=110, layout="constrained")
+    return figure_module.Figure(figsize=(width, 3.6), dpi=110, layout="constrained")
 
 
 def markdown_table(curves: Curves) -> str:

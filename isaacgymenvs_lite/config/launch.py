@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.devices import check_device
 from isaacgymenvs_lite.config.explain import explain_interpolation
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.optional_packages import require
 from isaacgymenvs_lite.schema import missing_key, read_section, setting
 
 # Sections below the root, which others read.
@@ -155,11 +155,8 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
             raise ConfigError(
                 f"{key}={value}: {feature} is not implemented in this version; set {key}=False"
             )
-    if settings.wandb_activate and importlib.util.find_spec("wandb") is None:
-        raise ConfigError(
-            "wandb_activate=True: the package wandb is not installed; "
-            'pip install "isaacgymenvs-lite[wandb]" or leave wandb_activate out'
-        )
+    if settings.wandb_activate:
+        require("wandb", "wandb_activate=True", otherwise="leave wandb_activate out")
 
 
 def _resolve(cfg: DictConfig, key: str) -> Any:

@@ -6,7 +6,6 @@ action = policy({"obs": observations})["action"]      # numpy, (n, O) -> (n, A)
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 import logging
@@ -23,6 +22,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph
+from isaacgymenvs_lite.optional_packages import require
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
@@ -69,21 +69,18 @@ class Format:
         """Check that all packages are installed.
 
         Raises:
-            ConfigError: one is not.
+            MissingPackageError: one is not.
         """
         for package in self.packages:
-            if importlib.util.find_spec(package) is None:
-                raise ConfigError(
-                    f"format={name}: the package {package} is not installed; "
-                    'pip install "isaacgymenvs-lite[export]" or choose format=torchscript'
-                )
+            require(package, f"format={name}", otherwise="choose format=torchscript")
 
 
 def load_policy(file: str | Path) -> ExportedPolicy:
     """Read an exported policy; its suffix tells the format.
 
     Raises:
-        ConfigError: no such file, another suffix, or a package that it needs is not installed.
+        ConfigError: no such file, or another suffix.
+        MissingPackageError: a package that the format needs is not installed.
     """
     path = Path(file)
     by_suffix = {kind.suffix: (name, kind) for name, kind in FORMATS.items()}

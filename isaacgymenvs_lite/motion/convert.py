@@ -104,8 +104,8 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     else:
         if settings.mapping:
             raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one")
-        choices = (settings.num_dofs,) if settings.num_dofs else SHIPPED_NUM_DOFS
-        clip, skeleton = load_single_clip(source, [skeleton_for_num_dofs(n) for n in choices])
+        asked = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
+        clip, skeleton = load_single_clip(source, asked)
         clip = cut(clip, settings.start_s, settings.end_s)
         if settings.fps is not None:
             clip = resample(clip, settings.fps)
@@ -133,18 +133,17 @@ def _needed_mapping(settings: ConvertSettings) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.convert",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="python -m isaacgymenvs_lite.motion.convert", description=__doc__
     )
     parser.add_argument("source", metavar="IN", help="the clip to read")
     parser.add_argument("out", metavar="OUT", help="the file to write")
-    files, _ = parser.parse_known_args(arguments)
+    files = argparse.Namespace()
     return run_command(
         parser,
         ConvertSettings,
         lambda settings: convert(files.source, files.out, settings),
         arguments,
+        files,
     )
 
 

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.motion.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
 from isaacgymenvs_lite.motion.reading import read_json
-from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
@@ -75,13 +75,14 @@ def load_clips(
 
 
 def load_single_clip(
-    motion_file: str | Path, skeletons: Sequence[Skeleton]
+    motion_file: str | Path, skeletons: Sequence[Skeleton] = ()
 ) -> tuple[MotionClip, Skeleton]:
     """Read one clip, of whichever of the humanoids it was made for.
 
     Args:
         motion_file: as in `load_clips`, but no data set.
-        skeletons: the humanoids; a format that does not name bodies is read for the first.
+        skeletons: the humanoids, by default all that are shipped; a format that does not name
+            bodies is read for the first.
 
     Returns:
         The clip, with its bodies in the order of the humanoid, and the humanoid.
@@ -89,6 +90,7 @@ def load_single_clip(
     Raises:
         MotionFileError: as in `load_clips`, or the file is a data set.
     """
+    skeletons = skeletons or [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
     if is_package_name(motion_file):
         clips = _load_from_package(str(motion_file), skeletons[0])
         if len(clips) > 1:

@@ -7,8 +7,7 @@ height of the root (m), and when each foot is on the ground.
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
+import itertools
 import logging
 import sys
 from dataclasses import dataclass
@@ -17,16 +16,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.dofs import dofs_from_rotations
 from isaacgymenvs_lite.motion.kinematics import forward_kinematics
-from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.utils import rotations
 
 log = logging.getLogger(__name__)
 
@@ -44,12 +43,13 @@ class PlotSettings:
 
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
     """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints."""
-    turns = rotations.quat_log(torch.from_numpy(np.asarray(clip.local_rotation, np.float64)))
+    dofs = dofs_from_rotations(skeleton, clip.local_rotation)
     angles = {}
-    for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True):
-        vectors = turns[:, body]
-        angle = vectors[:, 1] if size == 1 else vectors.norm(dim=-1)
-        angles[skeleton.body_names[body]] = angle.numpy()
+    spans = itertools.pairwise(skeleton.dof_offsets)
+    for body, (start, end) in zip(skeleton.dof_body_ids, spans, strict=True):
+        joint = dofs[:, start:end]
+        angle = joint[:, 0] if end - start == 1 else np.linalg.norm(joint, axis=1)
+        angles[skeleton.body_names[body]] = angle
     return angles
 
 
@@ -70,18 +70,18 @@ def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
 
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
-    """Draw the first clip of a motion file; return the file.
+    """Draw a clip; return the file.
 
     Raises:
         UserError: the clip cannot be read, the file cannot be written, matplotlib is missing.
     """
-    figure_module = _import_matplotlib()
-    clip = load_clips(name)[0][0]
+    figure_module = import_package("matplotlib.figure", f"out={settings.out}")
+    clip, skeleton = load_single_clip(name)
     figure = figure_module.Figure(figsize=(9, 8), layout="constrained")
     heights = {"height_ratios": [4, 1.5, 1]}
     angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
     times_s = np.arange(clip.num_frames) / clip.fps
-    for body, angle in joint_angles(clip, skeleton_for_num_dofs(28)).items():
+    for body, angle in joint_angles(clip, skeleton).items():
         style = "--" if body.startswith("left") else "-"
         angles_axes.plot(times_s, angle, style, label=body.replace("_", " "), linewidth=1.2)
     angles_axes.set_ylabel("joint angle (rad)")
@@ -108,15 +108,6 @@ def _draw_contacts(
     axes.set_yticks([row + 0.4 for row in range(len(contacts))])
     axes.set_yticklabels([name.replace("_", " ") for name in contacts])
     axes.set_ylabel("on the ground")
-
-
-def _import_matplotlib() -> Any:
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError(
-            "plots need the package matplotlib, which is not installed;"
-            ' pip install "isaacgymenvs-lite[docs]"'
-        )
-    return importlib.import_module("matplotlib.figure")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -6,26 +6,21 @@ Needs an OpenGL library that works without a screen, EGL or OSMesa; see `renderi
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
 import sys
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.qpos import qpos_from_poses
-from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.figure import pose_figure
+from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.optional_packages import import_package, require
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 
-_MODEL = "mjcf/amp_humanoid.xml"
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
 _NUM_COLOURS = 128
 
@@ -61,24 +56,20 @@ def save_strip(
     """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
 
     Args:
-        clip: a clip of the shipped humanoid.
+        clip: a clip of a shipped humanoid, see `pose_figure`.
         path: the file.
         span_s: time to show; the poses are those nearest in the clip.
         num_frames: number of poses.
         azimuth_deg: see `draw_poses`.
 
     Raises:
-        ConfigError: Pillow is not installed.
+        MissingPackageError: Pillow is not installed.
         RenderingError: this machine cannot draw.
     """
-    _import_pillow()  # its absence should show before the drawing
-    model_path = str(paths.assets_dir() / _MODEL)
-    poses = qpos_from_poses(
-        Skeleton.from_mjcf(model_path), clip.root_translation, clip.local_rotation
-    )
+    require("PIL", "writing pictures")  # its absence should show before the drawing
+    model, poses = pose_figure(clip)
     times_s = np.arange(num_frames) * (span_s / num_frames)
     frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
-    model = mujoco.MjModel.from_xml_path(model_path)
     return save_png(path, draw_poses(model, poses[frames], azimuth_deg))
 
 
@@ -86,24 +77,16 @@ def save_png(path: str | Path, image: Image) -> Path:
     """Write a picture (height, width, 3) with few colours, so that it stays small.
 
     Raises:
-        ConfigError: Pillow is not installed, or the file cannot be written.
+        MissingPackageError: Pillow is not installed.
+        ConfigError: the file cannot be written.
     """
-    pillow = _import_pillow()
+    pillow = import_package("PIL.Image", "writing pictures")
     path = Path(path)
     try:
         pillow.fromarray(image).quantize(_NUM_COLOURS).save(path, format="PNG", optimize=True)
     except OSError as error:
         raise ConfigError(f"cannot write the picture {path.absolute()} ({error})") from error
     return path
-
-
-def _import_pillow() -> Any:
-    if importlib.util.find_spec("PIL") is None:
-        raise ConfigError(
-            "writing pictures needs the package Pillow, which is not installed; "
-            'pip install "isaacgymenvs-lite[docs]"'
-        )
-    return importlib.import_module("PIL.Image")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -124,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     try:
-        clip = load_clips(options.clip)[0][0]
+        clip, _ = load_single_clip(options.clip)
         seconds = options.seconds or clip.length_s
         save_strip(clip, options.out, seconds, options.frames, options.azimuth)
     except UserError as error:

@@ -20,12 +20,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.qpos import qpos_from_poses
-from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.figure import pose_figure
+from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video
 from isaacgymenvs_lite.rendering.view import View, aim_camera
@@ -33,7 +31,6 @@ from isaacgymenvs_lite.schema import setting
 
 log = logging.getLogger(__name__)
 
-_MODEL = "mjcf/amp_humanoid.xml"
 _WIDTH, _HEIGHT = 480, 480
 
 
@@ -50,7 +47,7 @@ class ViewSettings:
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:
-    """Show or record the first clip of a motion file.
+    """Show or record a clip, on the humanoid that it was made for.
 
     Raises:
         UserError: the clip cannot be read, or there is no way to show it.
@@ -59,12 +56,8 @@ def view_clip(name: str, settings: ViewSettings) -> None:
         check_encoder()
     else:
         check_display("motion.view without out=", "out=FILE.mp4")
-    clip = load_clips(name)[0][0]
-    model_path = str(paths.assets_dir() / _MODEL)
-    model = mujoco.MjModel.from_xml_path(model_path)
-    qpos = qpos_from_poses(
-        Skeleton.from_mjcf(model_path), clip.root_translation, clip.local_rotation
-    )
+    clip, _ = load_single_clip(name)
+    model, qpos = pose_figure(clip)
     poses = qpos[_frames(clip, settings.seconds)]
     if not settings.out:
         _show(model, poses, clip.fps, settings.azimuth)

@@ -10,8 +10,6 @@ decodes as well, for the tests.
 from __future__ import annotations
 
 import contextlib
-import importlib
-import importlib.util
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -24,6 +22,7 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.marks import Mark
+from isaacgymenvs_lite.optional_packages import import_package, require
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer, Track
 from isaacgymenvs_lite.rendering.view import View
 
@@ -36,6 +35,7 @@ _FORMATS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "20", "preset": "veryfast"}, {"movflags": "+faststart"}),
     ".webp": ("libwebp_anim", {"quality": "60"}, {"loop": "0"}),
 }
+_ENCODER, _PURPOSE = "av", "writing videos"
 _PIXEL_FORMAT = "yuv420p"  # what every player and browser shows
 
 
@@ -47,7 +47,8 @@ class VideoWriter:
         fps: pictures per second.
 
     Raises:
-        ConfigError: another suffix, a folder that cannot be written, or PyAV is not installed.
+        ConfigError: another suffix, or a folder that cannot be written.
+        MissingPackageError: PyAV is not installed.
     """
 
     def __init__(self, path: str | Path, fps: float) -> None:
@@ -56,7 +57,7 @@ class VideoWriter:
             raise ConfigError(unknown("video format", self.path.suffix, _FORMATS))
         if not self.path.parent.is_dir():
             raise self._unwritable("no such folder")
-        self._av = _import_av()
+        self._av = import_package(_ENCODER, _PURPOSE)
         encoder, options, container_options = _FORMATS[self.path.suffix]
         try:
             self._container = self._av.open(str(path), "w", options=container_options)
@@ -122,18 +123,9 @@ def check_encoder() -> None:
     """Say at once that videos cannot be encoded here.
 
     Raises:
-        ConfigError: PyAV is not installed.
+        MissingPackageError: PyAV is not installed.
     """
-    if importlib.util.find_spec("av") is None:
-        raise ConfigError(
-            "writing videos needs the package av (PyAV), which is not installed;"
-            ' pip install "isaacgymenvs-lite[video]"'
-        )
-
-
-def _import_av() -> Any:
-    check_encoder()
-    return importlib.import_module("av")
+    require(_ENCODER, _PURPOSE)
 
 
 def draw_tracks(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.export.formats import FORMATS, load_policy
 from isaacgymenvs_lite.export.metadata import describe
 from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph, graph_of
@@ -110,6 +110,9 @@ def test_files_that_are_none(name, message, tmp_path) -> None:
 def test_a_missing_package_names_the_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"onnx is not installed.*isaacgymenvs-lite\[export\]"):
+    with pytest.raises(
+        MissingPackageError,
+        match=r"package onnx, which is not installed.*isaacgymenvs-lite\[export\]",
+    ):
         FORMATS["onnx"].check_packages("onnx")
     FORMATS["torchscript"].check_packages("torchscript")

@@ -8,7 +8,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.motion import strip
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
@@ -17,7 +17,7 @@ from isaacgymenvs_lite.rendering.scene import Image
 
 def test_missing_pillow_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[docs\]"):
+    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[video\]"):
         strip.save_strip(load_clips("walk")[0][0], tmp_path / "walk.png", 1.0)
 
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.synthesis import __main__ as command
@@ -47,7 +47,7 @@ def test_unknown_clip_is_refused() -> None:
 
 def test_missing_mink_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[synthesis\]"):
+    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[synthesis\]"):
         solve.PoseSolver(mujoco.MjModel.from_xml_string("<mujoco/>"), ())
 
 

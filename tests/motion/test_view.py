@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import av
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,6 +23,14 @@ def test_a_clip_becomes_a_video_without_a_display(walk_clip, tmp_path, monkeypat
     assert (np.abs(frames[10].astype(int) - frames[0]) > 30).mean() > 0.001
 
 
+def test_a_clip_of_the_armed_humanoid_is_shown_on_it(armed_walk_clip, tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(view, "draw_tracks", lambda model, *_, **__: shown.append(model) or [])
+    monkeypatch.setattr(view, "save_video", lambda out, *_: out)
+    assert view.main([str(armed_walk_clip), f"out={tmp_path / 'walk.mp4'}"]) == 0
+    assert mujoco.mj_name2id(shown[0], mujoco.mjtObj.mjOBJ_BODY, "sword") > 0
+
+
 def test_without_out_a_display_is_needed(walk_clip, monkeypatch, capsys):
     def refuse(asked: str, instead: str) -> None:
         raise ConfigError(f"{asked}: no display; {instead}")
@@ -33,7 +42,10 @@ def test_without_out_a_display_is_needed(walk_clip, monkeypatch, capsys):
     assert "out=FILE.mp4" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["wlak", "out=x.mp4"], ["walk", "out=x.avi"], ["walk", "ot=x"]])
+@pytest.mark.parametrize(
+    "words",
+    [["wlak", "out=x.mp4"], ["walk", "out=x.avi"], ["walk", "ot=x"], ["locomotion", "out=x.mp4"]],
+)
 def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as stop:

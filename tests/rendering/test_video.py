@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.marks import Ball
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder, reference_track
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
@@ -130,5 +130,5 @@ def test_a_disk_without_room_is_one_line(tmp_path):
 
 def test_missing_pyav_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[video\]"):
+    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[video\]"):
         save_video(tmp_path / "square.mp4", pictures(1), 25.0)

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from isaacgymenvs_lite import runner
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.rendering.gl import RenderingError
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.watching import start
@@ -124,7 +124,7 @@ def test_a_missing_encoder_is_found_before_the_task_is_made(in_tmp, monkeypatch)
         lambda name, *more: None if name == "av" else found(name, *more),
     )
     monkeypatch.setattr(runner, "make_from_config", lambda *_, **__: pytest.fail("a task"))
-    with pytest.raises(ConfigError, match=r"isaacgymenvs-lite\[video\]"):
+    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[video\]"):
         run(cfg_of(*PPO, *VIDEOS))
 
 

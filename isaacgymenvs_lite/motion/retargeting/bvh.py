@@ -10,9 +10,9 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.extras import import_extra
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.utils import rotations
 
 # What the library raises for a file that is damaged or is something else.
@@ -29,12 +29,12 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
         unit_m: m per unit of length of the file.
 
     Raises:
-        ConfigError: pybvh is not installed.
+        MissingPackageError: pybvh is not installed.
         MotionFileError: the file is missing, truncated, damaged or is no BVH file; a number is NaN
             or infinite; there are fewer than two frames.
     """
     path = Path(path)
-    pybvh = import_extra("pybvh", "reading BVH files", "retarget")
+    pybvh = import_package("pybvh", "reading BVH files")
     if not path.is_file():
         raise MotionFileError(f"{path}: no such file")
     if path.suffix != ".bvh":

@@ -47,7 +47,8 @@ def retarget_bvh(
         fps: frames per second of the clip; None: the file's.
 
     Raises:
-        ConfigError: pybvh or mink is not installed, or the file lacks a joint of the mapping.
+        MissingPackageError: pybvh or mink is not installed.
+        ConfigError: the file lacks a joint of the mapping.
         MotionFileError: the file cannot be read, or the times are not in it.
     """
     source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)

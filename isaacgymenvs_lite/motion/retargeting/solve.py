@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.motion.extras import import_extra
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.limits import DofLimits
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.utils import rotations
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
@@ -44,9 +44,9 @@ def solve_poses(model: mujoco.MjModel, skeleton: Skeleton, targets: Targets) -> 
     Each search starts from the pose of the frame before.
 
     Raises:
-        ConfigError: mink is not installed.
+        MissingPackageError: mink is not installed.
     """
-    mink = import_extra("mink", "retargeting", "retarget")
+    mink = import_package("mink", "retargeting")
     configuration = mink.Configuration(model)
     configuration.update(_first_pose(model, skeleton, targets))
     posture = mink.PostureTask(model, cost=_joint_costs(model, _POSTURE))

@@ -45,7 +45,8 @@ def make_clip(name: str) -> MotionClip:
     """Make the clip called `name`.
 
     Raises:
-        ConfigError: there is no such clip, or mink is not installed.
+        ConfigError: there is no such clip.
+        MissingPackageError: mink is not installed.
     """
     if name in GAIT_CLIPS:
         entry = GAIT_CLIPS[name]

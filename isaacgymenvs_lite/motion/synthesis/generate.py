@@ -58,7 +58,7 @@ def generate(gait: Gait, num_cycles: int, fps: int = FPS) -> MotionClip:
     applies to motion capture would take off a fifth of the run's vertical speed.)
 
     Raises:
-        ConfigError: mink is not installed.
+        MissingPackageError: mink is not installed.
         ValueError: a cycle is no even number of frames, so that left and right could not match.
     """
     skeleton = Skeleton.from_mjcf(paths.assets_dir() / MODEL)

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from isaacgymenvs_lite.motion.extras import import_extra
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.optional_packages import import_package
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _MAX_ITERATIONS = 200
@@ -33,11 +33,11 @@ class PoseSolver:
         foot_names: bodies that are put in place exactly.
 
     Raises:
-        ConfigError: mink is not installed.
+        MissingPackageError: mink is not installed.
     """
 
     def __init__(self, model: mujoco.MjModel, foot_names: tuple[str, ...]) -> None:
-        self._mink = import_extra("mink", "making motion clips", "synthesis")
+        self._mink = import_package("mink", "making motion clips")
         self._configuration = self._mink.Configuration(model)
         self._feet = [self._frame_task(name, _FOOT, _FOOT) for name in foot_names]
         self._pelvis = self._frame_task(model.body(1).name, 0.0, _PELVIS)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.errors import MissingPackageError, MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
@@ -106,5 +106,5 @@ def test_a_missing_file(tmp_path: Path) -> None:
 
 def test_a_missing_library_names_the_extra(monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"needs the package pybvh.*lite\[retarget\]"):
+    with pytest.raises(MissingPackageError, match=r"needs the package pybvh.*lite\[retarget\]"):
         read(tmp_path / "clip.bvh")

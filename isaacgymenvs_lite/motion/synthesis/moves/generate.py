@@ -30,7 +30,7 @@ def generate_move(move: Move) -> MotionClip:
     """Make the clip of a move; it starts with the root at x = y = 0.
 
     Raises:
-        ConfigError: mink is not installed.
+        MissingPackageError: mink is not installed.
         ValueError: a foot is out of reach.
     """
     skeleton = Skeleton.from_mjcf(paths.assets_dir() / MODEL)
