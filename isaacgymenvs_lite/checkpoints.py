@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -20,6 +19,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.output_files import written_in_one_step
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 log = logging.getLogger(__name__)
@@ -60,25 +60,17 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> None:
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """Write beside `path`, flush to the disk, then rename.
+    """Write a checkpoint in one step, see `output_files`.
 
     Raises:
         OSError: the folder cannot be written or is full; nothing of the attempt stays behind.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            try:
-                torch.save(state, file)
-            except RuntimeError as error:
-                # torch's zip writer turns a failed write into a RuntimeError
-                raise OSError("the disk is full or broken") from error
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    with written_in_one_step(path) as partial, partial.open("wb") as file:
+        try:
+            torch.save(state, file)
+        except RuntimeError as error:
+            # torch's zip writer turns a failed write into a RuntimeError
+            raise OSError("the disk is full or broken") from error
 
 
 def _rescue(path: Path, state: dict[str, Any], error: OSError) -> None:

@@ -17,10 +17,11 @@ from isaacgymenvs_lite.checkpoints import load_checkpoint
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.export.configuration import configuration_of
-from isaacgymenvs_lite.export.formats import FORMATS, load_policy
+from isaacgymenvs_lite.export.formats import FORMATS, ExportedPolicy
 from isaacgymenvs_lite.export.metadata import describe
 from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph, graph_of
 from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.output_files import written_for_user
 from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.schema import setting
 
@@ -67,17 +68,14 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
     session = ExportSession(cfg)
     session.run()
     content = kind.write(session.graph, session.metadata)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise ConfigError(f"out={path}: cannot be written ({error.strerror or error})") from error
-    difference = greatest_difference(session.graph, path, _CHECKED_ROWS)
-    if not difference <= _TOLERANCE:
-        raise ConfigError(
-            f"{path}: differs from the policy by {difference:.1g}: this network cannot be exported"
-            f" as {settings.format}"
-        )
+    with written_for_user(path, "out") as partial:
+        partial.write_bytes(content)
+        difference = greatest_difference(session.graph, kind.load(partial), _CHECKED_ROWS)
+        if not difference <= _TOLERANCE:
+            raise ConfigError(
+                f"{path}: not written, it would differ from the policy by {difference:.1g}: this"
+                f" network cannot be exported as {settings.format}"
+            )
     log.info("%s: %s", path, _summary(session.graph))
     log.info("%.2f MiB, differs from the policy by %.1g", len(content) / 2**20, difference)
     return path
@@ -105,14 +103,14 @@ class ExportSession(Session):
         self.metadata = describe(name, self._task, player, self.graph, self._params, state)
 
 
-def greatest_difference(graph: PolicyGraph, file: Path, num_rows: int) -> float:
-    """Return the greatest difference of any output between a file and its policy."""
+def greatest_difference(graph: PolicyGraph, exported: ExportedPolicy, num_rows: int) -> float:
+    """Return the greatest difference of any output between an export and its policy."""
     with torch.random.fork_rng(devices=[]):
         inputs = {port.name: port.sample(num_rows) for port in graph.inputs}
     with torch.no_grad():
         found = graph(*inputs.values())
     expected = found if isinstance(found, tuple) else (found,)
-    outputs = load_policy(file)({name: rows.numpy() for name, rows in inputs.items()})
+    outputs = exported({name: rows.numpy() for name, rows in inputs.items()})
     return max(
         float(np.abs(outputs[port.name] - rows.numpy()).max())
         for port, rows in zip(graph.outputs, expected, strict=True)

@@ -12,7 +12,7 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import deepmimic as layout
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.writing import written_in_one_step
+from isaacgymenvs_lite.motion.writing import written_clip
 from isaacgymenvs_lite.utils import rotations
 
 _DECIMALS = 9  # nanometres and nanoradians
@@ -30,7 +30,7 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
     clip.validate()
     path = Path(path)
     text = json.dumps({"Loop": "none", "Frames": _rows(clip).round(_DECIMALS).tolist()})
-    with written_in_one_step(path) as partial:
+    with written_clip(path) as partial:
         partial.write_text(text + "\n", encoding="utf-8")
     return path
 

@@ -22,7 +22,7 @@ from isaacgymenvs_lite.motion.dofs import dofs_from_rotations, rotations_from_do
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.reading import one_line
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.writing import written_in_one_step
+from isaacgymenvs_lite.motion.writing import written_clip
 
 _TIME = "time"
 _POSITION = ("root_x", "root_y", "root_z")
@@ -64,7 +64,7 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
         for name, units in _columns(skeleton).items()
     )
     writer.writerows([f"{value:.12g}" for value in row] for row in table.tolist())
-    with written_in_one_step(path) as partial:
+    with written_clip(path) as partial:
         partial.write_text(text.getvalue(), encoding="utf-8")
     return path
 

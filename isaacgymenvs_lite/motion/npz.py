@@ -15,7 +15,7 @@ import numpy.typing as npt
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.reading import one_line
-from isaacgymenvs_lite.motion.writing import written_in_one_step
+from isaacgymenvs_lite.motion.writing import written_clip
 
 _FORMAT = "isaacgymenvs_lite.motion"
 _VERSION = 1
@@ -42,7 +42,7 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
     path = Path(path)
     if path.suffix != ".npz":
         path = path.with_name(path.name + ".npz")
-    with written_in_one_step(path) as partial, partial.open("wb") as stream:
+    with written_clip(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(
             stream,
             format=np.array(_FORMAT),

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.writing import written_in_one_step
+from isaacgymenvs_lite.motion.writing import written_clip
 
 # That of the published files; in it a module name is plain text that ends with its line.
 _PICKLE_PROTOCOL = 3
@@ -39,7 +39,7 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
     header = np.lib.format.header_data_from_array_1_0(content)
     np.lib.format.write_array_header_1_0(stream, header)
     stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
-    with written_in_one_step(path) as partial:
+    with written_clip(path) as partial:
         partial.write_bytes(stream.getvalue())
     return path
 

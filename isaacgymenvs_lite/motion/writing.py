@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from isaacgymenvs_lite import output_files
 from isaacgymenvs_lite.errors import MotionFileError
 
 
 @contextmanager
-def written_in_one_step(path: Path) -> Iterator[Path]:
-    """Give a name beside `path` to write to; it becomes `path` at the end, or is removed.
+def written_clip(path: Path) -> Iterator[Path]:
+    """Do as `output_files.written_in_one_step` does, and say it of a clip if that fails.
 
     Raises:
         MotionFileError: the folder is missing, cannot be written or is full.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        yield partial
-        partial.replace(path)
+        with output_files.written_in_one_step(path) as partial:
+            yield partial
     except OSError as error:
         reason = error.strerror or error
         raise MotionFileError(
             f"cannot write {path.absolute()} ({reason}); choose a folder that exists and has room"
         ) from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def check_output(path: Path, suffixes: Collection[str], overwrite: bool) -> None:

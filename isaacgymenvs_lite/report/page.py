@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 from isaacgymenvs_lite import __version__
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.output_files import written_for_user
 from isaacgymenvs_lite.report.charts import Chart, main_charts, other_charts
 from isaacgymenvs_lite.report.drawing import draw
 from isaacgymenvs_lite.report.scalars import event_files, read_scalars
@@ -34,11 +35,8 @@ def write_report(run: Path, out: Path | None = None) -> Path:
     """
     out = out or run / "report.html"
     page = build_page(run, out)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"out={out}: cannot be written ({error.strerror or error})") from error
+    with written_for_user(out, "out") as partial:
+        partial.write_text(page, encoding="utf-8")
     return out
 
 

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.export import session
 from isaacgymenvs_lite.export.__main__ import main
 from isaacgymenvs_lite.export.configuration import configuration_of
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
@@ -68,13 +69,23 @@ class Play(ExportSession):
 
 def play(cfg: Any, num_envs: int, policy: ExportedPolicy | None = None) -> EvaluationResult:
     cfg.task.env.numEnvs = num_envs
-    session = Play(cfg)
+    played = Play(cfg)
     if policy is not None:
-        session.policy = lambda obs: torch.from_numpy(
+        played.policy = lambda obs: torch.from_numpy(
             policy({"obs": obs["obs"].numpy()})["action"].copy()
         )
-    session.run()
-    return session.result
+    played.run()
+    return played.result
+
+
+def test_an_export_that_differs_is_not_left_behind(checkpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(session, "_TOLERANCE", -1.0)  # nothing is as near as that
+    out = tmp_path / "policy.pt"
+    with pytest.raises(ConfigError, match=r"policy\.pt: not written, it would differ"):
+        export_policy(
+            ExportSettings(checkpoint=str(checkpoint), format="torchscript", out=str(out))
+        )
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("format_name", ["onnx", "torchscript"])

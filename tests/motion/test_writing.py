@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.writing import check_output, written_in_one_step
+from isaacgymenvs_lite.motion.writing import check_output, written_clip
 
 
 def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
     path = tmp_path / "clip.npz"
     path.write_text("old")
-    with written_in_one_step(path) as partial:
+    with written_clip(path) as partial:
         partial.write_text("new")
         assert path.read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["clip.npz"]
@@ -23,7 +23,7 @@ def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_a_failure_leaves_nothing(tmp_path: Path, error) -> None:
     path = tmp_path / "clip.npz"
-    with pytest.raises(error), written_in_one_step(path) as partial:
+    with pytest.raises(error), written_clip(path) as partial:
         partial.write_text("half")
         raise error
     assert not list(tmp_path.iterdir())
@@ -33,7 +33,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     path = tmp_path / "none" / "clip.npz"
     with (
         pytest.raises(MotionFileError, match=r"cannot write .*none/clip\.npz \(No such file"),
-        written_in_one_step(path) as partial,
+        written_clip(path) as partial,
     ):
         partial.write_text("")
 
