@@ -6,10 +6,12 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.observers import MultiObserver
 from isaacgymenvs_lite.observers import TaskScalarsObserver as RLGPUAlgoObserver
 from isaacgymenvs_lite.published.utils import set_seed
-from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
@@ -60,8 +62,8 @@ def get_rlgames_env_creator(
         """Make the task; rl_games' keywords have no effect."""
         del kwargs
         set_seed(seed, rank=multi_gpu_get_rank(multi_gpu))
-        env = find_task(task_name)(
-            cfg=task_config,
+        env = make_from_config(
+            OmegaConf.create({"task": {**task_config, "name": task_name}}),
             rl_device=rl_device,
             sim_device=sim_device,
             graphics_device_id=graphics_device_id,

@@ -24,9 +24,9 @@ Track = npt.NDArray[np.float64]
 # MuJoCo takes the nearest and the farthest that is seen from the size of the model. A terrain's
 # would cut off the robot, hence at most this many distances of the camera.
 _MAX_EXTENT = 0.7
-# Half the width of the area in which shadows are drawn, in sizes of the model and m: with MuJoCo's
-# one size the shadow map ends in the picture, as noise on the floor.
-_SHADOW_CLIP, _MIN_SHADOW_M = 4.0, 6.9
+# Half the width of the area in which shadows are drawn, in distances of the camera: with MuJoCo's
+# one size of the model the shadow map ends in the picture, as noise on the floor.
+_SHADOW_HALF_WIDTH = 4.2
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
@@ -72,7 +72,7 @@ class SceneRenderer:
         self._camera.distance = view.distance_m
         model.stat.extent = min(model.stat.extent, _MAX_EXTENT * view.distance_m)
         visual = model.vis
-        visual.map.shadowclip = max(_SHADOW_CLIP, _MIN_SHADOW_M / model.stat.extent)
+        visual.map.shadowclip = _SHADOW_HALF_WIDTH * view.distance_m / model.stat.extent
         visual.global_.offwidth, visual.global_.offheight = width, height
         if fast:
             visual.quality.shadowsize = _FAST_SHADOW_SIZE

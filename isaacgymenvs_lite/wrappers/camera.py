@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
+from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 RENDER_MODE = "rgb_array"
@@ -44,7 +45,9 @@ class TaskCamera:
             RenderingError: this machine cannot draw.
         """
         if self._renderer is None:
-            self._renderer = SceneRenderer(self._task.simulation.model, *self._size, fast=True)
+            model = self._task.simulation.model
+            view = View.of_model(model)
+            self._renderer = SceneRenderer(model, *self._size, view=view, fast=True)
         recorder = PoseRecorder(self._task, num_steps=1, env_ids=env_ids)
         recorder.step()
         (marks,) = recorder.marks()
