@@ -27,6 +27,10 @@ class Agent(Protocol):
         """Train for `max_iterations`; checkpoints and TensorBoard's files go into `folder`."""
         ...
 
+    def save(self, folder: Path) -> Path:
+        """Write a checkpoint of now below `folder`, as `learn` does; return the file."""
+        ...
+
     def load(self, checkpoint: Path) -> None:
         """Take parameters and normalisers over from a checkpoint, without running code of it.
 

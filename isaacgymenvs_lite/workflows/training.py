@@ -53,6 +53,10 @@ def _train(library: Library, args: argparse.Namespace) -> None:
         if args.video:
             every, length = args.video_interval, args.video_length
             capture_videos(made.task, folder / "videos", every=every, length=length)
-        agent.learn(folder)
+        try:
+            agent.learn(folder)
+        except KeyboardInterrupt:
+            log.info("stopped; saved %s", agent.save(folder))
+            raise
     finally:
         made.task.close()

@@ -68,6 +68,7 @@ class AutoresetTask:
     Attributes:
         task: the task.
         last_step: what the last step gave; None before the first.
+        num_steps: control steps made so far.
 
     Raises:
         WrapperError: `task` is something else, an environment that was wrapped before for example.
@@ -77,6 +78,7 @@ class AutoresetTask:
         self.task = checked_task(task, adapter)
         self.task.keeps_final_observations = True
         self.last_step: Transition | None = None
+        self.num_steps = 0
         self._random = random or RandomStream()
         self._statistics = EpisodeStatistics(self.task.num_envs, self.task.rl_device)
 
@@ -137,6 +139,7 @@ class AutoresetTask:
                 scalars=scalars,
                 episodes=self._statistics.count(rewards, ended),
             )
+            self.num_steps += 1
             return self.last_step
 
     def close(self) -> None:

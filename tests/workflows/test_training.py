@@ -11,6 +11,8 @@ import yaml
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
 from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
+from isaacgymenvs_lite.workflows.training import train
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # rsl_rl normalises no returns, and takes longer.
 ITERATIONS = {"sb3": "30", "skrl": "30", "rsl_rl": "70"}
@@ -51,6 +53,21 @@ def test_a_training_goes_on_from_a_checkpoint(library, run_train, tmp_path):
     folder = folder_of(tmp_path, library)
     (file, *_) = (file for pattern in library.checkpoints for file in folder.glob(pattern))
     run_train(library, *SMALL, "--max_iterations", "1", "--checkpoint", str(file))
+
+
+def test_an_interrupted_training_is_saved(library, run_play, tmp_path, monkeypatch):
+    step, made = AutoresetTask.step, []
+
+    def interrupted(self, actions):
+        made.append(1)
+        if len(made) == 40:  # of the second rollout or later, before any checkpoint is due
+            raise KeyboardInterrupt
+        return step(self, actions)
+
+    monkeypatch.setattr(AutoresetTask, "step", interrupted)
+    words = ["--task", "Cartpole", "--logs", str(tmp_path / "logs"), *SMALL]
+    assert train(library, words) == 130
+    assert "episodes: 4, " in run_play(library, *SMALL, "--use_last_checkpoint")
 
 
 def test_a_task_without_a_file_of_its_own_trains_with_the_default(library, run_train, tmp_path):

@@ -78,6 +78,12 @@ class RslRlAgent:
         self.runner.logger.log_dir = str(folder)
         self.runner.learn(self.max_iterations)
 
+    def save(self, folder: Path) -> Path:
+        """See `library.Agent`."""
+        path = folder / f"model_{self.runner.current_learning_iteration}.pt"
+        self.runner.save(str(path))
+        return path
+
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
         state = read_parameters(checkpoint, LIBRARY)

@@ -104,16 +104,18 @@ class Sb3Agent:
     def learn(self, folder: Path) -> None:
         """See `library.Agent`."""
         self.model.set_logger(configure(str(folder), ["stdout", "tensorboard"]))
-        saver = _Saver(self, folder / "checkpoints", self._interval)
         steps = self.max_iterations * self.model.n_steps * self.stepper.num_envs
-        self.model.learn(steps, callback=saver)
-        saver.save()
+        self.model.learn(steps, callback=_Saver(self, folder, self._interval))
+        self.save(folder)
 
-    def save(self, path: Path) -> None:
-        """Write `<path>.zip` and, of a normalised environment, `<path>.npz`."""
+    def save(self, folder: Path) -> Path:
+        """See `library.Agent`; of a normalised environment also the statistics, `.npz`."""
+        path = folder / "checkpoints" / f"model_{self.model.num_timesteps}.zip"
+        path.parent.mkdir(exist_ok=True)
         self.model.save(path)
         if self.normalizer is not None:
             np.savez(path.with_suffix(".npz"), **_statistics(self.normalizer))
+        return path
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
@@ -158,11 +160,7 @@ class _Saver(BaseCallback):
     def _on_rollout_end(self) -> None:
         self._rollouts += 1
         if self._rollouts % self._interval == 0:
-            self.save()
-
-    def save(self) -> None:
-        self._folder.mkdir(exist_ok=True)
-        self._agent.save(self._folder / f"model_{self._agent.model.num_timesteps}")
+            self._agent.save(self._folder)
 
 
 def _statistics(normalizer: VecNormalize) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows.agent_files import AgentSettings, activation, check_arguments
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
+from isaacgymenvs_lite.workflows.progress import ProgressLines
 from isaacgymenvs_lite.workflows.skrl import LIBRARY
 from isaacgymenvs_lite.workflows.skrl.models import Critic, GaussianPolicy
 from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
@@ -140,9 +142,18 @@ class SkrlAgent:
             disable_progressbar=None,
             close_environment_at_exit=False,
         )
+        if not sys.stderr.isatty():
+            self.stepper.task.watchers.append(ProgressLines(self.stepper, steps))
         SequentialTrainer(cfg=cfg, env=self._env, agents=self.agent).train()
-        self.agent.save(str(folder / "checkpoints" / f"agent_{steps}.pt"))
+        self.save(folder)
         self.agent.writer.close()
+
+    def save(self, folder: Path) -> Path:
+        """See `library.Agent`."""
+        path = folder / "checkpoints" / f"agent_{self.stepper.num_steps}.pt"
+        path.parent.mkdir(exist_ok=True)
+        self.agent.save(str(path))
+        return path
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
