@@ -49,6 +49,8 @@ MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
 _DURATION_TOLERANCE = 1e-3
 # Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
 _LENGTH_TOLERANCE = 0.5
+# A lift of less is rounding.
+_TOLD_LIFT_M = 5e-4
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
@@ -200,5 +202,6 @@ def _lifted(
     )
     if lowest_m >= 0.0:
         return root
-    _log.info("%s: lifted by %.3f m, its feet went below the ground", name, -lowest_m)
+    if lowest_m < -_TOLD_LIFT_M:
+        _log.info("%s: lifted by %.3f m, its feet went below the ground", name, -lowest_m)
     return root - np.array([0.0, 0.0, lowest_m])

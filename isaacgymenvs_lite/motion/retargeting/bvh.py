@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,11 +15,15 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.motion.retargeting.bvh_channels import drop_inner_positions
 from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.utils import rotations
 
 # What the library raises for a file that is damaged or is something else.
 _READ_ERRORS = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+# What it reads in place of the file, and how its messages name that.
+_COPY = "motion.bvh"
+_PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
 
 
 def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip:
@@ -24,7 +31,7 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
 
     Args:
         path: of the file. Its root has three position and three rotation channels, in any order;
-            all other joints have three rotation channels.
+            all other joints have three rotation channels, and positions if these stay the same.
         to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
         unit_m: m per unit of length of the file.
 
@@ -37,17 +44,11 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
     pybvh = import_package("pybvh", "reading BVH files")
     if not path.is_file():
         raise MotionFileError(f"{path}: no such file")
-    if path.suffix != ".bvh":
-        raise MotionFileError(f"{path}: the library reads names in .bvh only; rename the file")
     try:
-        with warnings.catch_warnings():
-            # A file without frames is an error below; numpy's warning of it would be a second line.
-            warnings.simplefilter("ignore")
-            # The axis that points up is the mapping's to say.
-            motion = pybvh.read_bvh_file(path, world_up="+y")
-            root, wxyz = motion.to_quat()
+        text = drop_inner_positions(path.read_text(encoding="utf-8", errors="replace"), str(path))
+        motion, root, wxyz = _parse(pybvh, text)
     except _READ_ERRORS as error:
-        reason = one_line(error).replace(f" in file {path}", "").replace(f" in {path}", "")
+        reason = _PLACE.sub("", one_line(error))
         raise MotionFileError(f"{path}: is no BVH file that can be read ({reason})") from error
     joints = [node for node in motion.nodes if not node.is_end_site()]
     offsets = np.array([node.offset for node in joints], dtype=np.float64)
@@ -67,6 +68,18 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
         turns.numpy(),
         places.numpy() * unit_m,
     )
+
+
+def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
+    """Return the library's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        # A file without frames is an error later; numpy's warning of it would be a second line.
+        warnings.simplefilter("ignore")
+        copy = Path(folder) / _COPY  # the library reads files only
+        copy.write_text(text, encoding="utf-8")
+        # The axis that points up is the mapping's to say.
+        motion = pybvh.read_bvh_file(copy, world_up="+y")
+        return motion, *motion.to_quat()
 
 
 def _check_numbers(path: Path, *arrays: FloatArray) -> None:

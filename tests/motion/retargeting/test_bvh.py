@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,67 @@ def test_position_channels_may_stand_last(walk_file: Path) -> None:
         lines[i] = " ".join(values[3:6] + values[:3] + values[6:])
     walk_file.write_text("Frame Time".join((head, "\n".join(lines))))
     np.testing.assert_allclose(read(walk_file)[0].global_poses()[0], before.global_poses()[0])
+
+
+def with_all_positions(text: str, places) -> str:
+    """Give all joints position channels; `places(offset, frame)` says what they hold."""
+    head, rows = text.split("MOTION\n")
+    offsets = [
+        np.array(found[1].split(), dtype=float)
+        for found in re.finditer(r"OFFSET (.*)\n\s*CHANNELS 3", head)
+    ]
+    head = head.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
+    lines = rows.splitlines()
+    for i, line in enumerate(lines[2:], 2):
+        values = line.split()
+        turns = [" ".join(values[6 + 3 * k : 9 + 3 * k]) for k in range(len(offsets))]
+        inner = (
+            " ".join(map(str, places(offset, i))) + f" {turn}"
+            for offset, turn in zip(offsets, turns, strict=True)
+        )
+        lines[i] = " ".join([*values[:6], *inner])
+    return "MOTION\n".join((head, "\n".join(lines)))
+
+
+@pytest.mark.parametrize("places", [lambda offset, frame: offset, lambda offset, frame: (0, 0, 0)])
+def test_positions_of_all_joints_that_stay_the_same(walk_file: Path, places) -> None:
+    before = read(walk_file)[0]
+    walk_file.write_text(with_all_positions(walk_file.read_text(), places))
+    assert walk_file.read_text().count("CHANNELS 6") > 20
+    after = read(walk_file)[0]
+    np.testing.assert_allclose(after.global_poses()[0], before.global_poses()[0], atol=1e-6)
+
+
+def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
+    before = read(walk_file)[0]
+    text = with_all_positions(walk_file.read_text(), lambda offset, frame: 1.1 * offset)
+    walk_file.write_text(text)
+    after = read(walk_file)[0]
+    np.testing.assert_allclose(
+        after.local_translation[1:], 1.1 * before.local_translation[1:], atol=1e-6
+    )
+
+
+def test_joints_that_move_within_their_parents_are_refused(walk_file: Path) -> None:
+    text = with_all_positions(
+        walk_file.read_text(), lambda offset, frame: (1 + frame / 50) * offset
+    )
+    walk_file.write_text(text)
+    with pytest.raises(MotionFileError, match=r"joint \w+ moves within its parent by [\d.]+ units"):
+        read(walk_file)
+
+
+def test_frames_of_another_length_than_the_channels(walk_file: Path) -> None:
+    text = with_all_positions(walk_file.read_text(), lambda offset, frame: offset)
+    walk_file.write_text(drop_last_value(text))
+    with pytest.raises(MotionFileError, match="no BVH file that can be read") as caught:
+        read(walk_file)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_name_in_capitals(walk_file: Path) -> None:
+    loud = walk_file.rename(walk_file.with_suffix(".BVH"))
+    assert read(loud)[0].num_frames == 109
 
 
 def test_windows_line_ends(walk_file: Path) -> None:
