@@ -143,11 +143,11 @@ def expectation(kind: Any, field: Field) -> str:
         entry = (typing.get_args(kind) or (Any,))[0]
         noun = f"a list of {_PLURALS.get(entry, 'values')}"
         if choices is not None:
-            noun = f"a list out of {', '.join(str(choice) for choice in choices)}"
+            noun = f"a list out of {', '.join(_word(choice) for choice in choices)}"
         if field.metadata.get("min_length"):
             noun += f" with at least {field.metadata['min_length']} entries"
     elif choices is not None:
-        noun = f"one of {', '.join(str(choice) for choice in choices)}"
+        noun = f"one of {', '.join(_word(choice) for choice in choices)}"
     else:
         noun = _NOUNS.get(kind, "a mapping of keys to values")
     noun += _limits_in_words(field)
@@ -169,3 +169,8 @@ def _limits_in_words(field: Field) -> str:
         if limits.get(name) is not None
     ]
     return " " + " and ".join(words) if words else ""
+
+
+def _word(choice: Any) -> str:
+    """Return a choice as one types it; nothing at all needs its quotes."""
+    return str(choice) or "''"

@@ -84,7 +84,7 @@ def run_workflow(
     args = parser.parse_intermixed_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
-        require(library.package, library.command("train"))
+        require(library.package, parser.prog)
         action(args)
     except UserError as error:
         parser.exit(EXIT_USER_ERROR, f"error: {error}\n")

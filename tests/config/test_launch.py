@@ -121,3 +121,7 @@ def test_users_file_without_a_name(no_gpu, config_dir):
 def test_every_error_is_a_config_or_device_error(no_gpu):
     with pytest.raises(ConfigError):
         check_config(compose(["num_envs=0"]))
+
+
+def test_a_choice_that_is_nothing_has_its_quotes(no_gpu):
+    assert message("viewer=webb").endswith("got 'webb', expected one of '', web")
