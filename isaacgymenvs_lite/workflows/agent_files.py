@@ -7,7 +7,8 @@ workflow's own. It cannot name code: what becomes of it is decided here, not by 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from typing import Any
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from torch import nn
+from yaml import YAMLError
 
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
-from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import plain, setting
 
@@ -43,21 +45,17 @@ def load_agent_file(
         library: folder in cfg/.
         task: whose file it is; without one of its own, default.yaml.
         given: a path, or the name of a file of the folder, to take instead.
-        overrides: `agent.key.below=value` each.
+        overrides: `agent.key.below=value` each; the workflow of the library knows the keys.
 
     Raises:
-        ConfigError: there is no such file, or no such key.
+        ConfigError: there is no such file, or a value is not valid YAML.
     """
     content = read_yaml(_find(cfg_dir() / library, task, given))
     for word in overrides:
         key, _, value = word.removeprefix(PREFIX).partition("=")
         try:
-            if OmegaConf.select(content, key, throw_on_missing=False) is None:
-                section = OmegaConf.select(content, key.rpartition(".")[0] or "")
-                known = list(section if key.count(".") and section is not None else content)
-                raise ConfigError(unknown("agent key", key, map(str, known)))
             OmegaConf.update(content, key, OmegaConf.from_dotlist([f"v={value}"]).v)
-        except OmegaConfBaseException as error:
+        except (OmegaConfBaseException, YAMLError) as error:
             raise ConfigError(f"{word}: {one_line(error)}") from error
     return plain(content)
 
@@ -89,7 +87,7 @@ def check_arguments(
     where: str,
     reserved: Iterable[str] = (),
 ) -> None:
-    """Check that a section names arguments of a function or class.
+    """Check that a section names arguments of a function or class, numbers where it has numbers.
 
     Args:
         function: what will be called with them.
@@ -98,12 +96,41 @@ def check_arguments(
         reserved: arguments that the workflow gives, or that could name code.
 
     Raises:
-        ConfigError: one of them is none.
+        ConfigError: one of them is none, or has a value of another kind.
     """
-    names = set(inspect.signature(function).parameters) - {"self", *reserved}
-    for name in arguments:
+    parameters = inspect.signature(function).parameters
+    names = set(parameters) - {"self", *reserved}
+    for name, value in arguments.items():
         if name not in names:
             raise ConfigError(unknown(f"key of {where}", name, names))
+        default = parameters[name].default
+        if isinstance(default, bool) and not isinstance(value, bool):
+            raise ConfigError(f"{where}.{name}: got {value!r}, expected True or False")
+        may_be_none = value is None and "None" in str(parameters[name].annotation)
+        if _is_number(default) and not (_is_number(value) or may_be_none):
+            raise ConfigError(f"{where}.{name}: got {value!r}, expected a number")
+
+
+@contextmanager
+def making(what: str) -> Iterator[None]:
+    """Make something of a library; values that it refuses are a user's mistake.
+
+    Args:
+        what: for the message.
+
+    Raises:
+        ConfigError: the library raised something.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except (TypeError, ValueError, AssertionError) as error:
+        raise ConfigError(f"agent: {what} refuses its values: {one_line(error)}") from error
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def activation(name: str) -> type[nn.Module]:

@@ -1,4 +1,4 @@
-"""The command lines of the workflows, and the task that they ask for."""
+"""The command lines of the workflows."""
 
 from __future__ import annotations
 
@@ -6,20 +6,10 @@ import argparse
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import torch
-from omegaconf import DictConfig, OmegaConf
-
-from isaacgymenvs_lite.config.compose import compose_task
-from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.errors import UserError
-from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.optional_packages import require
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 from isaacgymenvs_lite.workflows.library import Library
 
@@ -35,7 +25,8 @@ def make_parser(library: Library, verb: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("--task", required=True, help="name of a task file, or its path")
     parser.add_argument("--num_envs", type=_positive, help="default: the task file's")
-    parser.add_argument("--headless", action="store_true", help="accepted: there is no window")
+    headless = "no window: the default, headless=False opens one"
+    parser.add_argument("--headless", action="store_true", help=headless)
     parser.add_argument("--seed", type=int, default=42, help="-1 draws one")
     parser.add_argument("--agent", help="an agent file, or its name; default: the task's")
     parser.add_argument("--logs", default="logs", help="folder of all trainings; default: logs")
@@ -91,49 +82,3 @@ def run_workflow(
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     return 0
-
-
-@dataclass(frozen=True)
-class MadeTask:
-    """A task as the command line asks for it.
-
-    Attributes:
-        task: the task.
-        settings: what it is made of, as plain values.
-        rl_device: torch device of the agent.
-        seed: of the agent.
-        agent_words: overrides of the agent file.
-    """
-
-    task: VecTask
-    settings: dict[str, Any]
-    rl_device: str
-    seed: int
-    agent_words: list[str]
-
-
-def make_asked_task(args: argparse.Namespace) -> MadeTask:
-    """Seed the generators and make the task that the command line asks for.
-
-    Raises:
-        UserError: what train.py would refuse.
-    """
-    agent_words = [word for word in args.overrides if word.startswith(PREFIX)]
-    words = [word for word in args.overrides if not word.startswith(PREFIX)]
-    own = [f"seed={args.seed}"]
-    if args.num_envs is not None:
-        own.append(f"num_envs={args.num_envs}")
-    cfg = compose_task(args.task, [*own, *words])
-    settings = check_config(cfg)
-    seed = resolve_seed(settings.seed, settings.torch_deterministic)
-    seed_everything(seed, settings.torch_deterministic)
-    torch.set_num_threads(thread_count(settings.num_threads))
-    task = make_from_config(
-        cfg, sim_device=settings.sim_device, rl_device=settings.rl_device, graphics_device_id=-1
-    )
-    return MadeTask(task, _plain(cfg, seed), settings.rl_device, seed, agent_words)
-
-
-def _plain(cfg: DictConfig, seed: int) -> dict[str, Any]:
-    task = OmegaConf.to_container(cfg.task, resolve=True)
-    return {"task": task, "seed": seed, "rl_device": str(cfg.rl_device)}

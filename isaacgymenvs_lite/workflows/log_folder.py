@@ -30,8 +30,7 @@ def create_folder(
     Raises:
         ConfigError: the folder cannot be written.
     """
-    date = datetime.now().strftime("%Y-%m-%d_%H-%M-%S-%f")
-    folder = logs / library.name / task / date
+    folder = logs / library.name / task / date()
     try:
         (folder / "params").mkdir(parents=True)
         for name, content in ((_ENV_FILE, env), (_AGENT_FILE, agent)):
@@ -43,6 +42,11 @@ def create_folder(
             " another with --logs FOLDER"
         ) from error
     return folder
+
+
+def date() -> str:
+    """Return the present time as names of folders and files have it."""
+    return datetime.now().strftime("%Y-%m-%d_%H-%M-%S-%f")
 
 
 def last_checkpoint(logs: Path, library: Library, task: str) -> Path:
@@ -69,8 +73,7 @@ def agent_file_of(checkpoint: Path) -> Path | None:
     return None
 
 
-def videos_folder(checkpoint: Path) -> Path:
-    """Return where videos of a played checkpoint belong: in its training's folder, or beside it."""
+def folder_of(checkpoint: Path) -> Path:
+    """Return the folder of a checkpoint's training; its own if there is none."""
     file = agent_file_of(checkpoint)
-    folder = checkpoint.parent if file is None else file.parent.parent
-    return folder / "videos" / "play"
+    return checkpoint.parent if file is None else file.parent.parent

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import torch
 
-from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
-from isaacgymenvs_lite.workflows.arguments import make_asked_task, make_parser, run_workflow
+from isaacgymenvs_lite.workflows.arguments import make_parser, run_workflow
+from isaacgymenvs_lite.workflows.asked_task import make_asked_task
 from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
-from isaacgymenvs_lite.workflows.log_folder import agent_file_of, last_checkpoint, videos_folder
+from isaacgymenvs_lite.workflows.log_folder import agent_file_of, date, folder_of, last_checkpoint
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 log = logging.getLogger(__name__)
@@ -72,19 +72,16 @@ def _play(library: Library, args: argparse.Namespace) -> None:
         checkpoint = Path(args.checkpoint).expanduser()
     read_parameters(checkpoint, library)  # whose it is, before its folder's agent file is read
     file = args.agent or agent_file_of(checkpoint)
-    made = make_asked_task(args)
+    made = make_asked_task(args, plays=True)
     try:
         content = load_agent_file(library.name, name, file and str(file), made.agent_words)
         agent = library.make_agent(made.task, content, made.rl_device, made.seed)
         agent.load(checkpoint)
         log.info("checkpoint: %s", checkpoint)
-        if args.video:
-            never_again = args.video_length + made.task.max_episode_length
-            videos, length = videos_folder(checkpoint), args.video_length
-            capture_videos(made.task, videos, every=never_again, length=length)
+        made.watch(folder_of(checkpoint), f"play_{date()}")
         played = play_episodes(agent.stepper, agent.player())
     finally:
-        made.task.close()
+        made.close()
     sys.stdout.write("\n".join([*played.lines(), ""]))
 
 

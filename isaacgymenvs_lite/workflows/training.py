@@ -7,14 +7,13 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from isaacgymenvs_lite.watching.video_capture import capture_videos
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.arguments import (
     add_number,
-    make_asked_task,
     make_parser,
     run_workflow,
 )
+from isaacgymenvs_lite.workflows.asked_task import make_asked_task
 from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import create_folder
@@ -39,7 +38,7 @@ def train(library: Library, arguments: Sequence[str] | None = None) -> int:
 def _train(library: Library, args: argparse.Namespace) -> None:
     if args.checkpoint is not None:
         read_parameters(Path(args.checkpoint), library)  # a mistake shows before anything is made
-    made = make_asked_task(args)
+    made = make_asked_task(args, plays=False)
     try:
         name = Path(args.task).stem
         content = load_agent_file(library.name, name, args.agent, made.agent_words)
@@ -50,13 +49,11 @@ def _train(library: Library, args: argparse.Namespace) -> None:
             agent.load(Path(args.checkpoint))
         folder = create_folder(Path(args.logs), library, name, made.settings, content)
         log.info("log folder: %s", folder)
-        if args.video:
-            every, length = args.video_interval, args.video_length
-            capture_videos(made.task, folder / "videos", every=every, length=length)
+        made.watch(folder)
         try:
             agent.learn(folder)
         except KeyboardInterrupt:
             log.info("stopped; saved %s", agent.save(folder))
             raise
     finally:
-        made.task.close()
+        made.close()

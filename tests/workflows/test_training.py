@@ -95,7 +95,8 @@ def test_a_played_checkpoint_can_be_filmed(gl, library, run_train, run_play, tmp
     run_train(library, *SMALL, "--max_iterations", "1")
     told = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
     assert "episodes: 4, " in told
-    assert (folder_of(tmp_path, library) / "videos" / "play" / "rl-video-step-0.mp4").is_file()
+    (video,) = (folder_of(tmp_path, library) / "videos").iterdir()
+    assert re.fullmatch(r"play_.*-step-0\.mp4", video.name)
 
 
 def test_a_checkpoint_of_another_library_or_task_is_one_line(
@@ -123,12 +124,43 @@ def test_a_library_that_is_not_installed_is_one_line(library, run_train, fails, 
     assert f"needs the package {library.package}, which is not installed; pip install" in line
 
 
+WRONG_VALUES = {
+    "sb3": ("agent.policy.net_arch=5", "agent.ppo.gamma=high", "agent.ppo.normalize_advantage=2"),
+    "skrl": ("agent.ppo.grad_norm_clip=null", "agent.ppo.learning_rate=abc", "agent.ppo=3"),
+    "rsl_rl": ("agent.actor.activation=foo", "agent.actor.hidden_dims=[a]", "agent.algorithm=3"),
+}
+
+
+def test_values_that_the_library_refuses_are_one_line(library, run_train, fails):
+    for word in WRONG_VALUES[library.name]:
+        line = fails(run_train, library, *SMALL, "--max_iterations", "1", word)
+        assert line.startswith("error: agent")
+
+
+def test_arguments_that_the_file_does_not_name_can_be_given(library, run_train):
+    word = {
+        "sb3": "agent.ppo.clip_range_vf=0.2",
+        "skrl": "agent.ppo.entropy_loss_scale=0.001",
+        "rsl_rl": "agent.algorithm.normalize_advantage_per_mini_batch=True",
+    }
+    run_train(library, *SMALL, "--max_iterations", "1", word[library.name])
+
+
+def test_a_page_in_the_browser_is_served(library, run_train, caplog):
+    run_train(library, *SMALL, "--max_iterations", "1", "viewer=web", "viewer_port=0")
+    assert "watch it at http://localhost:" in caplog.text
+
+
 def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
     def line(*words: str) -> str:
         return fails(run_train, library, *SMALL, *words)
 
     assert "Cartpole" in line("--task", "Cartpol")
-    assert "unknown agent key 'max_iteration' (did you mean" in line("agent.max_iteration=3")
+    assert "'agent.max_iteration' (did you mean 'max_iterations'?)" in line("agent.max_iteration=3")
+    assert "use --max_iterations" in line("max_iterations=3")
+    assert "is no setting of another library's agent" in line("wandb_activate=True")
+    assert "use --task" in line("task=Ant")
+    assert "expected one of '', web" in line("viewer=webb")
     assert "unknown --agent 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
     (tmp_path / "file").touch()
     assert "cannot write the log folder" in line("--logs", str(tmp_path / "file"))

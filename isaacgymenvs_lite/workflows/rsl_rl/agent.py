@@ -16,7 +16,7 @@ from rsl_rl.runners import OnPolicyRunner
 
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.workflows.agent_files import AgentSettings, check_arguments
+from isaacgymenvs_lite.workflows.agent_files import AgentSettings, check_arguments, making
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
 from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
@@ -71,7 +71,9 @@ class RslRlAgent:
         self._env = env = RslRlVecEnvWrapper(task)
         self.stepper = env.stepper
         self._device = device
-        self.runner = OnPolicyRunner(env, _runner_settings(settings, task), None, device)
+        runner_settings = _runner_settings(settings, task)
+        with making("OnPolicyRunner"):
+            self.runner = OnPolicyRunner(env, runner_settings, None, device)
 
     def learn(self, folder: Path) -> None:
         """See `library.Agent`."""

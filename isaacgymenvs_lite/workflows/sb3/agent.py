@@ -19,7 +19,12 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.workflows.agent_files import AgentSettings, activation, check_arguments
+from isaacgymenvs_lite.workflows.agent_files import (
+    AgentSettings,
+    activation,
+    check_arguments,
+    making,
+)
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY
 from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
@@ -86,20 +91,22 @@ class Sb3Agent:
             normalize = settings.vec_normalize
             check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
             gamma = float(settings.ppo.get("gamma", 0.99))
-            self._env = self.normalizer = VecNormalize(adapter, gamma=gamma, **normalize)
+            with making("VecNormalize"):
+                self._env = self.normalizer = VecNormalize(adapter, gamma=gamma, **normalize)
         samples = rollout.n_steps * task.num_envs
         function = activation(settings.policy.get("activation", "elu"))
         policy = {k: v for k, v in settings.policy.items() if k != "activation"}
         check_arguments(ActorCriticPolicy, policy, "agent.policy", ("activation_fn",))
-        self.model = PPO(
-            "MlpPolicy",
-            self._env,
-            batch_size=max(2, samples // settings.minibatches),
-            policy_kwargs={**policy, "activation_fn": function},
-            seed=seed,
-            device=device,
-            **settings.ppo,
-        )
+        with making("PPO"):
+            self.model = PPO(
+                "MlpPolicy",
+                self._env,
+                batch_size=max(2, samples // settings.minibatches),
+                policy_kwargs={**policy, "activation_fn": function},
+                seed=seed,
+                device=device,
+                **settings.ppo,
+            )
 
     def learn(self, folder: Path) -> None:
         """See `library.Agent`."""

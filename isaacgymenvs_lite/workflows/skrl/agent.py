@@ -18,7 +18,12 @@ from skrl.trainers.torch import SequentialTrainer, SequentialTrainerCfg
 
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.workflows.agent_files import AgentSettings, activation, check_arguments
+from isaacgymenvs_lite.workflows.agent_files import (
+    AgentSettings,
+    activation,
+    check_arguments,
+    making,
+)
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
 from isaacgymenvs_lite.workflows.progress import ProgressLines
 from isaacgymenvs_lite.workflows.skrl import LIBRARY
@@ -105,8 +110,9 @@ class SkrlAgent:
             "value": Critic(*layers, **spaces),
         }
         memory = RandomMemory(memory_size=self._rollouts, num_envs=env.num_envs, device=device)
-        cfg = PPO_CFG(**settings.ppo, **self._made_of(settings, device))
-        self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
+        with making("PPO"):
+            cfg = PPO_CFG(**settings.ppo, **self._made_of(settings, device))
+            self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
 
     def _made_of(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
         """Return what of PPO's configuration is a class or function, by the file's own keys."""
