@@ -1,4 +1,4 @@
-"""Files appear in one step, and none is replaced unasked."""
+"""Clips that cannot be written say so, and none is replaced unasked."""
 
 from __future__ import annotations
 
@@ -8,25 +8,6 @@ import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.writing import check_output, written_clip
-
-
-def test_what_was_written_takes_the_place(tmp_path: Path) -> None:
-    path = tmp_path / "clip.npz"
-    path.write_text("old")
-    with written_clip(path) as partial:
-        partial.write_text("new")
-        assert path.read_text() == "old"
-    assert [file.name for file in tmp_path.iterdir()] == ["clip.npz"]
-    assert path.read_text() == "new"
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_failure_leaves_nothing(tmp_path: Path, error) -> None:
-    path = tmp_path / "clip.npz"
-    with pytest.raises(error), written_clip(path) as partial:
-        partial.write_text("half")
-        raise error
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
