@@ -37,7 +37,7 @@ _COUNTERPARTS = {
     "experiment": "--logs",
     "full_experiment_name": "--logs",
     "test": "the command play",
-    "task=": "--task",
+    "task": "--task",
 }
 
 
@@ -113,9 +113,9 @@ def _check_words(words: Iterable[str]) -> None:
     for word in words:
         path = word.lstrip("+~").partition("=")[0]
         root = path.partition(".")[0]
-        if root in _TASK_WORDS and path != "task":
+        if root in _TASK_WORDS and path != "task":  # keys of the task, but not another task
             continue
-        here = _COUNTERPARTS.get("task=" if path == "task" else root)
+        here = _COUNTERPARTS.get(root)
         hint = f"use {here}" if here else f"expected task.key=value or {PREFIX}key=value"
         raise ConfigError(f"{word}: is no setting of another library's agent; {hint}")
 
