@@ -31,6 +31,7 @@ _SHADOW_HALF_WIDTH = 4.2
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _ARROW_WIDTH_M = 0.03
+_FLOOR_STEP_M = 10.0
 # Where a label begins: to the left and up of the middle, in halves of the picture.
 _LABEL_PLACE = (0.9, 0.84)
 
@@ -79,6 +80,7 @@ class SceneRenderer:
             visual.quality.offsamples = _FAST_SAMPLES
             visual.quality.numslices, visual.quality.numstacks = _FAST_FACES
         self._renderer = mujoco.Renderer(model, height, width)
+        self._floor_at = np.full(3, np.inf)
 
     def draw(
         self,
@@ -101,8 +103,14 @@ class SceneRenderer:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
+        # The map of shadows has the light in its middle: what is looked at shall be there.
+        self._data.light_xpos[:, :2] += self._camera.lookat[:2]
         mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
+        if np.linalg.norm(self._camera.lookat - self._floor_at) > _FLOOR_STEP_M:
+            # MuJoCo lays an endless floor about the place that it looked from before.
+            self._floor_at = self._camera.lookat.copy()
+            self._renderer.update_scene(self._data, self._camera)
         if self._fast:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         for mark in marks:

@@ -46,6 +46,16 @@ def test_the_camera_goes_along(fast, humanoid):
     assert (here & there).sum() > 0.9 * (here | there).sum()
 
 
+@pytest.mark.parametrize("place", [(100.0, 40.0), (-4.0, -4.0)])
+def test_floor_and_shadow_go_along(place, humanoid):
+    """Far away nothing is missing; towards the light there was noise on the floor."""
+    away = humanoid.qpos0.copy()
+    away[:2] += place  # whole squares of the floor
+    with SceneRenderer(humanoid, 120, 160) as renderer:
+        here, there = (renderer.draw(qpos).astype(int) for qpos in (humanoid.qpos0, away))
+    assert (np.abs(here - there).max(axis=2) > 20).mean() < 0.01
+
+
 def test_the_azimuth_turns_the_view(humanoid):
     """From the right the left limbs, which are green, are hidden; from the front they are not."""
     green = []
