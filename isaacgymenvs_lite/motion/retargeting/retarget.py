@@ -26,6 +26,8 @@ _log = logging.getLogger(__name__)
 KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
 _ON_GROUND_M = 0.01  # a corner of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
+# A first step this large, and so many times the usual one, is no motion.
+_JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 
 def retarget_bvh(
@@ -52,6 +54,7 @@ def retarget_bvh(
         MotionFileError: the file cannot be read, or the times are not in it.
     """
     source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)
+    _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)
     targets = make_targets(source, mapping, skeleton)
@@ -72,6 +75,26 @@ def retarget_bvh(
         _log.info(line)
     _log.info("a joint is at its limit in %.0f %% of the frames", _limited(clip, skeleton) * 100.0)
     return clip
+
+
+def _warn_of_rest_pose(source: MotionClip) -> None:
+    """Tell of a first frame that does not belong to the motion, as in CMU's files."""
+    first_deg, *later_deg = np.degrees(_frame_to_frame_rad(source))
+    if later_deg and first_deg > max(_JUMP_DEG, _JUMP_RATIO * float(np.median(later_deg))):
+        _log.warning(
+            "%s: the first frame is %.0f degrees away from the second, maybe it is the rest pose;"
+            " start_s=%.4f leaves it out",
+            source.name,
+            first_deg,
+            1.0 / source.fps,
+        )
+
+
+def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
+    """Return (T - 1,) how far the joint that turns most turns from each frame to the next."""
+    turns = clip.local_rotation.astype(np.float64)
+    cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1))
+    return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
 
 
 def key_body_errors(clip: MotionClip, targets: Targets) -> dict[str, FloatArray]:

@@ -137,7 +137,7 @@ LAFAN1 = Rig(
                 for part in ("upper_arm", "lower_arm", "hand", "thigh", "shin")
             ]
         ),
-        **_sides(lambda side, sign: [(f"{side}_foot", _axes("+x", "-y", "y", -25.0))]),
+        **_sides(lambda side, sign: [(f"{side}_foot", _axes("+x", "+y", "y", -25.0))]),
     },
     unit_m=0.01,
     order="ZYX",

@@ -24,6 +24,23 @@ def test_a_bvh_file_becomes_a_clip(write_bvh, caplog: pytest.LogCaptureFixture) 
     assert "left_foot: 0.000" in caplog.text
 
 
+def test_a_rest_pose_at_the_start_is_told(write_bvh, caplog: pytest.LogCaptureFixture) -> None:
+    """As CMU's files begin: a first frame without rotations, then the motion."""
+    path = write_bvh(Path("run.bvh"), load_clips("run")[0][0], "cmu")
+    command.main(["run.bvh", "a.npz", "mapping=cmu"])
+    assert "rest pose" not in caplog.text
+    lines = path.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    values = lines[first].split()
+    lines[first] = " ".join([*values[:3], *["0"] * (len(values) - 3)])
+    path.write_text("\n".join(lines))
+    command.main(["run.bvh", "b.npz", "mapping=cmu"])
+    assert "maybe it is the rest pose; start_s=0.0167 leaves it out" in caplog.text
+    caplog.clear()
+    command.main(["run.bvh", "c.npz", "mapping=cmu", "start_s=0.0167"])
+    assert "rest pose" not in caplog.text
+
+
 def test_a_damaged_bvh_file_leaves_nothing(refused, write_bvh) -> None:
     path = write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], "cmu")
     path.write_text(path.read_text()[:5000])
