@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import copy
+import gc
 import importlib
 import io
 import logging
@@ -99,6 +100,7 @@ class WebPage:
         atexit.unregister(self.close)
         with contextlib.redirect_stdout(io.StringIO()):
             self._page.handle.close()
+        gc.unfreeze()
 
 
 def check_page(host: str, port: int) -> None:

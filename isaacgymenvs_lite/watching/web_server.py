@@ -6,6 +6,7 @@ Imports all of `mujoco.studio`: import it where it is needed.
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import logging
 import socket
@@ -108,6 +109,11 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
             started.set()
         viewer_protocol.run_viewer_loop(viewer)
 
+    # Python collects garbage in whichever thread asks for memory. The viewer's thread, freeing what
+    # others had made, was seen to hang and then to crash, in a process with millions of objects: it
+    # gets to see only what is made from now on.
+    gc.collect()
+    gc.freeze()
     with contextlib.redirect_stdout(io.StringIO()):  # a banner
         handle = launch_thread.launch_thread(serve)
         started.wait(_START_TIMEOUT_S)
