@@ -100,7 +100,7 @@ class WebPage:
         atexit.unregister(self.close)
         with contextlib.redirect_stdout(io.StringIO()):
             self._page.handle.close()
-        gc.unfreeze()
+        gc.unfreeze()  # see start_server
 
 
 def check_page(host: str, port: int) -> None:

@@ -118,6 +118,7 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
         handle = launch_thread.launch_thread(serve)
         started.wait(_START_TIMEOUT_S)
     if not ports:
+        gc.unfreeze()
         raise ConfigError(f"viewer=web: it did not start within {_START_TIMEOUT_S:.0f} s")
     return Page(handle, beside, ports[0])
 

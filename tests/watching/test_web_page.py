@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import time
 import urllib.request
@@ -59,7 +60,9 @@ def test_the_page_is_served_on_this_machine_only(page, capsys):
     family = socket.AF_INET6
     with socket.socket(family) as other, pytest.raises(OSError):
         other.connect(("::1", port))
+    assert gc.get_freeze_count() > 0  # the page's thread leaves alone what others made
     page.close()
+    assert gc.get_freeze_count() == 0
     page.close()
     with pytest.raises(OSError):
         urllib.request.urlopen(page.url, timeout=2)

@@ -81,8 +81,10 @@ def drop_inner_positions(text: str, name: str) -> str:
     for joint in inner:
         columns = joint.columns(_AXES)
         place = _constant_place(values[:, columns], tolerance, f"{name}: joint {joint.name}")
-        if len(columns) == 3 and np.abs(place).max() > tolerance:
-            lines[joint.offset_line] = "OFFSET " + " ".join(f"{x:.9g}" for x in place)
+        if np.abs(place).max() > tolerance:
+            offset = offsets[joint.name]
+            offset[[i for i, axis in enumerate(_AXES) if joint.columns((axis,))]] = place
+            lines[joint.offset_line] = "OFFSET " + " ".join(f"{x:.9g}" for x in offset)
         turns = [channel for channel in joint.channels if "position" not in channel.lower()]
         lines[joint.channels_line] = f"CHANNELS {len(turns)} {' '.join(turns)}"
     dropped = [column for joint in inner for column in joint.columns(_AXES)]
@@ -114,7 +116,7 @@ def _numbers(offset: str) -> npt.NDArray[np.float64]:
 def _constant_place(
     places: npt.NDArray[np.float64], tolerance: float, joint: str
 ) -> npt.NDArray[np.float64]:
-    """Return the place (3,) of a joint in its parent, from what all frames (T, 3) say of it."""
+    """Return the place (C,) of a joint in its parent, from what all frames (T, C) say of it."""
     spread = float(np.ptp(places, axis=0).max())
     if spread > 2.0 * tolerance:
         raise MotionFileError(

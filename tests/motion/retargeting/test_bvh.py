@@ -12,6 +12,7 @@ import pytest
 from isaacgymenvs_lite.errors import MissingPackageError, MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh_channels import drop_inner_positions
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 
 
@@ -90,6 +91,35 @@ def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
     np.testing.assert_allclose(
         after.local_translation[1:], 1.1 * before.local_translation[1:], atol=1e-6
     )
+
+
+def test_a_position_of_one_axis_counts_for_that_axis() -> None:
+    text = """HIERARCHY
+ROOT a
+{
+OFFSET 0 0 0
+CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+JOINT b
+{
+OFFSET 1 2 3
+CHANNELS 4 Yposition Zrotation Yrotation Xrotation
+End Site
+{
+OFFSET 7 7 7
+}
+}
+}
+MOTION
+Frames: 2
+Frame Time: 0.1
+1 2 3 4 5 6 2.5 8 9 10
+1 2 3 4 5 6 2.5 8 9 10
+"""
+    lines = drop_inner_positions(text, "a.bvh").splitlines()
+    assert "OFFSET 1 2.5 3" in lines
+    assert "OFFSET 7 7 7" in lines
+    assert "CHANNELS 3 Zrotation Yrotation Xrotation" in lines
+    assert lines[-2:] == ["1 2 3 4 5 6 8 9 10"] * 2
 
 
 def test_joints_that_move_within_their_parents_are_refused(walk_file: Path) -> None:
