@@ -32,6 +32,7 @@ _PLAIN = {
     "multi_gpu": False,
     "headless": True,
     "force_render": False,
+    "viewer": "",
     "capture_video": False,
     "wandb_activate": False,
     "latent": "",

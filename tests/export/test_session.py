@@ -78,6 +78,13 @@ def play(cfg: Any, num_envs: int, policy: ExportedPolicy | None = None) -> Evalu
     return played.result
 
 
+def test_a_run_that_is_watched_is_exported_without(checkpoint):
+    """Its training may still be there and have the port of the page."""
+    words = ["viewer=web", "headless=False", "capture_video=True"]
+    cfg = configuration_of(str(checkpoint), words, "runs")
+    assert (cfg.viewer, cfg.headless, cfg.capture_video) == ("", True, False)
+
+
 def test_an_export_that_differs_is_not_left_behind(checkpoint, tmp_path, monkeypatch):
     monkeypatch.setattr(session, "_TOLERANCE", -1.0)  # nothing is as near as that
     out = tmp_path / "policy.pt"
