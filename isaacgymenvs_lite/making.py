@@ -12,9 +12,11 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.rendering.display import check_display
+from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.watching.window import Window
@@ -35,6 +37,8 @@ def make_task(
     cfg: DictConfig | None,
 ) -> VecTask:
     """Make a task; see `isaacgymenvs_lite.make`."""
+    check_device_name(sim_device, "sim_device")
+    rl_device = check_device(rl_device, "rl_device")
     if cfg is None:
         cfg = compose(
             [
@@ -51,8 +55,12 @@ def make_task(
         )
     settings = check_config(cfg)
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    if not headless:
+    # What is captured is drawn without a display: Isaac Gym opened its window on a virtual one.
+    opens_window = not headless and not virtual_screen_capture
+    if opens_window:
         check_display()
+    if virtual_screen_capture:
+        ensure_gl()
     env = make_from_config(
         cfg,
         sim_device=sim_device,
@@ -62,7 +70,7 @@ def make_task(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
-    if not headless:
+    if opens_window:
         # As in Isaac Gym, the program ends with its window.
         env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
     return env
