@@ -25,6 +25,8 @@ class LaunchSettings:
 
     task_name: str = setting()
     """Class of the task."""
+    task_checkout: str = setting("")
+    """Folder of the project that a task file named by its path belongs to."""
     experiment: str = setting("")
     """Name of the run; '' leaves the train file's."""
     test: bool = setting(False)
