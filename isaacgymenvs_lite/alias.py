@@ -16,6 +16,7 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import logging
 import os
 import runpy
 import sys
@@ -31,6 +32,7 @@ from isaacgymenvs_lite.published.module_names import (
     stand_in_because,
 )
 from isaacgymenvs_lite.published.stand_ins import StandInModule
+from isaacgymenvs_lite.train import message_handler
 
 _OLD, _NEW = "isaacgymenvs", "isaacgymenvs_lite"
 _SIMULATOR = "isaacgym"
@@ -143,14 +145,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.argv = [str(args.script), *args.arguments]
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
+    _show_our_log()
+    # Read once, when torch is imported; see `train.main`.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     with _stand_in_for_a_gpu():
         runpy.run_path(str(args.script), run_name="__main__")
 
 
+def _show_our_log() -> None:
+    """Let the log of this package be seen where a script sets up no logging."""
+    logging.getLogger(_NEW).setLevel(logging.INFO)
+    logging.lastResort = message_handler()
+
+
 def _stand_in_for_a_gpu() -> Any:
     """Return a context in which the CPU is what a script means by cuda, if there is no GPU."""
-    # Read once, when torch is imported; see `train.main`.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     import torch
 
     from isaacgymenvs_lite.config.devices import let_the_cpu_stand_in

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from omegaconf import DictConfig, OmegaConf
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose
@@ -61,6 +62,8 @@ def make_task(
                 f"force_render={force_render}",
             ]
         )
+    else:
+        cfg = _with_checkout(cfg)
     settings = check_config(cfg)
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
     # What is captured is drawn without a display: Isaac Gym opened its window on a virtual one.
@@ -82,6 +85,25 @@ def make_task(
         # As in Isaac Gym, the program ends with its window.
         env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
     return env
+
+
+def _with_checkout(cfg: DictConfig) -> DictConfig:
+    """Return a tree that a script's own Hydra composed, with the checkout of its task file.
+
+    A train.py of another project knows no such key, and its clips are in its own folders.
+    """
+    if checkouts.KEY in cfg or not HydraConfig.initialized():
+        return cfg
+    runtime = HydraConfig.get().runtime
+    folders = [Path(source.path) for source in runtime.config_sources if source.provider == "main"]
+    for task_file in (
+        folder / "task" / f"{runtime.choices.get('task')}.yaml" for folder in folders
+    ):
+        if task_file.is_file():
+            cfg = cfg.copy()
+            with open_dict(cfg):
+                cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file.resolve()))
+    return cfg
 
 
 def make_from_config(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
-import warnings
 
 from isaacgymenvs_lite.errors import DeviceError
+
+log = logging.getLogger(__name__)
 
 _DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
 _stand_in_settings: set[str] | None = None
@@ -14,10 +16,9 @@ _stand_in_settings: set[str] | None = None
 def let_the_cpu_stand_in() -> None:
     """Take the CPU, from now on and in this process, where a GPU is asked for and there is none.
 
-    For scripts that name a GPU and are not edited. A warning says so once for each setting; no
-    logging, which published configurations switch off.
+    For scripts that name a GPU and are not edited. One line of the log says so for each setting.
     """
-    global _stand_in_settings  # noqa: PLW0603
+    global _stand_in_settings
     _stand_in_settings = _stand_in_settings or set()
 
 
@@ -50,8 +51,7 @@ def check_device(name: str, key: str) -> str:
     if count == 0 and _stand_in_settings is not None:
         if key not in _stand_in_settings:
             _stand_in_settings.add(key)
-            message = f"{key}={name}: torch sees no GPU on this machine; the CPU is used"
-            warnings.warn(message, stacklevel=2)
+            log.warning("%s=%s: torch sees no GPU on this machine; the CPU is used", key, name)
         return "cpu"
     if count == 0:
         raise DeviceError(f"{key}={name}: torch sees no GPU on this machine; use {key}=cpu")

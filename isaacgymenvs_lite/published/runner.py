@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from rl_games.torch_runner import Runner
@@ -18,7 +19,8 @@ def adapt_runner() -> None:
     """Let every Runner of this process begin with our agents, and learn where that is possible.
 
     What a script registers itself goes first. A train section is changed in three keys:
-    `device` and `device_name`, where the CPU stands in for a GPU, and `torch_compile`.
+    `device` and `device_name`, where the CPU stands in for a GPU, and `torch_compile`. Our log is
+    heard again: published configurations disable all loggers that there are when Hydra starts.
     """
     register_networks()
     Runner.__init__ = _init
@@ -28,6 +30,10 @@ def adapt_runner() -> None:
 def _init(self: Runner, *args: Any, **kwargs: Any) -> None:
     _original_init(self, *args, **kwargs)
     register_algorithms(self)
+    package = __name__.partition(".")[0]
+    for name, logger in logging.Logger.manager.loggerDict.items():
+        if name.startswith(package) and isinstance(logger, logging.Logger):
+            logger.disabled = False
 
 
 def _load_config(self: Runner, params: dict[str, Any]) -> None:

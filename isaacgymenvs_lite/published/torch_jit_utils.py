@@ -191,8 +191,8 @@ saturate = tensor_clamp
 
 
 def copysign(a: float, b: Tensor) -> Tensor:
-    """Return |a| with the signs of b (n,)."""
-    return torch.copysign(torch.full_like(b, abs(a)), b)
+    """Return |a| with the signs of b (n,), 0 for zero."""
+    return abs(a) * torch.sign(b)
 
 
 def quat_axis(q: Tensor, axis: int = 0) -> Tensor:
