@@ -221,12 +221,6 @@ def test_a_fork_s_train_script_works_with_our_files(fork: Path) -> None:
     assert list(fork.glob("runs/Cartpole_*/nn/*.pth"))
 
 
-def test_a_fork_s_train_script_says_that_there_is_no_pbt(fork: Path) -> None:
-    done = _train(fork, "task=Cartpole", "pbt.enabled=True")
-    assert done.returncode == 1
-    assert "initial_pbt_check: population-based training is not implemented" in done.stderr
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("gl")
 def test_a_fork_s_train_script_records_videos(fork: Path) -> None:

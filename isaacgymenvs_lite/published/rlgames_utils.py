@@ -150,7 +150,7 @@ class ComplexObsRLGPUEnv(RLGPUEnv):
 
     def gen_obs_space(self, obs_names: Sequence[str], concat: bool) -> gymnasium.Space:
         """Return the space of one input."""
-        chosen = {name: self._space_of(name) for name in obs_names}
+        chosen: dict[str, Any] = {name: self._space_of(name) for name in obs_names}
         if not concat:
             return gymnasium.spaces.Dict(chosen)
         size = sum(space.shape[0] for space in chosen.values())

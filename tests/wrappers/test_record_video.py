@@ -27,7 +27,7 @@ def _lengths(folder: Path) -> dict[str, int]:
 def _play(recorded: RecordVideo, num_steps: int) -> None:
     recorded.reset()
     for _ in range(num_steps):
-        recorded.step(torch.zeros(recorded.num_envs, recorded.num_actions))
+        recorded.step(torch.ones(recorded.num_envs, recorded.num_actions))
     recorded.close_video_recorder()
 
 
@@ -35,12 +35,12 @@ def test_steps_as_in_the_published_readme(make_cartpole: MakeTask, tmp_path: Pat
     env = make_cartpole()
     env.is_vector_env = True
     recorded = RecordVideo(
-        env, str(tmp_path / "videos"), step_trigger=lambda step: step % 6 == 0, video_length=4
+        env, str(tmp_path / "videos"), step_trigger=lambda step: step % 10 == 0, video_length=8
     )
-    _play(recorded, 8)
+    _play(recorded, 12)
     # The second one was cut short by the end.
-    assert _lengths(tmp_path / "videos") == {"rl-video-step-0": 4, "rl-video-step-6": 2}
-    assert_is_a_film(frames_of(tmp_path / "videos" / "rl-video-step-0.mp4")[0], 4)
+    assert _lengths(tmp_path / "videos") == {"rl-video-step-0": 8, "rl-video-step-10": 2}
+    assert_is_a_film(frames_of(tmp_path / "videos" / "rl-video-step-0.mp4")[0], 8)
 
 
 def test_episodes_of_environment_0(make_cartpole: MakeTask, tmp_path: Path) -> None:

@@ -415,7 +415,8 @@ def test_who_watches_is_told_to_show_and_a_window_is_no_picture(make_cart: MakeC
 
         def close(self) -> None: ...
 
-    cart, shown = make_cart(headless=False), Shown()
+    cart, shown = make_cart(), Shown()
+    cart.headless = False
     cart.watchers.append(shown)
     assert (cart.render(), cart.render(mode="human")) == (None, None)
     assert shown.shows == 2
