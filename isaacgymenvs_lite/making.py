@@ -95,14 +95,13 @@ def _with_checkout(cfg: DictConfig) -> DictConfig:
     if checkouts.KEY in cfg or not HydraConfig.initialized():
         return cfg
     runtime = HydraConfig.get().runtime
-    folders = [Path(source.path) for source in runtime.config_sources if source.provider == "main"]
-    for task_file in (
-        folder / "task" / f"{runtime.choices.get('task')}.yaml" for folder in folders
-    ):
-        if task_file.is_file():
-            cfg = cfg.copy()
-            with open_dict(cfg):
-                cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file.resolve()))
+    (folder,) = (source.path for source in runtime.config_sources if source.provider == "main")
+    task_file = Path(folder, "task", f"{runtime.choices.get('task')}.yaml").resolve()
+    if not task_file.is_file():
+        return cfg
+    cfg = cfg.copy()
+    with open_dict(cfg):
+        cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file))
     return cfg
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Required, TypedDict
+from typing import Any, TypedDict
 
 import gymnasium
 import numpy as np
@@ -92,9 +92,9 @@ class ObsSpec(TypedDict):
         space_name: under which rl_games finds its space: observation_space or state_space.
     """
 
-    names: Required[Sequence[str]]
-    concat: Required[bool]
-    space_name: Required[str]
+    names: Sequence[str]
+    concat: bool
+    space_name: str
 
 
 class ComplexObsRLGPUEnv(RLGPUEnv):

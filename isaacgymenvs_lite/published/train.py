@@ -6,8 +6,8 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite import train
 from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.train import main
 
 __all__ = ["launch_rlg_hydra", "preprocess_train_config"]
 
@@ -20,7 +20,7 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
             program with one line, as train.py does.
     """
     if cfg is None:
-        train.main()
+        main()
         return
     from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games
 

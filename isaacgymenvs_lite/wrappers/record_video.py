@@ -24,8 +24,8 @@ class RecordVideo:
     """A task that records videos of its environment 0; everything else is the task's.
 
     gym's wrapper of version 0.2x as scripts of IsaacGymEnvs use it, for what returns four values
-    from a step and batches of them. (gymnasium's own records `gymnasium.make_vec(...)`.) A step
-    copies the numbers of one environment; a thread draws and encodes them.
+    from a step and batches of them; gymnasium's own wants five. A step copies the numbers of one
+    environment; a thread draws and encodes them.
 
     Args:
         env: what `isaacgymenvs_lite.make` returns.

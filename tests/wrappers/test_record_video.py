@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.wrappers.record_video import RecordVideo
+from isaacgymenvs_lite.wrappers.record_video import RecordVideo, _at_cubes
 from tests.watching.conftest import assert_is_a_film, frames_of
 from tests.wrappers.conftest import MakeTask
 
@@ -66,6 +66,8 @@ def test_without_a_trigger_the_first_episodes_are_recorded(
 ) -> None:
     _play(RecordVideo(make_cartpole(), tmp_path), 3)
     assert _lengths(tmp_path) == {"rl-video-episode-0": 3}
+    numbers = [episode for episode in range(2500) if _at_cubes(episode)]
+    assert numbers == [*(n**3 for n in range(10)), 1000, 2000]
 
 
 def test_everything_else_is_the_task_s(make_cartpole: MakeTask, tmp_path: Path) -> None:
