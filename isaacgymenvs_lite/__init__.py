@@ -38,12 +38,13 @@ def make(
         seed: seeds Python, numpy and torch; -1 for a random seed.
         task: name of a task file in cfg/task.
         num_envs: number of environments; '' = the task file's own.
-        sim_device: physics device.
+        sim_device: where the physics is asked to run; it runs on the CPU, and the log says so.
         rl_device: torch device of what `step` and `reset` return.
         graphics_device_id: index of the rendering device.
         headless: no window; with False the program ends when its window is closed, or by ESC.
         multi_gpu: not supported yet.
-        virtual_screen_capture: not supported yet.
+        virtual_screen_capture: open no window, even with `headless=False`, for a script that takes
+            pictures: `render()` draws them, without a display.
         force_render: show every step in the window; False: only when `render` is called.
         cfg: a composed tree to use instead of composing one; task, num_envs and seed are then
             taken from it, and the class from `cfg.task.name`.
@@ -53,6 +54,8 @@ def make(
 
     Raises:
         ConfigError: an unknown task, key or value.
+        DeviceError: a misspelt device, or an `rl_device` that this machine does not have.
+        RenderingError: `virtual_screen_capture`, and this machine cannot draw.
         MotionFileError: a motion clip that cannot be used.
     """
     from isaacgymenvs_lite.making import make_task

@@ -3,8 +3,10 @@
     python -m isaacgymenvs_lite.alias SCRIPT [its arguments]
 
 For this one process, `isaacgymenvs` and everything below it mean this package; nothing is
-installed under that name. Scripts import `isaacgym` before torch, because Isaac Gym wanted that:
-here it is an empty module, whose first use says what to do instead; `isaacgym.torch_utils` is not.
+installed under that name. `import gym` means gymnasium where gym is not installed. Scripts import
+`isaacgym` before torch, because Isaac Gym wanted that: its names can be imported, and the first use
+of one says what to do instead; `isaacgym.torch_utils` works. On a machine without a GPU the CPU
+stands in for the one that a script names.
 """
 
 from __future__ import annotations
@@ -14,22 +16,39 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import logging
+import os
 import runpy
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
+
+from isaacgymenvs_lite.published.module_names import (
+    RENAMED,
+    absent_because,
+    stand_in_because,
+)
+from isaacgymenvs_lite.published.stand_ins import StandInModule
+from isaacgymenvs_lite.train import message_handler
 
 _OLD, _NEW = "isaacgymenvs", "isaacgymenvs_lite"
 _SIMULATOR = "isaacgym"
-# Modules that are called otherwise here.
-_RENAMED = {
-    f"utils.{name}": f"published.{name}"
-    for name in ("torch_jit_utils", "rlgames_utils", "reformat", "utils")
+_NO_SIMULATOR = (
+    "Isaac Gym's tensor API does not exist here; docs/migration.md says call by call what to use"
+    " instead"
+)
+_GYM = "gym"
+# Modules of other packages that are ours.
+_OTHERS = {
+    f"{_SIMULATOR}.torch_utils": f"{_NEW}.published.torch_jit_utils",
+    _GYM: f"{_NEW}.published.gym",
+    f"{_GYM}.wrappers": f"{_NEW}.published.gym_wrappers",
 }
-# The one module of the simulator's package that needs no simulator.
-_ROTATIONS = f"{_SIMULATOR}.torch_utils", "utils.torch_jit_utils"
+# Whose users make rl_games' Runner next.
+_RUNNER_USERS = "utils.rlgames_utils"
 EXIT_USER_ERROR = 2
 
 
@@ -39,30 +58,31 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a spec for names of the old package and of the simulator."""
+        """Return a spec for names of the old package, of the simulator, and of a missing gym."""
         del path, target
-        if fullname.partition(".")[0] not in (_OLD, _SIMULATOR):
+        root = fullname.partition(".")[0]
+        if root not in (_OLD, _SIMULATOR, _GYM):
+            return None
+        if root == _GYM and importlib.machinery.PathFinder.find_spec(_GYM) is not None:
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
         """Return the module that the name stands for."""
         root, _, rest = spec.name.partition(".")
-        if spec.name == _ROTATIONS[0]:
-            root, rest = _OLD, _ROTATIONS[1]
-        if root == _SIMULATOR:
-            return _NoSimulator(spec.name)
-        name = ".".join(part for part in (_NEW, _RENAMED.get(rest, rest)) if part)
-        try:
-            module = importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            if error.name != name:
-                raise
-            raise ModuleNotFoundError(
-                f"{spec.name}: {_NEW} has no module {name}; docs/migration.md names what"
-                " IsaacGymEnvs' modules became",
-                name=spec.name,
-            ) from None
+        if spec.name in _OTHERS:
+            name = _OTHERS[spec.name]
+        elif root == _SIMULATOR:
+            return StandInModule(spec.name, _NO_SIMULATOR)
+        elif root == _GYM:
+            name = f"gymnasium.{rest}"
+        elif (reason := stand_in_because(rest)) is not None:
+            return StandInModule(spec.name, reason)
+        else:
+            name = ".".join(part for part in (_NEW, RENAMED.get(rest, rest)) if part)
+        module = _import(name, spec.name, absent_because(rest))
+        if root == _OLD:
+            _prepare(rest)
         spec.loader_state = module.__spec__
         return module
 
@@ -73,18 +93,35 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             module.__spec__ = alias.loader_state
 
 
-class _NoSimulator(ModuleType):
-    """Stands for Isaac Gym, as far as to be imported."""
+def _import(name: str, alias: str, reason: str | None) -> ModuleType:
+    """Return the module `name`.
 
-    __path__: ClassVar[list[str]] = []
+    Raises:
+        ModuleNotFoundError: there is none; it says what is known of `alias`.
+    """
+    if reason is None:
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name != name:
+                raise
+            reason = f"{_NEW} has no module of this name"
+    raise ModuleNotFoundError(
+        f"{alias}: {reason}; docs/migration.md lists IsaacGymEnvs' modules and what they became",
+        name=alias,
+    ) from None
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise AttributeError(
-            f"{self.__name__}.{name}: Isaac Gym's tensor API does not exist here; docs/migration.md"
-            " says call by call what to use instead"
-        )
+
+def _prepare(module: str) -> None:
+    """Do what importing a published module does beside giving it."""
+    if module == "":
+        from isaacgymenvs_lite.config.resolvers import register_resolvers
+
+        register_resolvers()
+    elif module == _RUNNER_USERS:
+        from isaacgymenvs_lite.published.runner import adapt_runner
+
+        adapt_runner()
 
 
 def install() -> None:
@@ -108,7 +145,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.argv = [str(args.script), *args.arguments]
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
-    runpy.run_path(str(args.script), run_name="__main__")
+    _show_our_log()
+    # Read once, when torch is imported; see `train.main`.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    with _stand_in_for_a_gpu():
+        runpy.run_path(str(args.script), run_name="__main__")
+
+
+def _show_our_log() -> None:
+    """Let the log of this package be seen where a script sets up no logging."""
+    logging.getLogger(_NEW).setLevel(logging.INFO)
+    logging.lastResort = message_handler()
+
+
+def _stand_in_for_a_gpu() -> Any:
+    """Return a context in which the CPU is what a script means by cuda, if there is no GPU."""
+    import torch
+
+    from isaacgymenvs_lite.config.devices import let_the_cpu_stand_in
+    from isaacgymenvs_lite.published.cuda import CudaIsCpu
+
+    if torch.cuda.is_available():
+        return nullcontext()
+    let_the_cpu_stand_in()
+    return CudaIsCpu()
 
 
 if __name__ == "__main__":

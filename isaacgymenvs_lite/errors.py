@@ -39,6 +39,10 @@ class MissingPackageError(UserError, ImportError):
     """A package is not installed that an extra of this one brings along."""
 
 
+class UnavailableError(UserError, NotImplementedError):
+    """A published name can be imported, but what it does is not part of this version."""
+
+
 def suggest(given: str, choices: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
     near = difflib.get_close_matches(str(given), [str(choice) for choice in choices], n=1)

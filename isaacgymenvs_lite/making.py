@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import random
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from omegaconf import DictConfig, OmegaConf
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
 
+from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.deepmimic_package import is_package_name
+from isaacgymenvs_lite.motion.loader import resolve_motion_file, shipped_motions_dir
+from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.rendering.display import check_display
+from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.tasks import find_task
+from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.registry import TaskMaker
 from isaacgymenvs_lite.watching.window import Window
 
 
@@ -35,6 +46,8 @@ def make_task(
     cfg: DictConfig | None,
 ) -> VecTask:
     """Make a task; see `isaacgymenvs_lite.make`."""
+    check_device_name(sim_device, "sim_device")
+    rl_device = check_device(rl_device, "rl_device")
     if cfg is None:
         cfg = compose(
             [
@@ -49,10 +62,16 @@ def make_task(
                 f"force_render={force_render}",
             ]
         )
+    else:
+        cfg = _with_checkout(cfg)
     settings = check_config(cfg)
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    if not headless:
+    # What is captured is drawn without a display: Isaac Gym opened its window on a virtual one.
+    opens_window = not headless and not virtual_screen_capture
+    if opens_window:
         check_display()
+    if virtual_screen_capture:
+        ensure_gl()
     env = make_from_config(
         cfg,
         sim_device=sim_device,
@@ -62,10 +81,28 @@ def make_task(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
-    if not headless:
+    if opens_window:
         # As in Isaac Gym, the program ends with its window.
         env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
     return env
+
+
+def _with_checkout(cfg: DictConfig) -> DictConfig:
+    """Return a tree that a script's own Hydra composed, with the checkout of its task file.
+
+    A train.py of another project knows no such key, and its clips are in its own folders.
+    """
+    if checkouts.KEY in cfg or not HydraConfig.initialized():
+        return cfg
+    runtime = HydraConfig.get().runtime
+    (folder,) = (source.path for source in runtime.config_sources if source.provider == "main")
+    task_file = Path(folder, "task", f"{runtime.choices.get('task')}.yaml").resolve()
+    if not task_file.is_file():
+        return cfg
+    cfg = cfg.copy()
+    with open_dict(cfg):
+        cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file))
+    return cfg
 
 
 def make_from_config(
@@ -85,7 +122,10 @@ def make_from_config(
         MotionFileError: a motion clip that cannot be used.
     """
     task_cfg: Any = OmegaConf.to_container(cfg.task, resolve=True)
-    return find_task(str(task_cfg["name"]))(
+    maker = find_task(str(task_cfg["name"]))
+    if checkout := cfg.get(checkouts.KEY):
+        _find_files(task_cfg["env"], Path(checkout).expanduser().absolute(), maker)
+    return maker(
         cfg=task_cfg,
         rl_device=rl_device,
         sim_device=sim_device,
@@ -93,6 +133,46 @@ def make_from_config(
         headless=headless,
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
+    )
+
+
+def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
+    """Replace the clip and the model that `task.env` names by where they are, in place.
+
+    The working folder goes first, then the checkout that the task file belongs to, then what comes
+    with this project.
+
+    Raises:
+        MotionFileError: there is no such clip; says where was looked.
+        ConfigError: there is no such model, either.
+    """
+    clip = env.get("motion_file")
+    if isinstance(clip, str) and clip and not is_package_name(clip):
+        folders = [Path(), *checkouts.clip_folders(checkout, clip), shipped_motions_dir()]
+        env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
+    asset = env.get("asset")
+    if isinstance(asset, dict) and isinstance(asset.get("assetFileName"), str):
+        folder = _folder_of_model(asset, checkout, getattr(maker, "published_assets", ()))
+        if folder is not None:
+            asset["assetRoot"] = str(folder)
+
+
+def _folder_of_model(
+    asset: dict[str, Any], checkout: Path, published: Collection[str]
+) -> Path | None:
+    """Return where in a checkout a model lies that is none of this project's, None for those."""
+    name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
+    ours = not name or (assets_dir() / name).is_file() or name in published
+    if ours or (Path(root) / name).is_file():
+        return None
+    folders = [] if ".." in Path(name).parts else checkouts.model_folders(checkout, root)
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder
+    looked = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
+    raise ConfigError(
+        f"task.env.asset.assetFileName='{name}': no such file in {looked}; shipped:"
+        f" {shipped_assets()}"
     )
 
 

@@ -71,12 +71,22 @@ _ENV_NAME = "rlgpu"
 
 def register(runner: Runner) -> None:
     """Add all our algorithms, players, models, networks and tasks to a rl_games Runner."""
-    checkpoints.install()
-    if _ENV_NAME not in env_configurations.configurations:
-        register_env()
+    register_networks()
+    register_algorithms(runner)
+
+
+def register_algorithms(runner: Runner) -> None:
+    """Add our algorithms and players to a rl_games Runner, in the place of its own of that name."""
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, _builder_of(agent))
         runner.player_factory.register_builder(name, _builder_of(player))
+
+
+def register_networks() -> None:
+    """Make our models and networks, checkpoints and tasks known to rl_games, for all Runners."""
+    checkpoints.install()
+    if _ENV_NAME not in env_configurations.configurations:
+        register_env()
     for name, model in _MODELS.items():
         model_builder.register_model(name, model)
     for name, network in _NETWORKS.items():

@@ -46,9 +46,14 @@ def main() -> None:
 
 def configure_logging() -> None:
     """Send the log to stderr, messages only, without breaking a progress bar."""
+    logging.basicConfig(level=logging.INFO, handlers=[message_handler()], force=True)
+
+
+def message_handler() -> logging.Handler:
+    """Return what writes a log as this command line does."""
     handler = _ProgressBarHandler()
     handler.setFormatter(_MessageFormatter())
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    return handler
 
 
 def _run_hydra() -> None:

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.paths import cfg_dir
 
 SCRIPT = """\
 import isaacgym
@@ -34,7 +41,9 @@ def _run(tmp_path: Path, script: str, *arguments: str) -> subprocess.CompletedPr
     (tmp_path / "script.py").write_text(script)
     (tmp_path / "neighbour.py").write_text("VALUE = 5\n")
     command = [sys.executable, "-m", "isaacgymenvs_lite.alias", str(tmp_path / "script.py")]
-    return subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
 
 
 def test_a_script_of_isaacgymenvs_runs_unchanged(tmp_path: Path) -> None:
@@ -51,10 +60,10 @@ def test_the_simulators_own_calls_say_what_to_do(tmp_path: Path) -> None:
 
 
 def test_modules_that_do_not_exist_are_named(tmp_path: Path) -> None:
-    done = _run(tmp_path, "import isaacgymenvs.tasks.factory\n")
+    done = _run(tmp_path, "import isaacgymenvs.tasks.my_own\n")
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert "isaacgymenvs_lite has no module isaacgymenvs_lite.tasks.factory" in last
+    assert "isaacgymenvs.tasks.my_own: isaacgymenvs_lite has no module of this name" in last
 
 
 def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
@@ -63,3 +72,191 @@ def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert "lost.py: no such file" in done.stderr
+
+
+IMPORTS = """\
+import isaacgym
+from isaacgym import gymapi, gymtorch, gymutil
+from isaacgym.torch_utils import *
+import isaacgymenvs
+from omegaconf import OmegaConf
+texts = ["${if:${contains:X,ax},1,2}", "${resolve_default:3,}", "${eq:a,A}"]
+assert OmegaConf.to_container(OmegaConf.create(texts), resolve=True) == [1, 3, True]
+from isaacgymenvs.tasks.humanoid_amp import HumanoidAMP, build_amp_observations
+from isaacgymenvs.tasks.amp.humanoid_amp_base import NUM_OBS, DOF_BODY_IDS, DOF_OFFSETS
+from isaacgymenvs.tasks.amp.utils_amp.motion_lib import MotionLib
+from isaacgymenvs.tasks.amp.utils_amp.amp_torch_utils import exp_map_to_quat
+from isaacgymenvs.train import launch_rlg_hydra
+import gym.spaces
+from gym import spaces
+import gymnasium
+assert spaces is gymnasium.spaces and gym.Env is gymnasium.Env
+import isaacgymenvs.tasks.amp.humanoid_amp as own
+assert own.HumanoidAMP is HumanoidAMP
+skeleton = MotionLib("walk", 28, [5, 8, 11, 14], "cpu").skeleton
+assert (DOF_BODY_IDS, DOF_OFFSETS) == (list(skeleton.dof_body_ids), list(skeleton.dof_offsets))
+from isaacgymenvs.pbt.launcher.run_description import RunDescription
+from isaacgymenvs.pbt.pbt import PbtAlgoObserver
+class Own(PbtAlgoObserver): pass
+Own(None)
+"""
+
+
+def test_what_scripts_import_is_there_and_pbt_says_what_to_do_when_it_is_used(tmp_path) -> None:
+    done = _run(tmp_path, IMPORTS)
+    last = done.stderr.strip().splitlines()[-1]
+    assert "isaacgymenvs.pbt.pbt.PbtAlgoObserver: population-based training is not" in last
+    assert "set pbt.enabled=False" in last
+
+
+# --- a fork's train.py ------------------------------------------------------------------------
+
+TASK = """\
+name: {task}
+physics_engine: ${{..physics_engine}}
+env: {{numEnvs: "${{resolve_default:4096,${{...num_envs}}}}", envSpacing: 5, {env}}}
+sim:
+  dt: 0.0166
+  substeps: 2
+  up_axis: "z"
+  use_gpu_pipeline: ${{eq:${{...pipeline}},"gpu"}}
+  gravity: [0.0, 0.0, -9.81]
+  physx: {{num_threads: "${{....num_threads}}", use_gpu: "${{contains:cuda,${{....sim_device}}}}"}}
+task: {{randomize: False}}
+"""
+# What differs from our files: everything is asked onto a GPU, and nothing is known of our keys.
+CONFIG = """\
+task_name: ${task.name}
+experiment: ''
+num_envs: ''
+seed: 42
+torch_deterministic: False
+max_iterations: ''
+physics_engine: 'physx'
+pipeline: 'gpu'
+sim_device: 'cuda:0'
+rl_device: 'cuda:0'
+graphics_device_id: 0
+num_threads: 2
+solver_type: 1
+num_subscenes: 4
+test: False
+checkpoint: ''
+sigma: ''
+multi_gpu: False
+wandb_activate: False
+wandb_name: ${train.params.config.name}
+capture_video: False
+capture_video_freq: 1464
+capture_video_len: 100
+force_render: True
+headless: False
+a_key_of_the_fork: 1
+defaults: [{task: Ant}, {train: "${task}PPO"}, {hydra/job_logging: disabled}, {pbt: no_pbt}]
+hydra: {output_subdir: null, run: {dir: .}}
+"""
+ENVS = {
+    "Cartpole": "resetDist: 3.0, maxEffort: 400.0, asset: {assetFileName: urdf/cartpole.urdf}",
+    "Ant": "episodeLength: 1000, clipActions: 1.0, asset: {assetFileName: mjcf/nv_ant.xml}",
+    "HumanoidAMP": "episodeLength: 300, motion_file: theirs.npz, numAMPObsSteps: 2",
+}
+SMALL_AMP = [
+    "train.params.config.amp_batch_size=32",
+    "train.params.config.amp_minibatch_size=16",
+    "train.params.config.amp_obs_demo_buffer_size=64",
+    "train.params.config.amp_replay_buffer_size=64",
+    "train.params.network.mlp.units=[16]",
+    "train.params.network.disc.units=[16]",
+]
+
+
+@pytest.fixture
+def fork(tmp_path: Path, walk_clip: Path) -> Path:
+    """Return a checkout's package: isaacgymenvs/train.py with a cfg/ of its own, and assets/."""
+    package = tmp_path / "isaacgymenvs"
+    for group in ("task", "train", "pbt"):
+        (package / "cfg" / group).mkdir(parents=True)
+    (package / "cfg" / "config.yaml").write_text(CONFIG)
+    (package / "cfg" / "pbt" / "no_pbt.yaml").write_text("enabled: False\n")
+    for task, env in ENVS.items():
+        (package / "cfg" / "task" / f"{task}.yaml").write_text(TASK.format(task=task, env=env))
+    for name in ("AntPPO", "CartpolePPO", "ClassicPPO", "HumanoidAMPPPO"):
+        shutil.copy(cfg_dir() / "train" / f"{name}.yaml", package / "cfg" / "train")
+    (tmp_path / "assets" / "amp" / "motions").mkdir(parents=True)
+    shutil.copy(walk_clip, tmp_path / "assets" / "amp" / "motions" / "theirs.npz")
+    shutil.copy(Path(__file__).with_name("fork_train.py"), package / "train.py")
+    return package
+
+
+def _train(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", "train.py", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+
+
+@pytest.mark.parametrize("task", sorted(ENVS))
+def test_a_fork_s_train_script_trains_and_plays_without_an_edit(task: str, fork: Path) -> None:
+    sizes = ["num_envs=8", "headless=True", "train.params.config.minibatch_size=64"]
+    words = [f"task={task}", *sizes, *(SMALL_AMP if task == "HumanoidAMP" else [])]
+    trained = _train(fork, *words, "max_iterations=1")
+    assert trained.returncode == 0, trained.stderr
+    assert "MAX EPOCHS NUM" in trained.stdout
+    assert "torch.compile: Disabled" in trained.stdout or torch.cuda.is_available()
+    if not torch.cuda.is_available():
+        said = "warning: rl_device=cuda:0: torch sees no GPU on this machine; the CPU is used"
+        assert trained.stderr.splitlines().count(said) == 1
+    (checkpoint,) = fork.glob(f"runs/{task}_*/nn/*.pth")
+    if task != "Cartpole":  # one play is enough
+        return
+    played = _train(fork, *words, "test=True", f"checkpoint={checkpoint}")
+    assert played.returncode == 0, played.stderr
+    assert re.search(r"played \d+ episodes; reward", played.stderr)
+
+
+def test_a_fork_s_train_script_works_with_our_files(fork: Path) -> None:
+    shutil.rmtree(fork / "cfg")
+    shutil.copytree(cfg_dir(), fork / "cfg")
+    sizes = ["num_envs=8", "train.params.config.minibatch_size=64", "rl_device=cpu"]
+    done = _train(fork, "task=Cartpole", *sizes, "max_iterations=1")
+    assert done.returncode == 0, done.stderr
+    assert list(fork.glob("runs/Cartpole_*/nn/*.pth"))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("gl")
+def test_a_fork_s_train_script_records_videos(fork: Path) -> None:
+    sizes = ["num_envs=8", "train.params.config.minibatch_size=64", "max_iterations=1"]
+    videos = ["capture_video=True", "capture_video_freq=50", "capture_video_len=3"]
+    # headless=False of the file: what is captured needs no display.
+    done = _train(fork, "task=Cartpole", *sizes, *videos)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in fork.glob("videos/*/*")] == ["rl-video-step-0.mp4"]
+
+
+README = """\
+import gym
+import isaacgym
+import isaacgymenvs
+import torch
+
+envs = isaacgymenvs.make(
+    seed=0, task="Ant", num_envs=4, sim_device="cuda:0", rl_device="cuda:0",
+    graphics_device_id=0, headless=False, multi_gpu=False, virtual_screen_capture=True,
+    force_render=False,
+)
+envs.is_vector_env = True
+envs = gym.wrappers.RecordVideo(
+    envs, "./videos", step_trigger=lambda step: step % 10000 == 0, video_length=3
+)
+envs.reset()
+print(envs.render(mode="rgb_array").shape)
+for _ in range(3):
+    envs.step(2.0 * torch.rand((4,) + envs.action_space.shape, device="cuda:0") - 1.0)
+"""
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_script_that_records_on_a_gpu_runs_on_any_machine(tmp_path: Path) -> None:
+    done = _run(tmp_path, README)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "(480, 640, 3)"
+    assert (tmp_path / "videos" / "rl-video-step-0.mp4").stat().st_size > 0

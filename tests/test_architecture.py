@@ -30,9 +30,19 @@ FORBIDDEN = {
     "report": {"tasks", "learning", "simulation", "motion", "runner", "registration"},
     "checkpoints": {"tasks", "learning", "simulation", "runner", "registration"},
 }
-# Nobody imports those that stand above: demo, export, workflows, train.py, check -> runner ->
-# registration -> rooms.
-ABOVE = ("demo", "export", "workflows", "train", "check", "runner", "registration")
+# Nobody imports those that stand above: demo, export, workflows, alias -> published -> train.py,
+# check -> runner -> registration -> rooms.
+ABOVE = (
+    "demo",
+    "export",
+    "workflows",
+    "alias",
+    "published",
+    "train",
+    "check",
+    "runner",
+    "registration",
+)
 
 
 @cache

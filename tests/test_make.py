@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from omegaconf import DictConfig
@@ -98,6 +99,18 @@ def test_positions(make, monkeypatch) -> None:
     assert task.graphics_device_id == 0
 
 
+def test_what_is_captured_needs_no_display(gl, make, monkeypatch) -> None:
+    def check_display() -> None:
+        raise AssertionError("a window was wanted")
+
+    monkeypatch.setattr(making, "check_display", check_display)
+    task = make(task="Cartpole", num_envs=2, headless=False, virtual_screen_capture=True)
+    assert task.watchers == []
+    task.reset()
+    picture = task.render(mode="rgb_array")
+    assert (picture.shape, picture.dtype) == ((480, 640, 3), np.uint8)
+
+
 def _course(task: VecTask) -> bytes:
     first = task.reset_done()[0]["obs"]
     actions = 0.1 * torch.randn(task.num_envs, 28)
@@ -130,10 +143,20 @@ def test_no_environments(num_envs: int) -> None:
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
-@pytest.mark.parametrize("argument", ["rl_device", "sim_device"])
-def test_a_gpu_that_is_not_there(make, argument: str) -> None:
-    with pytest.raises(DeviceError, match=rf"{argument}.*cuda:0"):
-        make(num_envs=2, **{argument: "cuda:0"})
+def test_learning_on_a_gpu_that_is_not_there_says_how_to_go_on(make) -> None:
+    for arguments in ({"num_envs": 2}, {"cfg": _tree("rl_device=cpu")}):
+        with pytest.raises(DeviceError, match=r"rl_device=cuda:0: .*; use rl_device=cpu$"):
+            make(rl_device="cuda:0", sim_device="cuda:0", **arguments)
+
+
+def test_physics_asked_onto_a_gpu_runs_on_the_cpu_and_says_so(make, caplog) -> None:
+    caplog.set_level(logging.INFO)
+    task = make(num_envs=2, sim_device="cuda:0")
+    assert task.device.type == "cpu"
+    (said,) = (message for message in caplog.messages if "sim_device" in message)
+    assert "physics runs on the CPU" in said
+    with pytest.raises(DeviceError, match="sim_device=gpu: expected cpu, cuda or cuda:N"):
+        make(num_envs=2, sim_device="gpu")
 
 
 def test_multi_gpu_is_refused() -> None:

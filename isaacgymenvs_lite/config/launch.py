@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from isaacgymenvs_lite.config.devices import check_device
+from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.explain import explain_interpolation
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.optional_packages import require
@@ -25,6 +25,8 @@ class LaunchSettings:
 
     task_name: str = setting()
     """Class of the task."""
+    task_checkout: str = setting("")
+    """Folder of the project that a task file named by its path belongs to."""
     experiment: str = setting("")
     """Name of the run; '' leaves the train file's."""
     test: bool = setting(False)
@@ -105,7 +107,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 
     Raises:
         ConfigError: a key is missing, unknown or has a wrong value, or asks for a lacking feature.
-        DeviceError: a device does not exist on this machine.
+        DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
     _check_sections(cfg)
     postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
@@ -121,13 +123,13 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
             " checkpoint=, or remove it (training draws latents at random)"
         )
-    check_device(settings.sim_device, "sim_device")
-    if not postponed:
-        check_device(settings.rl_device, "rl_device")
+    # The physics runs on the CPU wherever it is asked to run; the task says so in the log.
+    check_device_name(settings.sim_device, "sim_device")
+    rl_device = None if postponed else check_device(settings.rl_device, "rl_device")
     tree = _resolve_tree(cfg)
     env = tree["task"]["env"] or {}
     read_section(_EnvSize, env, where="task.env", ignored=set(env) - {"numEnvs"})
-    return dataclasses.replace(settings, rl_device=str(tree["rl_device"]))
+    return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
 
 
 def _check_sections(cfg: DictConfig) -> None:

@@ -107,7 +107,7 @@ def prepare_train_params(
     recurrent = "rnn" in params["network"]
     _translate_former_keys(config, recurrent)
     _check_ppo_keys(config, names.config_keys)
-    config["torch_compile"] = _torch_compile(config.get("torch_compile"), algo, device)
+    config["torch_compile"] = torch_compile(config.get("torch_compile"), algo, device)
     _fit_minibatches(config, num_envs, num_agents, recurrent)
     return params
 
@@ -227,8 +227,14 @@ def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) 
     return settings
 
 
-def _torch_compile(asked: Any, algo: str, device: str) -> Any:
-    """Return the value of torch_compile: rl_games compiles unless told not to."""
+def torch_compile(asked: Any, algo: str, device: str) -> Any:
+    """Return the value of `config.torch_compile`: rl_games compiles unless told not to.
+
+    Args:
+        asked: what the train file says, None if it says nothing.
+        algo: name of the algorithm.
+        device: of the agent.
+    """
     if algo in _DOUBLE_BACKWARD:
         if asked:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")

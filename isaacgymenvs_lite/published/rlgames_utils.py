@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypedDict
 
+import gymnasium
+import numpy as np
+import torch
 from omegaconf import OmegaConf
+from torch import Tensor
 
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.observers import MultiObserver
@@ -16,6 +20,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 __all__ = [
+    "ComplexObsRLGPUEnv",
     "MultiObserver",
     "RLGPUAlgoObserver",
     "RLGPUEnv",
@@ -76,3 +81,84 @@ def get_rlgames_env_creator(
         return env
 
     return create_rlgpu_env
+
+
+class ObsSpec(TypedDict):
+    """What an agent is given as one of its inputs.
+
+    Attributes:
+        names: of the task's observations, in their order.
+        concat: one tensor (N, sum of D) of them, in the place of a dictionary.
+        space_name: under which rl_games finds its space: observation_space or state_space.
+    """
+
+    names: Sequence[str]
+    concat: bool
+    space_name: str
+
+
+class ComplexObsRLGPUEnv(RLGPUEnv):
+    """`RLGPUEnv` for networks with several inputs, of a task that observes several things.
+
+    Args:
+        config_name: name of the environment in rl_games' configurations, `rlgpu`.
+        num_actors: rl_games' number of environments; the task's own counts.
+        obs_spec: `obs`, and `states` for an asymmetric critic.
+        kwargs: for the creator.
+    """
+
+    def __init__(
+        self, config_name: str, num_actors: int, obs_spec: Mapping[str, ObsSpec], **kwargs: Any
+    ) -> None:
+        super().__init__(config_name, num_actors, **kwargs)
+        self.obs_spec = obs_spec
+
+    def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        """Advance by one control step; see `RLGPUEnv.step`."""
+        obs, rewards, dones, infos = super().step(actions)
+        return self._generate_obs(obs), rewards, dones, infos
+
+    def reset(self) -> dict[str, Any]:
+        """See `VecTask.reset`."""
+        return self._generate_obs(super().reset())
+
+    def reset_done(self) -> tuple[dict[str, Any], Tensor]:
+        """See `VecTask.reset_done`."""
+        obs, env_ids = super().reset_done()
+        return self._generate_obs(obs), env_ids
+
+    def get_env_info(self) -> dict[str, Any]:
+        """Return the spaces of the action and of each input."""
+        spaces = {
+            spec["space_name"]: self.gen_obs_space(spec["names"], spec["concat"])
+            for spec in self.obs_spec.values()
+        }
+        return {**super().get_env_info(), **spaces}
+
+    def _generate_obs(self, env_obs: Mapping[str, Tensor]) -> dict[str, Any]:
+        return {
+            name: self.gen_obs_dict(env_obs, spec["names"], spec["concat"])
+            for name, spec in self.obs_spec.items()
+        }
+
+    def gen_obs_dict(
+        self, obs_dict: Mapping[str, Tensor], obs_names: Sequence[str], concat: bool
+    ) -> Tensor | dict[str, Tensor]:
+        """Return the named observations (N, D) of a task as one input."""
+        chosen = {name: obs_dict[name] for name in obs_names}
+        return torch.cat(list(chosen.values()), dim=1) if concat else chosen
+
+    def gen_obs_space(self, obs_names: Sequence[str], concat: bool) -> gymnasium.Space:
+        """Return the space of one input."""
+        chosen: dict[str, Any] = {name: self._space_of(name) for name in obs_names}
+        if not concat:
+            return gymnasium.spaces.Dict(chosen)
+        size = sum(space.shape[0] for space in chosen.values())
+        return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+    def _space_of(self, name: str) -> gymnasium.spaces.Box:
+        """Return the space (D,) of an observation, of a task that may have just two: plain ones."""
+        space: Any = self.env.observation_space
+        if isinstance(space, gymnasium.spaces.Dict):
+            return space[name]  # type: ignore[return-value]
+        return self.env.state_space if name == "states" else space

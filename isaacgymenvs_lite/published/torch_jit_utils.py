@@ -1,20 +1,28 @@
 """The names of IsaacGymEnvs' `utils.torch_jit_utils`, and of `isaacgym.torch_utils`.
 
-Quaternions are xyzw. Rotations are those of `utils.rotations`; nothing is compiled.
+Quaternions are xyzw, but for `quaternion_to_matrix` and `matrix_to_quaternion`, whose real part
+comes first. Rotations are those of `utils.rotations`; nothing is compiled.
 """
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.utils.rotations import (
+    angle_axis_to_exp_map,
     calc_heading,
     calc_heading_quat,
     calc_heading_quat_inv,
+    euler_xyz_to_exp_map,
     exp_map_to_angle_axis,
     exp_map_to_quat,
     get_euler_xyz,
+    matrix_to_quat,
     normalize,
     normalize_angle,
     quat_apply,
@@ -27,25 +35,33 @@ from isaacgymenvs_lite.utils.rotations import (
     quat_rotate_inverse,
     quat_to_angle_axis,
     quat_to_exp_map,
+    quat_to_matrix,
     quat_to_tan_norm,
     quat_unit,
     slerp,
+    wxyz_from_xyzw,
+    xyzw_from_wxyz,
 )
 from isaacgymenvs_lite.utils.scaling import scale, unscale
 
 __all__ = [
+    "angle_axis_to_exp_map",
     "calc_heading",
     "calc_heading_quat",
     "calc_heading_quat_inv",
     "compute_heading_and_up",
     "compute_rot",
     "copysign",
+    "euler_xyz_to_exp_map",
     "exp_map_to_angle_axis",
     "exp_map_to_quat",
     "get_axis_params",
     "get_basis_vector",
     "get_euler_xyz",
+    "local_to_world_space",
+    "matrix_to_quaternion",
     "my_quat_rotate",
+    "normalise_quat_in_pose",
     "normalize",
     "normalize_angle",
     "quat_apply",
@@ -61,22 +77,76 @@ __all__ = [
     "quat_to_exp_map",
     "quat_to_tan_norm",
     "quat_unit",
+    "quaternion_to_matrix",
     "saturate",
     "scale",
     "scale_transform",
     "slerp",
     "tensor_clamp",
+    "tf_apply",
+    "tf_combine",
+    "tf_inverse",
+    "tf_vector",
     "to_torch",
     "torch_rand_float",
     "torch_random_dir_2",
     "unscale",
+    "unscale_np",
     "unscale_transform",
 ]
+
+_Array = TypeVar("_Array", Tensor, npt.NDArray[np.floating])
 
 my_quat_rotate = quat_rotate
 get_basis_vector = quat_rotate
 scale_transform = unscale
 unscale_transform = scale
+tf_vector = quat_apply
+
+
+def unscale_np(x: _Array, lower: _Array, upper: _Array) -> _Array:
+    """Return values (..., D) of numpy with lower (D,) as -1 and upper (D,) as 1."""
+    return (2.0 * x - upper - lower) / (upper - lower)
+
+
+def tf_inverse(q: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the inverses of transforms: rotations q (..., 4), then translations t (..., 3)."""
+    q_inv = quat_conjugate(q)
+    return q_inv, -quat_apply(q_inv, t)
+
+
+def tf_apply(q: Tensor, t: Tensor, v: Tensor) -> Tensor:
+    """Return points v (..., 3), rotated by q (..., 4) and moved by t (..., 3)."""
+    return quat_apply(q, v) + t
+
+
+def tf_combine(q1: Tensor, t1: Tensor, q2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
+    """Return rotations (..., 4) and translations (..., 3) of transform 2 followed by 1."""
+    return quat_mul(q1, q2), tf_apply(q1, t1, t2)
+
+
+def local_to_world_space(pos_offset_local: Tensor, pose_global: Tensor) -> Tensor:
+    """Return points (n, 3) m of the frames of poses (n, 7), position and rotation, in the world."""
+    return tf_apply(pose_global[:, 3:7], pose_global[:, :3], pos_offset_local)
+
+
+def normalise_quat_in_pose(pose: Tensor) -> Tensor:
+    """Return poses (n, 7) with rotations of unit length; there the argument is changed, too."""
+    return torch.cat((pose[:, :3], quat_unit(pose[:, 3:7])), dim=-1)
+
+
+def quaternion_to_matrix(quaternions: Tensor) -> Tensor:
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4), real part first."""
+    return quat_to_matrix(xyzw_from_wxyz(quaternions))
+
+
+def matrix_to_quaternion(matrix: Tensor) -> Tensor:
+    """Return the quaternions (..., 4), real part first, of rotation matrices (..., 3, 3).
+
+    Raises:
+        ValueError: the last two dimensions are not 3 and 3.
+    """
+    return wxyz_from_xyzw(matrix_to_quat(matrix))
 
 
 def to_torch(
@@ -121,8 +191,8 @@ saturate = tensor_clamp
 
 
 def copysign(a: float, b: Tensor) -> Tensor:
-    """Return |a| with the signs of b (n,)."""
-    return torch.copysign(torch.full_like(b, abs(a)), b)
+    """Return |a| with the signs of b (n,), 0 for zero."""
+    return abs(a) * torch.sign(b)
 
 
 def quat_axis(q: Tensor, axis: int = 0) -> Tensor:

@@ -148,6 +148,11 @@ def quat_to_exp_map(q: Tensor) -> Tensor:
     return q[..., :3] * scale.masked_fill(sin_half <= _SMALL_ANGLE_RAD, 0.0)
 
 
+def angle_axis_to_exp_map(angle: Tensor, axis: Tensor) -> Tensor:
+    """Return the rotation vectors (..., 3) of angles (...) rad about unit axes (..., 3)."""
+    return angle.unsqueeze(-1) * axis
+
+
 def quat_log(q: Tensor) -> Tensor:
     """Return the rotation vectors (..., 3) of quaternions (..., 4), exact for small rotations too.
 
@@ -316,3 +321,52 @@ def quat_diff_rad(a: Tensor, b: Tensor) -> Tensor:
     """Return the angle (...) in rad between rotations a and b (..., 4)."""
     difference = quat_mul(a, quat_conjugate(b))
     return 2.0 * torch.asin(difference[..., :3].norm(dim=-1).clamp(max=1.0))
+
+
+def euler_xyz_to_exp_map(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Return the rotation vectors (..., 3) of the rotations Rz(yaw) Ry(pitch) Rx(roll)."""
+    return quat_to_exp_map(quat_from_euler_xyz(roll, pitch, yaw))
+
+
+def quat_to_matrix(q: Tensor) -> Tensor:
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any length but zero.
+
+    Column i is the image of axis i.
+    """
+    x, y, z, w = q.unbind(-1)
+    # What makes a unit quaternion of it, once for each of the two factors of a product.
+    x2, y2, z2 = (2.0 * part / (q * q).sum(-1) for part in (x, y, z))
+    rows = (
+        (1.0 - y * y2 - z * z2, x * y2 - w * z2, x * z2 + w * y2),
+        (x * y2 + w * z2, 1.0 - x * x2 - z * z2, y * z2 - w * x2),
+        (x * z2 - w * y2, y * z2 + w * x2, 1.0 - x * x2 - y * y2),
+    )
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def matrix_to_quat(matrix: Tensor) -> Tensor:
+    """Return the quaternions (..., 4) of rotation matrices (..., 3, 3).
+
+    Of q and -q the one whose largest component is positive. That component comes from the
+    diagonal and the others by division through it (Shepperd 1978), so that no small number is
+    divided by.
+
+    Raises:
+        ValueError: the last two dimensions are not 3 and 3.
+    """
+    if matrix.shape[-2:] != (3, 3):
+        raise ValueError(
+            f"rotation matrices: got shape {tuple(matrix.shape)}, expected (..., 3, 3)"
+        )
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))
+    # Four times q q^T: its rows are multiples of q, and the largest on the diagonal is the safest.
+    products = (
+        (1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
+        (xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx),
+        (xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy),
+        (zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz),
+    )
+    table = torch.stack([torch.stack(row, dim=-1) for row in products], dim=-2)
+    largest = table.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    places = largest[..., None, None].expand(*largest.shape, 1, 4)
+    return quat_unit(table.gather(-2, places).squeeze(-2))

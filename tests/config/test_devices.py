@@ -1,7 +1,8 @@
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.devices import check_device
+from isaacgymenvs_lite.config import devices
+from isaacgymenvs_lite.config.devices import check_device, check_device_name, let_the_cpu_stand_in
 from isaacgymenvs_lite.errors import DeviceError
 
 
@@ -13,7 +14,7 @@ def two_gpus(monkeypatch):
 
 @pytest.mark.parametrize("name", ["cpu", "cuda", "cuda:0", "cuda:1"])
 def test_existing_devices(two_gpus, name):
-    check_device(name, "rl_device")
+    assert check_device(name, "rl_device") == name
 
 
 def test_index_beyond_the_last_gpu_lists_the_devices(two_gpus):
@@ -27,3 +28,21 @@ def test_index_beyond_the_last_gpu_lists_the_devices(two_gpus):
 def test_misspelt_devices(two_gpus, name):
     with pytest.raises(DeviceError, match="expected cpu, cuda or cuda:N"):
         check_device(name, "sim_device")
+
+
+def test_names_are_read_without_looking_at_the_machine():
+    indices = {name: check_device_name(name, "sim_device") for name in ("cpu", "cuda", "cuda:7")}
+    assert indices == {"cpu": None, "cuda": 0, "cuda:7": 7}
+
+
+def test_the_cpu_stands_in_where_it_was_asked_to(monkeypatch, caplog):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(devices, "_stand_in_settings", None)
+    with pytest.raises(DeviceError, match="torch sees no GPU on this machine; use rl_device=cpu"):
+        check_device("cuda:0", "rl_device")
+    let_the_cpu_stand_in()
+    assert [check_device("cuda:0", "rl_device") for _ in range(3)] == ["cpu"] * 3
+    expected = "rl_device=cuda:0: torch sees no GPU on this machine; the CPU is used"
+    assert caplog.messages == [expected]
+    with pytest.raises(DeviceError, match="expected cpu, cuda or cuda:N"):
+        check_device("gpu", "rl_device")

@@ -92,10 +92,14 @@ def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch, o
 
 def test_devices_of_a_machine_without_a_gpu(no_gpu):
     for key in ("sim_device", "rl_device"):
-        assert "torch sees no GPU" in message(f"{key}=cuda:0")
         assert f"{key}=gpu: expected cpu, cuda or cuda:N" in message(f"{key}=gpu")
+    assert "torch sees no GPU" in message("rl_device=cuda:0")
     with pytest.raises(DeviceError):
         check_config(compose(["rl_device=cuda"]))
+
+
+def test_the_physics_is_asked_onto_a_gpu_on_any_machine(no_gpu):
+    assert check_config(compose(["sim_device=cuda:0", "pipeline=gpu"])).sim_device == "cuda:0"
 
 
 def test_default_rl_device_is_the_gpu_if_there_is_one(monkeypatch):

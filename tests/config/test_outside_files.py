@@ -79,3 +79,56 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
 def test_an_unknown_key_of_such_a_tree_lists_the_keys(published: Path) -> None:
     with pytest.raises(ConfigError, match=r"unknown key 'train.params.config.lerning_rate'"):
         compose(["task=Ant", f"train={published}", "train.params.config.lerning_rate=1"])
+
+
+def _fork(tmp_path: Path, **train: str) -> Path:
+    """Return the task file of a fork of IsaacGymEnvs, with train files beside it."""
+    root = tmp_path / "fork"
+    for folder in ("assets/amp/motions", "isaacgymenvs/cfg/task", "isaacgymenvs/cfg/train"):
+        (root / folder).mkdir(parents=True)
+    for name, text in train.items():
+        (root / "isaacgymenvs/cfg/train" / f"{name}.yaml").write_text(text)
+    task = root / "isaacgymenvs/cfg/task/Walker.yaml"
+    task.write_text("defaults: [HumanoidAMP, _self_]\nenv:\n  motion_file: theirs.npz\n")
+    return task
+
+
+_THEIRS = "defaults: [HumanoidAMPPPO, _self_]\nparams:\n  config:\n    learning_rate: 7e-3\n"
+
+
+def test_the_train_file_beside_a_task_file_is_its_default(tmp_path: Path, caplog) -> None:
+    task = _fork(tmp_path, WalkerPPO=_THEIRS)
+    with caplog.at_level("INFO"):
+        cfg = compose([f"task={task}"])
+    assert cfg.train.params.config.learning_rate == 7e-3
+    assert f"train file: {task.parents[1]}/train/WalkerPPO.yaml (beside" in caplog.text
+    # What is typed counts.
+    assert compose([f"task={task}", "train=HumanoidAMPPPO"]).train.params.config.minibatch_size
+    cfg = compose([f"task={task}", "train=HumanoidAMPPPO"])
+    assert cfg.train.params.config.learning_rate != 7e-3
+
+
+def test_without_one_the_projects_of_that_name_is(tmp_path: Path) -> None:
+    task = _fork(tmp_path)
+    with pytest.raises(ConfigError, match=r"no default train file 'WalkerPPO'.*train="):
+        compose([f"task={task}"])
+    task = task.rename(task.with_name("Ant.yaml"))
+    assert compose([f"task={task}"]).train.params.config.name == "Ant"
+
+
+def test_the_tree_keeps_the_checkout_of_its_task_file(tmp_path: Path) -> None:
+    task = _fork(tmp_path, WalkerPPO=_THEIRS)
+    assert compose([f"task={task}"]).task_checkout == str(tmp_path / "fork")
+    assert compose([f"task={task}", "task_checkout=/mine"]).task_checkout == "/mine"
+    assert compose().task_checkout == ""
+
+
+def test_a_task_file_of_ase_is_completed(tmp_path: Path) -> None:
+    file = tmp_path / "ase/data/cfg/humanoid_sword_shield.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("env:\n  numEnvs: 4096\n  terminationHeight: 0.2\nsim:\n  substeps: 3\n")
+    cfg = compose([f"task={file}", "train=HumanoidASEPPO", "num_envs=8"])
+    assert (cfg.task.name, cfg.task_checkout) == ("HumanoidASE", str(tmp_path))
+    assert (cfg.task.env.numEnvs, cfg.task.env.terminationHeight) == (8, 0.2)
+    assert (cfg.task.sim.substeps, cfg.task.sim.dt) == (3, pytest.approx(1 / 60))
+    assert compose([f"task={file}", "train=HumanoidASEPPO"]).task.env.numEnvs == 4096

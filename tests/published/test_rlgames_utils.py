@@ -11,8 +11,10 @@ from rl_games.common import env_configurations, vecenv
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.published.reformat import omegaconf_to_dict, print_dict
 from isaacgymenvs_lite.published.rlgames_utils import (
+    ComplexObsRLGPUEnv,
     RLGPUAlgoObserver,
     RLGPUEnv,
     get_rlgames_env_creator,
@@ -75,3 +77,32 @@ def test_printing(capsys) -> None:
         assert str(np.full(3, 1 / 3)) == "[0.33 0.33 0.33]"
     finally:
         np.set_printoptions(**before)
+
+
+def test_an_environment_with_several_inputs(monkeypatch) -> None:
+    words = ["task=Cartpole", "num_envs=3", "num_threads=1", "rl_device=cpu"]
+    cfg = compose([*words, "task.env.asymmetric_observations=True"])
+    env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+    creator = {"vecenv_type": "RLGPU", "env_creator": lambda **kwargs: env}
+    monkeypatch.setitem(env_configurations.configurations, "rlgpu", creator)
+    spec = {
+        "obs": {"names": ["obs", "states"], "concat": True, "space_name": "observation_space"},
+        "states": {"names": ["states"], "concat": False, "space_name": "state_space"},
+    }
+    try:
+        wrapped = ComplexObsRLGPUEnv("rlgpu", 3, spec)
+        info = wrapped.get_env_info()
+        assert info["observation_space"].shape == (8,)
+        assert info["state_space"]["states"].shape == (4,)
+        assert info["action_space"].shape == (1,)
+        first = wrapped.reset()
+        stepped, rewards, _, _ = wrapped.step(torch.zeros(3, 1))
+        done, env_ids = wrapped.reset_done()
+    finally:
+        env.close()
+    for given in (first, stepped, done):
+        assert given["obs"].shape == (3, 8)
+        # This task measures without noise.
+        torch.testing.assert_close(given["obs"][:, 4:], given["states"]["states"])
+        torch.testing.assert_close(given["obs"][:, :4], given["states"]["states"])
+    assert (rewards.shape, env_ids.shape) == ((3,), (0,))

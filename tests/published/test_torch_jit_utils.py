@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -34,7 +35,7 @@ def test_small_helpers() -> None:
     assert published.get_axis_params(1.0, 0, x_value=5.0) == [1.0, 0.0, 0.0]
     assert published.get_axis_params(1.0, 1, x_value=5.0) == [5.0, 1.0, 0.0]
     assert published.to_torch([1, 2], device="cpu").tolist() == [1.0, 2.0]
-    assert published.copysign(-2.0, torch.tensor([-0.5, 3.0])).tolist() == [-2.0, 2.0]
+    assert published.copysign(-2.0, torch.tensor([-0.5, 3.0, 0.0])).tolist() == [-2.0, 2.0, 0.0]
 
 
 def test_random_numbers() -> None:
@@ -79,3 +80,71 @@ def test_where_a_torso_faces_and_how_it_moves() -> None:
     assert yaw.item() == pytest.approx(math.pi / 2)
     # The quirk: the angle of (3, z = 0), not of (3, y = 3).
     assert angle.item() == pytest.approx(-math.pi / 2)
+
+
+def _quats_and_matrices(seed: int, n: int = 200) -> tuple[torch.Tensor, torch.Tensor]:
+    rotations = Rotation.random(n, random_state=seed)
+    return torch.from_numpy(rotations.as_quat()), torch.from_numpy(rotations.as_matrix())
+
+
+def test_matrices_of_quaternions_with_the_real_part_first_and_back() -> None:
+    q, matrices = _quats_and_matrices(2)
+    real_first = torch.cat((q[:, 3:], q[:, :3]), dim=-1)
+    torch.testing.assert_close(published.quaternion_to_matrix(real_first), matrices)
+    # Of any length.
+    torch.testing.assert_close(published.quaternion_to_matrix(3.0 * real_first), matrices)
+    back = published.matrix_to_quaternion(matrices.view(2, 100, 3, 3)).view(200, 4)
+    largest = back.abs().argmax(-1, keepdim=True)
+    assert set(largest.flatten().tolist()) == {0, 1, 2, 3}
+    assert (back.gather(-1, largest) > 0).all()
+    sign = (back * real_first).sum(-1, keepdim=True).sign()
+    torch.testing.assert_close(back, sign * real_first)
+
+
+def test_half_turns_are_read_from_matrices() -> None:
+    half_turns = torch.diag_embed(torch.tensor([[1.0, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
+    expected = torch.eye(4)[1:]  # about x, y, z, real part first
+    torch.testing.assert_close(published.matrix_to_quaternion(half_turns), expected)
+    with pytest.raises(ValueError, match=r"\(2, 4\), expected \(\.\.\., 3, 3\)"):
+        published.matrix_to_quaternion(torch.zeros(2, 4))
+
+
+def test_transforms_are_those_of_homogeneous_matrices() -> None:
+    (q1, m1), (q2, m2) = _quats_and_matrices(3, 20), _quats_and_matrices(4, 20)
+    t1, t2, v = torch.randn(3, 20, 3, dtype=torch.float64, generator=torch.manual_seed(0))
+
+    def homogeneous(matrix: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        full = torch.eye(4, dtype=torch.float64).repeat(20, 1, 1)
+        full[:, :3, :3], full[:, :3, 3] = matrix, t
+        return full
+
+    first, second = homogeneous(m1, t1), homogeneous(m2, t2)
+    point = torch.cat((v, torch.ones(20, 1)), dim=-1).unsqueeze(-1)
+    moved = (first @ point)[:, :3, 0]
+    torch.testing.assert_close(published.tf_apply(q1, t1, v), moved)
+    torch.testing.assert_close(published.tf_vector(q1, v), moved - t1)
+    torch.testing.assert_close(
+        published.local_to_world_space(v, torch.cat((t1, q1), dim=-1)), moved
+    )
+    q, t = published.tf_combine(q1, t1, q2, t2)
+    torch.testing.assert_close(published.tf_apply(q, t, v), (first @ second @ point)[:, :3, 0])
+    torch.testing.assert_close(published.tf_apply(*published.tf_inverse(q1, t1), moved), v)
+
+
+def test_rotation_vectors() -> None:
+    angles = torch.tensor([[0.3, -0.4, 0.5], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    expected = Rotation.from_euler("xyz", angles.numpy()).as_rotvec()
+    found = published.euler_xyz_to_exp_map(*angles.unbind(-1))
+    torch.testing.assert_close(found, torch.from_numpy(expected))
+    axis = torch.tensor([[0.0, 0.6, 0.8]])
+    vectors = published.angle_axis_to_exp_map(torch.tensor([2.0]), axis)
+    torch.testing.assert_close(vectors, torch.tensor([[0.0, 1.2, 1.6]]))
+
+
+def test_poses_and_numbers_of_numpy() -> None:
+    pose = torch.tensor([[1.0, 2.0, 3.0, 0.0, 3.0, 0.0, 4.0]])
+    normal = published.normalise_quat_in_pose(pose)
+    torch.testing.assert_close(normal, torch.tensor([[1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8]]))
+    assert pose[0, 4] == 3.0
+    shares = published.unscale_np(np.array([[1.0, 2.5]]), LOWER.numpy(), UPPER.numpy())
+    np.testing.assert_array_equal(shares, [[0.0, -0.5]])

@@ -11,12 +11,17 @@ from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.tasks.amp.drawn_ahead import DrawnAhead
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState, HumanoidAMPBase
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
+    NUM_OBS,
+    CharacterState,
+    HumanoidAMPBase,
+)
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     num_humanoid_obs,
 )
 
+NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
 
 

@@ -32,7 +32,11 @@ from isaacgymenvs_lite.tasks.base.task_config import SimConfig, read_sim_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 __all__ = [
+    "DOF_BODY_IDS",
+    "DOF_OFFSETS",
+    "KEY_BODY_NAMES",
     "NUM_ACTIONS",
+    "NUM_OBS",
     "HumanoidAMPBase",
     "compute_humanoid_observations",
     "compute_humanoid_reset",
@@ -42,6 +46,10 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 
+# What IsaacGymEnvs says of its humanoid, for scripts; a task here asks its model.
+DOF_BODY_IDS = [1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13, 14]
+DOF_OFFSETS = [0, 3, 6, 9, 10, 13, 14, 17, 18, 21, 24, 25, 28]
+NUM_OBS = 105
 NUM_ACTIONS = 28
 KEY_BODY_NAMES = ("right_hand", "left_hand", "right_foot", "left_foot")
 _START_HEIGHT_M = 0.89

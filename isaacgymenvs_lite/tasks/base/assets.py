@@ -17,6 +17,9 @@ from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, SimConfig
 
 log = logging.getLogger(__name__)
 
+# End of the `assetRoot` in files of ASE and its forks, relative to their checkout.
+_ASSETS_OF_ASE = ("data", "assets")
+
 
 def asset_path(
     asset: AssetConfig,
@@ -38,9 +41,11 @@ def asset_path(
     """
     name = asset.asset_file_name or own
     root = Path(asset.asset_root) if asset.asset_root else assets_dir()
-    if not root.is_dir() and (assets_dir() / name).is_file():
+    made_for_isaac_gym = not root.is_absolute() and root.parts[-2:] == _ASSETS_OF_ASE
+    if (made_for_isaac_gym or not root.is_dir()) and (assets_dir() / name).is_file():
         # Published files name the assets folder of their own project.
-        log.info("task.env.asset.assetRoot=%s does not exist: using %s", root, assets_dir())
+        reason = "has models for Isaac Gym" if root.is_dir() else "does not exist"
+        log.info("task.env.asset.assetRoot=%s %s: using %s", root, reason, assets_dir())
         root = assets_dir()
     path = root / name
     if path.is_file():

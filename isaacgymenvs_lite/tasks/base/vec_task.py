@@ -21,6 +21,8 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.rendering.camera import TaskCamera
+from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
@@ -29,6 +31,8 @@ from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 log = logging.getLogger(__name__)
+
+_PICTURE_SIZE = (640, 480)
 
 
 class Env(ABC):  # noqa: B024  a task is abstract through VecTask
@@ -147,6 +151,8 @@ class VecTask(Env):
     resets_on_request: ClassVar[bool] = False
     """Whether episodes start when somebody calls `reset_done`, and not by themselves in `step`."""
     keeps_final_observations: bool = False
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
+    """What recorders of videos ask for."""
 
     def __init__(
         self,
@@ -169,6 +175,7 @@ class VecTask(Env):
         self.dt = float(_required(self.sim_params, "task.sim.dt"))
         self._failures_reported = 0
         self.watchers: list[Watcher] = []
+        self._camera = TaskCamera(self, *_PICTURE_SIZE)
         self.create_sim()
         self.allocate_buffers()
         self.randomizer = self._make_randomizer(config.get("task") or {})
@@ -307,16 +314,32 @@ class VecTask(Env):
         """Return the clamped privileged observations (N, numStates) on rl_device."""
         return self._clamped(self.states_buf)
 
-    def render(self, mode: str = "rgb_array") -> None:
-        """Let whoever watches show the present state; nothing without a viewer."""
-        del mode
+    def render(self, mode: str = "rgb_array") -> Image | None:
+        """Let whoever watches show the present state, and draw it.
+
+        Args:
+            mode: `rgb_array` returns a picture (480, 640, 3) of environment 0, drawn without a
+                display; with a window only if the task was made with `virtual_screen_capture`.
+                `human` returns None.
+
+        Raises:
+            ConfigError: another mode.
+            RenderingError: this machine cannot draw.
+        """
+        modes = self.metadata["render_modes"]
+        if mode not in modes:
+            raise ConfigError(unknown("mode of render", mode, modes))
         for watcher in self.watchers:
             watcher.render()
+        if mode == "rgb_array" and (self.headless or self.virtual_screen_capture):
+            return self._camera.draw((0,))[0]
+        return None
 
     def close(self) -> None:
         """Free the simulation and those who watch; the task cannot be stepped afterwards."""
         while self.watchers:
             self.watchers.pop().close()
+        self._camera.close()
         self.simulation.close()
 
     def _observations(self) -> dict[str, Tensor]:

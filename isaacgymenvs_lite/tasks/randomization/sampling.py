@@ -33,10 +33,10 @@ def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Ten
             drawn = low + (high - low) * share
         else:
             drawn = torch.exp(math.log(low) + (math.log(high) - math.log(low)) * share)
-    return drawn if settings.num_buckets is None else _bucketed(drawn, settings)
+    return drawn if settings.num_buckets is None else bucketed(drawn, settings)
 
 
-def _bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
+def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
     """Return the numbers rounded down to the grid of buckets; those outside go to its ends."""
     first, second = settings.range
     low, high = first, second

@@ -391,7 +391,37 @@ def test_hooks_of_trainers(make_cart: MakeCart) -> None:
     assert cart.get_env_state() is None
     cart.set_env_state({"anything": 1})
     assert torch.equal(cart.zero_actions(), torch.zeros(3, 1))
-    assert cart.render() is None
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_picture_is_drawn_of_the_present_state(make_cart: MakeCart) -> None:
+    cart = make_cart()
+    first = cart.render()
+    assert first is not None
+    assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
+    assert first.std() > 1.0  # something is to be seen
+    np.testing.assert_array_equal(cart.render(mode="rgb_array"), first)
+    for _ in range(EPISODE_LENGTH):
+        _push(cart, 1000.0)
+    assert (cart.render() != first).any()
+
+
+def test_who_watches_is_told_to_show_and_a_window_is_no_picture(make_cart: MakeCart) -> None:
+    class Shown:
+        shows = 0
+
+        def render(self) -> None:
+            self.shows += 1
+
+        def close(self) -> None: ...
+
+    cart, shown = make_cart(), Shown()
+    cart.headless = False
+    cart.watchers.append(shown)
+    assert (cart.render(), cart.render(mode="human")) == (None, None)
+    assert shown.shows == 2
+    with pytest.raises(ConfigError, match=r"unknown mode of render 'rgb'.*human, rgb_array"):
+        cart.render("rgb")
 
 
 def test_a_closed_task_cannot_be_stepped(make_cart: MakeCart) -> None:

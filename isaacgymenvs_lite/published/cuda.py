@@ -1,0 +1,44 @@
+"""Tensors on a GPU that a machine does not have, for scripts that write `device="cuda:0"`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch.overrides import TorchFunctionMode
+
+
+class CudaIsCpu(TorchFunctionMode):
+    """Lets torch's functions make and move tensors on the CPU where a script says cuda.
+
+    Use it in a `with` statement. What asks torch.cuda itself is not concerned, and neither are
+    other threads. Each call of a torch function goes through Python once more, which costs about
+    as much as adding two small tensors.
+    """
+
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        """Call a torch function, with another device if it is told to use a GPU."""
+        del types
+        if func is torch.Tensor.cuda:
+            return args[0]
+        if func is torch.Tensor.to:
+            args = tuple(_device(arg) for arg in args)
+        if not kwargs:
+            return func(*args)
+        if "device" in kwargs:
+            kwargs = {**kwargs, "device": _device(kwargs["device"])}
+        return func(*args, **kwargs)
+
+
+def _device(value: Any) -> Any:
+    """Return the CPU for a GPU, and everything else as it is."""
+    if isinstance(value, (str, torch.device)) and str(value).startswith("cuda"):
+        return "cpu"
+    return value

@@ -1,0 +1,15 @@
+"""The names of `gym.wrappers`; see `published.gym`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+from isaacgymenvs_lite.wrappers.record_video import RecordVideo
+
+__all__ = ["RecordVideo"]
+
+
+def __getattr__(name: str) -> Any:
+    return getattr(gymnasium.wrappers, name)

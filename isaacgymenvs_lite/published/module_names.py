@@ -1,0 +1,77 @@
+"""Which module of this package each published module became; `alias` imports by it.
+
+Names are those below the published package: `utils.reformat` for `isaacgymenvs.utils.reformat`.
+Modules that are in no table have the same name here.
+"""
+
+from __future__ import annotations
+
+RENAMED: dict[str, str] = {
+    **{
+        f"utils.{name}": f"published.{name}"
+        for name in (
+            *("dr_utils", "reformat", "rlgames_utils", "rna_util"),
+            *("torch_jit_utils", "utils", "wandb_utils"),
+        )
+    },
+    "tasks.humanoid_amp": "tasks.amp.humanoid_amp",
+    "tasks.amp.utils_amp": "published.utils_amp",
+    "tasks.amp.utils_amp.amp_torch_utils": "published.torch_jit_utils",
+    "tasks.amp.utils_amp.motion_lib": "published.motion_lib",
+    "train": "published.train",
+}
+"""Modules that are called otherwise here."""
+
+STAND_INS: dict[str, str] = {
+    "pbt": (
+        "population-based training is not implemented in this version; set pbt.enabled=False, or"
+        " start several runs with seeds and settings of their own"
+    ),
+}
+"""Packages whose names can be imported, and why using one is an error."""
+
+ABSENT: dict[str, str] = {
+    **dict.fromkeys(
+        (
+            *("tasks.allegro_hand", "tasks.allegro_kuka", "tasks.dextreme"),
+            *("tasks.shadow_hand", "tasks.trifinger"),
+        ),
+        "tasks with hands are not here yet",
+    ),
+    **dict.fromkeys(
+        (
+            *("tasks.factory", "tasks.franka_cabinet", "tasks.franka_cube_stack"),
+            "tasks.industreal",
+        ),
+        "tasks with arms are not here yet",
+    ),
+    "tasks.amp.poselib": (
+        "clips in poselib's format are read by isaacgymenvs_lite.motion; python -m"
+        " isaacgymenvs_lite.motion.convert makes and retargets them"
+    ),
+    "tasks.amp.utils_amp.data_tree": "data sets of clips are YAML files, docs/motion_formats.md",
+    "tasks.amp.utils_amp.gym_util": "it drives Isaac Gym's viewer; docs/watching.md",
+    "tasks.amp.utils_amp.logger": "use Python's logging",
+}
+"""Modules, with all below them, that have no counterpart, and why or what to use."""
+
+
+def absent_because(module: str) -> str | None:
+    """Return why a published module has no counterpart, None if it is in no table.
+
+    Args:
+        module: name below the published package, such as `tasks.factory.factory_base`.
+    """
+    return _below(module, ABSENT)
+
+
+def stand_in_because(module: str) -> str | None:
+    """Return why the names of a published module can only be imported; None: that is not so."""
+    return _below(module, STAND_INS)
+
+
+def _below(module: str, table: dict[str, str]) -> str | None:
+    for name, reason in table.items():
+        if module == name or module.startswith(f"{name}."):
+            return reason
+    return None

@@ -1,0 +1,48 @@
+"""The names of IsaacGymEnvs' `train`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omegaconf import DictConfig
+
+from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.train import main
+
+__all__ = ["launch_rlg_hydra", "preprocess_train_config"]
+
+
+def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
+    """Train or play as `sys.argv` says, or as a composed tree does.
+
+    Raises:
+        UserError: anything that the user can mend in the tree; mistakes in `sys.argv` end the
+            program with one line, as train.py does.
+    """
+    if cfg is None:
+        main()
+        return
+    from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games
+
+    run(cfg)
+
+
+def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
+    """Complete a train section for rl_games by what the root of the tree says.
+
+    Args:
+        cfg: the composed tree.
+        config_dict: its train section as dictionaries; it is changed.
+
+    Returns:
+        `config_dict`, with device, name of the run and scaled units of the network.
+    """
+    pbt = cfg.pbt
+    config_dict["params"]["config"] |= {
+        "device": cfg.rl_device,
+        "population_based_training": pbt.enabled,
+        "pbt_idx": pbt.policy_idx if pbt.enabled else None,
+        "full_experiment_name": cfg.get("full_experiment_name"),
+    }
+    scale_units(config_dict["params"]["network"])
+    return config_dict
