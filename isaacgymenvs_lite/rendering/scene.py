@@ -106,8 +106,8 @@ class SceneRenderer:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # The map of shadows has the light in its middle: what is looked at has to be there. It begins
-        # at the light: the lower that is, the less of the distant floor, which would have speckles.
+        # The map of shadows has the light in its middle: what is looked at has to be there. It
+        # begins at the light: a low one leaves out distant floor, which would have speckles.
         self._data.light_xpos[:, :2] += self._camera.lookat[:2]
         self._data.light_xpos[:, 2] = self._camera.lookat[2] + _LIGHT_ABOVE * self._camera.distance
         mujoco.mj_tendon(self._model, self._data)
