@@ -31,8 +31,9 @@ def load_curve(file: Path) -> LearningCurve:
     """Read a file of `save_curve`."""
     columns = json.loads(file.read_text(encoding="utf-8"))
     run = columns.pop(_RUN, {"num_envs": 0, "resumed_at": []})
+    resumed_at = tuple(run["resumed_at"])
     series = {
-        name: Series(*(np.array(c, dtype=np.float64) for c in cs), tuple(run["resumed_at"]))
+        name: Series(*(np.array(c, dtype=np.float64) for c in cs), resumed_at=resumed_at)
         for name, cs in columns.items()
     }
     return LearningCurve(series, run["num_envs"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ class Series:
     frames: FloatArray
     minutes: FloatArray
     values: FloatArray
+    _: KW_ONLY
     resumed_at: tuple[float, ...] = ()
 
     def __len__(self) -> int:
