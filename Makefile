@@ -11,7 +11,7 @@ ARGS ?=
 .PHONY: help install install-dev train demo test test-slow lint format bench wheel clean
 
 help:
-	@echo "make install      virtual environment with the tested set of packages"
+	@echo "make install      virtual environment with the tested set of packages; then: . $(BIN)/activate"
 	@echo "make train        install, then train HumanoidAMP; ARGS=\"key=value ...\" adds settings"
 	@echo "make demo         install, then film the trained policies that ship: demo/*.mp4"
 	@echo "make test         install-dev, lint, and the fast tests"

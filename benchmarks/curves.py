@@ -4,7 +4,8 @@
         [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved] [--returns]
 
 A target is a run folder or the name of an experiment: one thin line for each seed, the median
-thick. `--saved` draws the curves of experiments that benchmarks/results keeps, without their runs.
+thick. Dotted is where a run was resumed and had ended short episodes only. `--saved` draws the
+curves of experiments that benchmarks/results keeps, without their runs.
 `--returns` draws the return of training episodes, a panel for each experiment: classic tasks.
 Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
 """
@@ -60,6 +61,13 @@ def line_of(series: Series, against: str) -> tuple[FloatArray, FloatArray]:
     return getattr(series, against) * _AXES[against][1], series.values
 
 
+def with_gaps(series: Series, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (x, y) of a series with a nan where it was resumed, at which a line is broken."""
+    at = np.searchsorted(series.frames, series.resumed_at)
+    at = at[(at > 0) & (at < len(series))]
+    return np.insert(x, at, np.nan), np.insert(series.values, at, np.nan)
+
+
 def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     """Write the picture.
 
@@ -71,7 +79,7 @@ def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
     panels = figure.subplots(1, len(_PANELS))
     for panel, (name, title) in zip(panels, _PANELS.items(), strict=True):
         for i, (experiment, seeds) in enumerate(curves.items()):
-            _draw_seeds(panel, [curve[name] for curve in seeds], against, f"C{i}", experiment)
+            _draw_seeds(panel, [curve.even(name) for curve in seeds], against, f"C{i}", experiment)
         _finish(panel, title, against)
         panel.set_ylim(0.0, _top([curve[name] for seeds in curves.values() for curve in seeds]))
     panels[0].axhline(GOOD_EPISODE_STEPS, color="0.4", linestyle=":", linewidth=1.0)
@@ -88,7 +96,7 @@ def draw_returns(curves: Curves, path: Path, against: str = "frames") -> None:
     figure: Any = _figure(path, num_panels=len(curves))
     panels = figure.subplots(1, len(curves), squeeze=False)[0]
     for panel, (experiment, seeds) in zip(panels, curves.items(), strict=True):
-        _draw_seeds(panel, [curve["episode_return"] for curve in seeds], against, "C0")
+        _draw_seeds(panel, [curve.even("episode_return") for curve in seeds], against, "C0")
         _finish(panel, experiment, against)
     panels[0].set_ylabel("return of training episodes", fontsize=10)
     figure.savefig(path)
@@ -98,8 +106,9 @@ def _draw_seeds(
     panel: Any, seeds: Sequence[Series], against: str, color: str, label: str | None = None
 ) -> None:
     lines = [line_of(series, against) for series in seeds]
-    for x, y in lines:
-        panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6)
+    for series, (x, y) in zip(seeds, lines, strict=True):
+        panel.plot(*with_gaps(series, x), color=color, linewidth=0.6, alpha=0.6)
+        panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6, linestyle=":")
     panel.plot(*median_line(lines), color=color, linewidth=2.0, label=label)
 
 

@@ -15,21 +15,28 @@ from isaacgymenvs_lite.report.scalars import Series
 
 _POINTS = 100
 _SIGNIFICANT_DIGITS = 5
+_RUN = "run"
 
 
 def save_curve(curve: LearningCurve, file: Path) -> None:
     """Write a curve of about a hundred points; makes the folder."""
+    run = {"num_envs": curve.num_envs, "resumed_at": [int(x) for x in curve["fps"].resumed_at]}
     series = {name: _columns(_thinned(curve[name])) for name in curve.series}
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(series, separators=(",", ":")) + "\n", encoding="utf-8")
+    text = json.dumps({_RUN: run, **series}, separators=(",", ":"))
+    file.write_text(text + "\n", encoding="utf-8")
 
 
 def load_curve(file: Path) -> LearningCurve:
     """Read a file of `save_curve`."""
     columns = json.loads(file.read_text(encoding="utf-8"))
-    return LearningCurve(
-        {name: Series(*(np.array(c, dtype=np.float64) for c in cs)) for name, cs in columns.items()}
-    )
+    run = columns.pop(_RUN, {"num_envs": 0, "resumed_at": []})
+    resumed_at = tuple(run["resumed_at"])
+    series = {
+        name: Series(*(np.array(c, dtype=np.float64) for c in cs), resumed_at=resumed_at)
+        for name, cs in columns.items()
+    }
+    return LearningCurve(series, run["num_envs"])
 
 
 def find_saved_curves(experiment: str, folder: Path) -> list[LearningCurve]:
@@ -55,7 +62,8 @@ def _thinned(series: Series) -> Series:
     kept = np.linspace(0, len(series) - 1, min(_POINTS, len(series))).round().astype(int)
     good = np.flatnonzero(series.values >= GOOD_EPISODE_STEPS)[:1]
     rows = np.union1d(kept, good)
-    return Series(series.frames[rows], series.minutes[rows], series.values[rows])
+    columns = (series.frames[rows], series.minutes[rows], series.values[rows])
+    return Series(*columns, resumed_at=series.resumed_at)
 
 
 def _columns(series: Series) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""The command line: `python train.py task=HumanoidAMP [key=value ...]`.
+"""Trains or plays an agent: python train.py task=HumanoidAMP [key=value ...].
 
 A user's mistake costs about a second and ends in one line and exit code 2: the configuration is
 composed and checked before torch, MuJoCo and rl_games are imported.

@@ -15,6 +15,7 @@ from isaacgymenvs_lite.learning.evaluation import (
     EvaluationResult,
     episodes_to_play,
     evaluate_and_log,
+    play_on,
 )
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
 
@@ -73,6 +74,11 @@ class CommonPlayer(PpoPlayerContinuous):
         }
 
     def run(self) -> None:
+        """Play `games_num` episodes, log what was reached, and play on for whoever looks on."""
+        self._measure()
+        play_on(self.env, self.act)
+
+    def _measure(self) -> None:
         """Play `games_num` episodes and log reward, episode length and imitation."""
         self.result = evaluate_and_log(
             self.env,

@@ -12,6 +12,7 @@ from isaacgymenvs_lite.learning.evaluation import (
     EvaluationResult,
     episodes_to_play,
     evaluate_and_log,
+    play_on,
 )
 
 
@@ -29,9 +30,10 @@ class EpisodePlayer(BasePlayer):
         self.has_batch_dimension = True
 
     def run(self) -> None:
-        """Play, and log what was reached."""
+        """Play, log what was reached, and play on for whoever looks on."""
         games = episodes_to_play(self.player_config)
         self.result = evaluate_and_log(self.env, self.act, games, on_step=self.on_step)
+        play_on(self.env, self.act, self.on_step)
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:
         """Return the task's actions (N, A) for what the task observes."""

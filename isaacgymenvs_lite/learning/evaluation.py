@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -104,10 +105,7 @@ def evaluate(
     totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
     env.reset()
     while bool((left > 0).any()):
-        obs, _ = env.reset_done()
-        with torch.no_grad():
-            actions = policy(obs)
-        _, rewards, dones, infos = env.step(actions)
+        rewards, dones, infos = _step(env, policy)
         playing = left > 0
         totals[0] += rewards[playing].double().sum().item()
         totals[1] += int(playing.sum())
@@ -126,6 +124,37 @@ def evaluate(
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
     )
+
+
+def _step(env: Any, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Start the episodes that are due and act; return rewards (N,), dones (N,) and infos."""
+    obs, _ = env.reset_done()
+    with torch.no_grad():
+        actions = policy(obs)
+    _, rewards, dones, infos = env.step(actions)
+    return rewards, dones, infos
+
+
+def play_on(
+    env: Any,
+    policy: Policy,
+    on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
+) -> None:
+    """Play for as long as a window or a page is open, and measure nothing; Ctrl-C ends it.
+
+    Args:
+        env: a task that `evaluate` has played.
+        policy: what acts.
+        on_step: as `evaluate`.
+    """
+    if not getattr(env, "is_watched", False):  # an environment of one's own need not have it
+        return
+    log.info("playing on for whoever looks on; Ctrl-C ends it")
+    with contextlib.suppress(KeyboardInterrupt):
+        while env.is_watched:
+            _, dones, infos = _step(env, policy)
+            if on_step is not None:
+                on_step(dones, infos)
 
 
 DEFAULT_EPISODES = 32

@@ -75,9 +75,9 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     def _disc_latents(self) -> tuple[Tensor, ...]:
         return (self._latents_now,) if self.model.a2c_network.disc_is_conditional else ()
 
-    def run(self) -> None:
+    def _measure(self) -> None:
         """As AMP's; the log says which skills there are."""
-        super().run()
+        super()._measure()
         self.skills = self._probe.result()
         if self.skills is not None:
             log.info("skills: %s", self.skills)

@@ -27,13 +27,16 @@ _MAX_EXTENT = 0.7
 # Half the width of the area in which shadows are drawn, in distances of the camera: with MuJoCo's
 # one size of the model the shadow map ends in the picture, as noise on the floor.
 _SHADOW_HALF_WIDTH = 4.2
+# The light above what is looked at, in distances of the camera: over the head of a figure.
+_LIGHT_ABOVE = 0.45
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _ARROW_WIDTH_M = 0.03
 _FLOOR_STEP_M = 10.0
-# Where a label begins: to the left and up of the middle, in halves of the picture.
-_LABEL_PLACE = (0.9, 0.84)
+# Where a label begins, and where its letters stand: pixels from the left and from the top. They are
+# of one size in every picture, so that a share of the picture would cut them in a small one.
+_LABEL_LEFT, _LABEL_BASE = 10, 26
 
 
 class SceneRenderer:
@@ -103,8 +106,10 @@ class SceneRenderer:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # The map of shadows has the light in its middle: what is looked at shall be there.
+        # The map of shadows has the light in its middle: what is looked at has to be there. It
+        # begins at the light: a low one leaves out distant floor, which would have speckles.
         self._data.light_xpos[:, :2] += self._camera.lookat[:2]
+        self._data.light_xpos[:, 2] = self._camera.lookat[2] + _LIGHT_ABOVE * self._camera.distance
         mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         if np.linalg.norm(self._camera.lookat - self._floor_at) > _FLOOR_STEP_M:
@@ -163,13 +168,16 @@ class SceneRenderer:
         return geom
 
     def _add_label(self, text: str) -> None:
+        """Write into the upper left corner, in the plane that the camera looks at."""
         camera = self._camera
-        azimuth = np.deg2rad(camera.azimuth)
+        azimuth, elevation = np.deg2rad(camera.azimuth), np.deg2rad(camera.elevation)
         to_the_right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))
+        ahead = np.array((np.cos(azimuth), np.sin(azimuth), 0.0))
+        up = np.cos(elevation) * np.array((0.0, 0.0, 1.0)) - np.sin(elevation) * ahead
         half_height_m = camera.distance * np.tan(np.deg2rad(self._model.vis.global_.fovy / 2))
-        half_width_m = half_height_m * self._renderer.width / self._renderer.height
-        corner = camera.lookat - _LABEL_PLACE[0] * half_width_m * to_the_right
-        corner[2] += _LABEL_PLACE[1] * half_height_m
+        pixel_m = 2.0 * half_height_m / self._renderer.height
+        corner = camera.lookat + (self._renderer.height / 2 - _LABEL_BASE) * pixel_m * up
+        corner -= (self._renderer.width / 2 - _LABEL_LEFT) * pixel_m * to_the_right
         self._add_geom(mujoco.mjtGeom.mjGEOM_LABEL, place_w=corner).label = text
 
     def close(self) -> None:

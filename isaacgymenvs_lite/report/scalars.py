@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +28,14 @@ class Series:
         frames: TensorBoard's step: frames before the epoch that the value is of.
         minutes: time trained when it was written.
         values: the scalar.
+        resumed_at: frames at which the training was resumed.
     """
 
     frames: FloatArray
     minutes: FloatArray
     values: FloatArray
+    _: KW_ONLY
+    resumed_at: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -41,6 +44,14 @@ class Series:
     def last(self) -> float:
         """The newest value; nan without one."""
         return float(self.values[-1]) if len(self) else float("nan")
+
+    def without(self, frames: float) -> Series:
+        """Return the series without the values of so many frames after each resumption."""
+        kept = np.ones(len(self), dtype=bool)
+        for start in self.resumed_at:
+            kept &= (self.frames < start) | (self.frames >= start + frames)
+        columns = (self.frames[kept], self.minutes[kept], self.values[kept])
+        return Series(*columns, resumed_at=self.resumed_at)
 
     def first_reach(self, at_least: float) -> tuple[float, float] | None:
         """Return (frames, minutes) of the first value of at least `at_least`; None without one."""
@@ -76,6 +87,7 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
         Tag -> values; empty if there are no files, or none with an epoch in it.
     """
     parts: dict[str, list[FloatArray]] = {}  # of arrays (n, 3)
+    starts: list[float] = []
     for file in event_files(summaries):
         part = _read_file(file)
         resumed_at = min((part[tag][0, 0] for tag in FPS_TAGS if tag in part), default=None)
@@ -85,11 +97,13 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
             rows[:] = [earlier[earlier[:, 0] < resumed_at] for earlier in rows]
         clocks = [rows for tag in FPS_TAGS for rows in parts.get(tag, ())]
         offset_min = max((rows[-1, 1] for rows in clocks if len(rows)), default=0.0)
+        starts = [*(start for start in starts if start < resumed_at), float(resumed_at)]
         for tag, rows in part.items():
             rows[:, 1] += offset_min
             parts.setdefault(tag, []).append(rows)
     joined = {tag: np.concatenate(rows) for tag, rows in parts.items()}
-    return {tag: Series(*rows.T) for tag, rows in joined.items() if len(rows)}
+    resumed = tuple(starts[1:])
+    return {tag: Series(*rows.T, resumed_at=resumed) for tag, rows in joined.items() if len(rows)}
 
 
 def _read_file(file: Path) -> dict[str, FloatArray]:

@@ -71,6 +71,11 @@ class WebPage:
         self.render()
         log.info("watch it at %s (no password: who reaches the port can look on)", self.url)
 
+    @property
+    def keeps_playing(self) -> bool:
+        """Whether the server runs: browsers may come and go."""
+        return self._page.handle.is_running()
+
     def after_step(self) -> None:
         """Show the new state if the last one was long enough ago."""
         now = time.monotonic()

@@ -21,6 +21,8 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.view import aim_camera
 
 _START_TIMEOUT_S = 20.0
+# The number in a model that is the page's sky.
+_SKY_COLOUR = "filament.clear_color"
 
 
 class Beside(plugin.ViewerPlugin):
@@ -35,8 +37,15 @@ class Beside(plugin.ViewerPlugin):
 
     @messages.handler
     def on_init(self, event: viewer_protocol.ViewerInitEvent) -> None:
-        """Let the camera follow a robot that moves about."""
-        aim_camera(event.viewer.camera, event.viewer.model)
+        """Let the camera follow a robot that moves about, and colours be those of videos."""
+        viewer = event.viewer
+        aim_camera(viewer.camera, viewer.model)
+        flags = list(viewer.render_flags.flags)
+        # The floor would mirror the sky so strongly that it looks white.
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        if mujoco.mj_name2id(viewer.model, mujoco.mjtObj.mjOBJ_NUMERIC, _SKY_COLOUR) >= 0:
+            flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0  # dark grey, whatever its texture
+        viewer.render_flags.flags = flags
 
     @messages.handler
     def on_update(self, event: messages.UpdateEvent) -> None:

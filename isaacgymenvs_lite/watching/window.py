@@ -78,6 +78,11 @@ class Window:
             aim_camera(self._viewer.cam, self._model)
         log.info("%s", Keys.HELP)
 
+    @property
+    def keeps_playing(self) -> bool:
+        """Whether the window is open."""
+        return not self._has_ended
+
     def after_step(self) -> None:
         """Obey the keys; record and show the step if they say so."""
         self._steps += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import logging
 import sys
 from collections.abc import Callable, Sequence
@@ -79,10 +80,15 @@ def _play(library: Library, args: argparse.Namespace) -> None:
         agent.load(checkpoint)
         log.info("checkpoint: %s", checkpoint)
         made.watch(folder_of(checkpoint), f"play_{date()}")
-        played = play_episodes(agent.stepper, agent.player())
+        step = agent.player()
+        played = play_episodes(agent.stepper, step)
+        sys.stdout.write("\n".join([*played.lines(), ""]))
+        sys.stdout.flush()
+        with contextlib.suppress(KeyboardInterrupt):
+            while made.task.is_watched:
+                step()
     finally:
         made.close()
-    sys.stdout.write("\n".join([*played.lines(), ""]))
 
 
 def play_episodes(stepper: AutoresetTask, step: Callable[[], None]) -> Played:

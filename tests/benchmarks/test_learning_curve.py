@@ -44,6 +44,21 @@ def test_parts_of_a_resumed_run_follow_one_another_without_the_pause(write_event
     assert curve["episode_length"].values.tolist() == [10.0, 20.0, 30.0, 40.0]
 
 
+def test_a_resumed_run_is_even_after_two_whole_episodes(write_events, tmp_path):
+    (tmp_path / "config.yaml").write_text("task: {env: {numEnvs: 10}}\n")
+    summaries = tmp_path / "summaries"
+    write_events(summaries, [10.0, 20.0, 20.0])
+    # of 10 environments, 100 frames an epoch: two episodes of 20 steps take four epochs
+    write_events(summaries, [1.0, 9.0, 18.0, 20.0, 19.0, 20.0], first_epoch=3, start_s=9_000.0)
+    curve = read_learning_curve(summaries)
+    assert curve["fps"].resumed_at == (300.0,)
+    assert curve["episode_length"].values[3] == 1.0
+    assert curve.even("episode_length").values.tolist() == [10.0, 20.0, 20.0, 19.0, 20.0]
+    assert curve.even("episode_length").frames.tolist() == [0, 100, 200, 700, 800]
+    assert len(curve.even("episode_return")) == 5
+    assert len(curve.even("style_reward")) == 9  # no matter of whole episodes
+
+
 def test_what_came_after_the_checkpoint_is_lost_with_its_minutes(write_events, tmp_path):
     # killed after five epochs, went on from the checkpoint of the second one
     write_events(tmp_path, [1.0, 2.0, 3.0, 4.0, 5.0], poses={1: 0.5, 4: 0.25})

@@ -24,6 +24,17 @@ def test_a_short_curve_is_kept_whole(write_events, tmp_path):
     assert len(again["no_fall_share"]) == 0
 
 
+def test_where_a_run_was_resumed_is_kept(write_events, tmp_path):
+    (tmp_path / "config.yaml").write_text("task: {env: {numEnvs: 10}}\n")
+    write_events(tmp_path / "summaries", [20.0, 20.0])
+    write_events(tmp_path / "summaries", [1.0, 2.0], first_epoch=2, start_s=9_000.0)
+    save_curve(read_learning_curve(tmp_path / "summaries"), tmp_path / "walk_seed1.json")
+    again = load_curve(tmp_path / "walk_seed1.json")
+    assert again.num_envs == 10
+    assert again["episode_length"].resumed_at == (200.0,)
+    assert again.even("episode_length").values.tolist() == [20.0, 20.0]
+
+
 def test_of_a_long_curve_the_ends_and_the_first_good_value_are_kept(write_events, tmp_path):
     lengths = [float(i % 7) for i in range(3000)]
     lengths[1234] = 280.0

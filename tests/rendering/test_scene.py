@@ -67,13 +67,27 @@ def test_the_azimuth_turns_the_view(humanoid):
     assert green[1] > 3 * green[0] + 50
 
 
-def test_a_label_stands_in_the_upper_left_corner(humanoid):
-    with SceneRenderer(humanoid, 200, 300) as renderer:
+@pytest.mark.parametrize("azimuth_deg", range(0, 360, 45))
+def test_nothing_is_on_the_floor_but_shadows(azimuth_deg, humanoid):
+    """The map of shadows made black speckles of the floor that is far away, towards the light."""
+    below = humanoid.qpos0.copy()
+    below[2] = -30.0
+    with SceneRenderer(humanoid, 120, 160, view=View(azimuth_deg=azimuth_deg)) as renderer:
+        floor = renderer.draw(below, look_at=humanoid.qpos0)[80:]
+    assert (floor.max(axis=2) < 120).sum() <= 2
+
+
+@pytest.mark.parametrize(
+    ("size", "view"),
+    [((200, 300), None), ((160, 120), View(elevation_deg=-30.0)), ((640, 480), View(200.0, -20.0))],
+)
+def test_a_label_stands_whole_in_the_upper_left_corner(size, view, humanoid):
+    with SceneRenderer(humanoid, *size, view=view) as renderer:
         plain, labelled = (renderer.draw(humanoid.qpos0, text) for text in ("", "policy"))
     rows, columns = (plain != labelled).any(axis=2).nonzero()
     assert len(rows) > 100
-    assert rows.max() < 50
-    assert columns.max() < 120
+    assert 0 < rows.min() < rows.max() < 40
+    assert 0 < columns.min() < columns.max() < 120
 
 
 def test_a_model_fixed_to_the_world_is_drawn_whole():

@@ -149,6 +149,25 @@ class ClosedWindow:
         pass
 
 
+class OpenWindow(ClosedWindow):
+    """A window in which somebody watches 700 steps, and who then closes it or presses Ctrl-C."""
+
+    keeps_playing = True
+
+    def after_step(self) -> None:
+        self.steps += 1
+        if self.steps == 700:
+            self.end()
+
+    def end(self) -> None:
+        self._on_quit()
+
+
+class InterruptedWindow(OpenWindow):
+    def end(self) -> None:
+        raise KeyboardInterrupt
+
+
 @pytest.fixture
 def closed_window(monkeypatch) -> None:
     monkeypatch.setattr(start, "check_display", lambda: None)
@@ -166,6 +185,26 @@ def test_a_training_ends_with_its_window_after_the_epoch(in_tmp, caplog):
 def test_a_play_ends_with_its_window_at_once(in_tmp, caplog):
     run(cfg_of("task=Cartpole", "test=True", "headless=False"))
     assert "episodes" not in caplog.text
+
+
+@pytest.mark.parametrize("window", [OpenWindow, InterruptedWindow])
+def test_a_play_goes_on_after_its_episodes_until_somebody_ends_it(
+    window, in_tmp, monkeypatch, caplog
+):
+    windows = []
+
+    def open_window(*args, **options):
+        windows.append(window(*args, **options))
+        return windows[0]
+
+    monkeypatch.setattr(start, "check_display", lambda: None)
+    monkeypatch.setattr(start, "Window", open_window)
+    play = ("task=Cartpole", "test=True", f"+{CONFIG}.player.games_num=4", "headless=False")
+    with caplog.at_level("INFO"):
+        run(cfg_of(*play))
+    messages = [record.message.partition(" ")[0] for record in caplog.records]
+    assert messages.index("played") < messages.index("playing")
+    assert windows[0].steps == 700
 
 
 @pytest.mark.usefixtures("no_training")

@@ -335,6 +335,11 @@ class VecTask(Env):
             return self._camera.draw((0,))[0]
         return None
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether a window or a page is open, for which a play goes on after its last episode."""
+        return any(getattr(watcher, "keeps_playing", False) for watcher in self.watchers)
+
     def close(self) -> None:
         """Free the simulation and those who watch; the task cannot be stepped afterwards."""
         while self.watchers:

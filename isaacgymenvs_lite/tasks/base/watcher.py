@@ -6,7 +6,10 @@ from typing import Protocol
 
 
 class Watcher(Protocol):
-    """Added to `VecTask.watchers`; reads the task and changes nothing of it."""
+    """Added to `VecTask.watchers`; reads the task and changes nothing of it.
+
+    One with a true attribute `keeps_playing` lets a play go on after its last episode.
+    """
 
     def after_step(self) -> None:
         """Hear that a control step was made; episodes that it ended may not have begun anew."""
