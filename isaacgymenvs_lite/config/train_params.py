@@ -107,7 +107,10 @@ def prepare_train_params(
     recurrent = "rnn" in params["network"]
     _translate_former_keys(config, recurrent)
     _check_ppo_keys(config, names.config_keys)
-    config["torch_compile"] = _torch_compile(config.get("torch_compile"), algo, device)
+    asked = config.get("torch_compile")
+    config["torch_compile"] = torch_compile_setting(
+        asked, device, can_compile=algo not in _DOUBLE_BACKWARD
+    )
     _fit_minibatches(config, num_envs, num_agents, recurrent)
     return params
 
@@ -227,15 +230,22 @@ def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) 
     return settings
 
 
-def _torch_compile(asked: Any, algo: str, device: str) -> Any:
-    """Return the value of torch_compile: rl_games compiles unless told not to."""
-    if algo in _DOUBLE_BACKWARD:
+def torch_compile_setting(asked: Any, device: str, can_compile: bool) -> Any:
+    """Return the value of `torch_compile` that rl_games' Runner reads after it made an agent.
+
+    Without a value the Runner compiles. Agents call this in their constructors, so that it counts
+    in a Runner of the user's own, too; the Runner hands them the dictionary that it reads.
+
+    Args:
+        asked: the key `train.params.config.torch_compile`, None without it.
+        device: of the agent.
+        can_compile: False for agents that differentiate twice (gradient penalties).
+    """
+    if not can_compile:
         if asked:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
         return False
-    if asked is None:
-        return device.startswith("cuda")
-    return asked
+    return device.startswith("cuda") if asked is None else asked
 
 
 def _fit_minibatches(

@@ -139,8 +139,8 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     info = {name: value[0].item() for name, value in agent._train_info.items()}
     assert info["actor_loss"] == pytest.approx(actor.mean(), rel=1e-4)
     assert info["critic_loss"] == pytest.approx(critic.mean(), rel=1e-4)
-    assert info["bounds_loss"] == pytest.approx(bound.mean(), rel=1e-4)
-    assert info["clip_frac"] == pytest.approx((np.abs(ratio - 1) > 0.2).mean())
+    assert info["b_loss"] == pytest.approx(bound.mean(), rel=1e-4)
+    assert info["actor_clip_frac"] == pytest.approx((np.abs(ratio - 1) > 0.2).mean())
 
     old_mu, old_sigma = given["mu"], given["sigma"]
     kl = (
