@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -99,6 +99,8 @@ def prepare_train_params(
     config["full_experiment_name"] = run_name
     config["reward_shaper"] = config.get("reward_shaper") or {}
     config["player"] = _PLAYER_DEFAULTS | (config.get("player") or {})
+    if note := player_class_note(config["player"]):
+        _log.info("%s", note)
     scale_units(params["network"])
     algo = params["algo"]["name"]
     if algo == "sac":
@@ -228,6 +230,16 @@ def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) 
     for key in keys_of(cls) & set(config):
         config[key] = getattr(settings, key)
     return settings
+
+
+def player_class_note(player: Mapping[str, Any]) -> str:
+    """Return one line about a player that a train file names and nothing reads; '' without one."""
+    if "class_name" not in player:
+        return ""
+    return (
+        f"{_WHERE}.config.player.class_name={player['class_name']} has no effect: algo.name chooses"
+        " the player, by what runner.player_factory has registered for it"
+    )
 
 
 def torch_compile_setting(asked: Any, device: str, can_compile: bool) -> Any:

@@ -32,7 +32,10 @@ _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
 class AMPAgent(CommonAgent):
-    """The agent of `algo: name: amp_agent`, `amp_continuous` or `amp`.
+    """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
+
+    Also where a user registers this class as `amp_agent` by hand, as IsaacGymEnvs does;
+    `registration.register` gives that name to `LeastSquaresAMPAgent`.
 
     Needs of the environment: `amp_observation_space`, `infos["amp_obs"]` (N, F),
     `infos["terminate"]` (N,) and `fetch_amp_obs_demo(n)` -> (n, F).
@@ -403,6 +406,9 @@ def exploration_probs(num_envs: int) -> Tensor:
 
 
 class LeastSquaresAMPAgent(AMPAgent):
-    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default."""
+    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default.
+
+    Only `registration.register` gives it that name; AMPAgent by itself pays the logistic reward.
+    """
 
     default_disc_reward = "least_squares"

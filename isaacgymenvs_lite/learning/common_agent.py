@@ -87,6 +87,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
                 "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
                 " undefined; expected at least two: raise num_envs or horizon_length"
             )
+        self.network_path = self.nn_dir
         self._load_config_params(self.config)
         self._setup_action_space()
 

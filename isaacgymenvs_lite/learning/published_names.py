@@ -51,6 +51,7 @@ class Surface:
 
 _LOOP = "the play loop is learning.evaluation's: act(obs), _post_step(info) or run() of your own"
 _CENTRAL = "the AMP family has no asymmetric critic"
+_CALLED_BY_LOOP = frozenset(("_env_reset_done", "env_step", "env_reset"))
 _NO_DEBUG = "_record_step(n, infos) gets infos['amp_obs'] of each step"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
 
@@ -64,10 +65,9 @@ SURFACES = (
             _env_reset_done() _eval_critic() _actor_loss() _critic_loss() _calc_advs()
             _record_train_batch_info() _log_train_info() is_discrete bounds_loss_coef clip_actions
             model states last_lr optimizer dataset actions_num actions_low actions_high
-            train_result obs dones frame curr_frames epoch_num last_mean_rewards""",
+            network_path train_result obs dones frame curr_frames epoch_num last_mean_rewards""",
         other={
             "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) is told whom",
-            "network_path": "nn_dir",
             "running_mean_std": "model.running_mean_std",
         },
         absent={
@@ -287,6 +287,7 @@ CONSTANTS = {
     "ase_network_builder.ENC_LOGIT_INIT_SCALE": "gen_amp_network_builder.ENC_LOGIT_INIT_SCALE",
 }
 """Module constants -> where they are here."""
+ABSENT_MODULE_NAMES = {"ase_network_builder.LatentType": "nothing reads it"}
 
 
 class ReadOnly:
@@ -330,8 +331,11 @@ def accepts(function: Callable[..., Any], num_arguments: int) -> bool:
 
 
 def _surfaces_of(cls: type) -> Iterator[Surface]:
-    names = {f"{base.__module__}.{base.__qualname__}" for base in cls.__mro__}
-    return (surface for surface in SURFACES if f"{_LEARNING}.{surface.ours}" in names)
+    """Yield the surfaces of a class and its bases, its own first."""
+    by_name = {f"{_LEARNING}.{surface.ours}": surface for surface in SURFACES}
+    for base in cls.__mro__:
+        if surface := by_name.get(f"{base.__module__}.{base.__qualname__}"):
+            yield surface
 
 
 def _check_overrides(cls: type) -> None:
@@ -340,19 +344,20 @@ def _check_overrides(cls: type) -> None:
     Raises:
         OverrideError: a method that only the published code calls, or a value that is not read.
     """
-    own = [base for base in cls.__mro__ if base.__module__.partition(".")[0] not in _NOT_OWN]
-    if cls.__module__.partition(".")[0] == _PACKAGE or not own:
+    if cls.__module__.partition(".")[0] == _PACKAGE:
         return
+    # A class that `type(...)` made may seem to be of the module of its metaclass.
+    others = (base for base in cls.__mro__[1:] if base.__module__.partition(".")[0] not in _NOT_OWN)
+    own = [cls, *others]
     defined = {name: value for base in reversed(own) for name, value in vars(base).items()}
     called = {name for n, value in defined.items() for name in _names_used(value) if name != n}
-    own_loop = "run" in defined
+    if "run" in defined:  # a player with a loop of its own
+        called |= _CALLED_BY_LOOP
     for surface in _surfaces_of(cls):
         for published, instead in surface.replaced.items():
             name, _, argument = published.removesuffix(")").partition("(")
             function = defined.get(name)
             if not published.endswith(")") or not _is_function(function) or name in called:
-                continue
-            if own_loop and instead == _LOOP:
                 continue
             if argument and argument not in inspect.signature(_function_of(function)).parameters:
                 continue
@@ -412,7 +417,7 @@ def counts() -> dict[str, int]:
     """Return how many published names are the same, have another one, or are absent."""
     same = sum(len(surface.same.split()) for surface in SURFACES) + len(CONSTANTS)
     other = sum(len(surface.other) for surface in SURFACES)
-    absent = sum(len(surface.absent) for surface in SURFACES)
+    absent = sum(len(surface.absent) for surface in SURFACES) + len(ABSENT_MODULE_NAMES)
     return {"same": same, "other": other, "absent": absent}
 
 
@@ -429,9 +434,10 @@ def as_markdown() -> str:
         lines += [f"| `{name}` | not here: {text} |" for name, text in surface.absent.items()]
         lines.append("")
     constants = (f"`{old}` is `{new}`" for old, new in CONSTANTS.items())
+    missing = (f"`{name}` ({why})" for name, why in ABSENT_MODULE_NAMES.items())
     found = counts()
     lines += [
-        f"Constants: {', '.join(constants)}.",
+        f"Of the modules: {', '.join(constants)}; not here: {', '.join(missing)}.",
         "",
         f"{sum(found.values())} names: {found['same']} the same, {found['other']} elsewhere,"
         f" {found['absent']} not here.",

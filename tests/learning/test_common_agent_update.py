@@ -148,6 +148,14 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
         + (sigma**2 + (old_mu - mu) ** 2) / (2 * (old_sigma**2 + 1e-5))
         - 0.5
     )
+    values = {**agent.train_result}
+    assert (values.pop("last_lr"), values.pop("lr_mul")) == (5e-5, 1.0)
+    assert set(values) == {
+        *("entropy", "kl", "b_loss", "actor_loss", "critic_loss", "actor_clip_frac"),
+        *("disc_loss", "disc_grad_penalty", "disc_logit_loss", "disc_agent_acc"),
+        *("disc_demo_acc", "disc_agent_logit", "disc_demo_logit"),
+    }
+    assert all(value.ndim == 0 and not value.requires_grad for value in values.values())
     assert agent.train_result["kl"].item() == pytest.approx(kl.sum(-1).mean(), rel=1e-4)
 
 
