@@ -67,21 +67,21 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         params: dict[str, Any] | None = None,
         config: dict[str, Any] | None = None,
     ) -> None:
-        params = given_section(params, config)
-        config = params["config"]
+        section = given_section(params, config)
+        settings: dict[str, Any] = section["config"]
         for key in _UNSUPPORTED_KEYS:
-            if config.get(key):
+            if settings.get(key):
                 raise ConfigError(
                     f"train.params.config.{key} is not supported by AMP-family agents; remove it"
                 )
-        wanted_precision = config.get("mixed_precision", False)
+        wanted_precision = settings.get("mixed_precision", False)
         # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
-        config["mixed_precision"] = False
-        config["torch_compile"] = torch_compile_setting(
-            config.get("torch_compile"), str(config.get("device", "cuda:0")), can_compile=False
+        settings["mixed_precision"] = False
+        settings["torch_compile"] = torch_compile_setting(
+            settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
         )
         # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
-        ContinuousA2CBase.__init__(self, base_name, params)
+        ContinuousA2CBase.__init__(self, base_name, section)
         if self.batch_size < 2:
             raise ConfigError(
                 "one environment with horizon_length 1 gives one sample per epoch, whose spread is"

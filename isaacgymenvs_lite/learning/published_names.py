@@ -2,9 +2,7 @@
 
 `SURFACES` has every name that their learning packages define. A subclass that overrides one which
 nothing calls here would train without it and without a word: it is refused when it is defined.
-The tables of docs/migration.md are printed by
-
-    python -m isaacgymenvs_lite.learning.published_names
+The tables of docs/migration.md are what `as_markdown` returns.
 """
 
 from __future__ import annotations
@@ -443,7 +441,3 @@ def as_markdown() -> str:
         f" {found['absent']} not here.",
     ]
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(as_markdown())
