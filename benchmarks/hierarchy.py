@@ -152,7 +152,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
     act = llc.policy_under(
         lambda obs: sample_latents(len(obs), llc.latent_dim, obs.device), player.llc_steps
     )
-    return lambda obs: act(player.obs_to_torch(obs))
+    return lambda obs: act(player.obs_to_torch(obs)["obs"])
 
 
 def main(words: list[str] | None = None) -> None:

@@ -35,6 +35,10 @@ class WrapperError(UserError, TypeError):
     """An adapter was given something else than a task."""
 
 
+class OverrideError(UserError, AttributeError):
+    """A subclass defines what nothing calls or reads here, or sets what is only read."""
+
+
 class MissingPackageError(UserError, ImportError):
     """A package is not installed that an extra of this one brings along."""
 

@@ -7,6 +7,8 @@
     register(runner)
     runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
+`amp_agent` is then `LeastSquaresAMPAgent`; a builder of the caller's own for `AMPAgent` pays the
+logistic style reward, as IsaacGymEnvs.
 Checkpoints of a runner that was registered are written atomically and loaded without running code.
 """
 

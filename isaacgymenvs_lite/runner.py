@@ -29,8 +29,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.event_sink import protect
-from isaacgymenvs_lite.learning.amp_config import UNREAD_KEYS, GenAMPParams
-from isaacgymenvs_lite.learning.hrl_config import HRLParams
+from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.observers import (
     AdviceObserver,
@@ -42,7 +41,6 @@ from isaacgymenvs_lite.observers import (
 )
 from isaacgymenvs_lite.registration import build_runner, known_names, register_env
 from isaacgymenvs_lite.run_folder import RunFolder, run_of_checkpoint
-from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import thread_count
@@ -271,7 +269,7 @@ def _end_play() -> None:
 def registered_names(runner: Runner) -> KnownNames:
     """Return what train files may name and which keys its agents read, to check them against."""
     names = known_names(runner)
-    keys = [*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS, *_RUNNER_KEYS]
+    keys = AGENT_KEYS.union(_RUNNER_KEYS)
     return KnownNames(names["algo"], names["model"], names["network"], keys)
 
 

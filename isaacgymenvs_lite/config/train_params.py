@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -28,10 +28,6 @@ _PARAMS_KEYS = frozenset(
         *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
         *("torch_threads", ISAAC_LAB_SECTION),
     )
-)
-# Agents with a gradient penalty: torch.compile cannot differentiate twice.
-_DOUBLE_BACKWARD = frozenset(
-    ("amp_agent", "amp_continuous", "amp", "gen_amp", "ase", "hrl", "hrl_continuous")
 )
 _PLAYER_DEFAULTS = {
     "deterministic": True,
@@ -99,6 +95,8 @@ def prepare_train_params(
     config["full_experiment_name"] = run_name
     config["reward_shaper"] = config.get("reward_shaper") or {}
     config["player"] = _PLAYER_DEFAULTS | (config.get("player") or {})
+    if note := player_class_note(config["player"]):
+        _log.info("%s", note)
     scale_units(params["network"])
     algo = params["algo"]["name"]
     if algo == "sac":
@@ -107,7 +105,6 @@ def prepare_train_params(
     recurrent = "rnn" in params["network"]
     _translate_former_keys(config, recurrent)
     _check_ppo_keys(config, names.config_keys)
-    config["torch_compile"] = torch_compile(config.get("torch_compile"), algo, device)
     _fit_minibatches(config, num_envs, num_agents, recurrent)
     return params
 
@@ -227,21 +224,32 @@ def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) 
     return settings
 
 
-def torch_compile(asked: Any, algo: str, device: str) -> Any:
-    """Return the value of `config.torch_compile`: rl_games compiles unless told not to.
+def player_class_note(player: Mapping[str, Any]) -> str:
+    """Return one line about a player that a train file names and nothing reads; '' without one."""
+    if "class_name" not in player:
+        return ""
+    return (
+        f"{_WHERE}.config.player.class_name={player['class_name']} has no effect: algo.name chooses"
+        " the player, by what runner.player_factory has registered for it"
+    )
+
+
+def torch_compile_setting(asked: Any, device: str, can_compile: bool) -> Any:
+    """Return the value of `torch_compile` that rl_games' Runner reads after it made an agent.
+
+    Without a value the Runner compiles. Agents call this in their constructors, so that it counts
+    in a Runner of the user's own, too; the Runner hands them the dictionary that it reads.
 
     Args:
-        asked: what the train file says, None if it says nothing.
-        algo: name of the algorithm.
+        asked: the key `train.params.config.torch_compile`, None without it.
         device: of the agent.
+        can_compile: False for agents that differentiate twice (gradient penalties).
     """
-    if algo in _DOUBLE_BACKWARD:
+    if not can_compile:
         if asked:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
         return False
-    if asked is None:
-        return device.startswith("cuda")
-    return asked
+    return device.startswith("cuda") if asked is None else asked
 
 
 def _fit_minibatches(

@@ -9,9 +9,10 @@ from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.published_names import PublishedNames, is_overridden
 
 
-class ActorCriticNetwork(A2CBuilder.Network):
+class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     """rl_games' A2C network whose actor and critic can be called by themselves.
 
     Args:
@@ -36,6 +37,18 @@ class ActorCriticNetwork(A2CBuilder.Network):
         if self.is_continuous and self.fixed_sigma:
             learn_sigma = params["space"]["continuous"].get("learn_sigma", False)
             self.sigma.requires_grad_(bool(learn_sigma))
+
+    def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
+        """Return mean actions, log standard deviations, values and no recurrent state.
+
+        As rl_games', which shares layers of actor and critic; a subclass' own actor or critic
+        counts wherever the network is called.
+        """
+        own = (ActorCriticNetwork.eval_actor, ActorCriticNetwork.eval_critic)
+        if not any(is_overridden(self, method) for method in own):
+            return super().forward(obs_dict)
+        obs = obs_dict["obs"]
+        return *self.eval_actor(obs), self.eval_critic(obs), None
 
     def eval_actor(self, obs: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""

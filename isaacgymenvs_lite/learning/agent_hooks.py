@@ -3,8 +3,11 @@
 | hook | what an agent adds |
 |---|---|
 | `_load_config_params` | its own keys |
+| `_setup_action_space` | what an action is |
 | `_build_net_config` | its own arguments of the networks |
 | `_parameter_groups` | parameters with a learning rate of their own |
+| `_init_train` | work before the first epoch |
+| `_env_reset_done` | how ended episodes start anew |
 | `_after_reset`, `_before_step` | work where episodes start, and before each policy step |
 | `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
 | `_evaluation_inputs` | the same for another task that the policy plays |
@@ -12,11 +15,18 @@
 | `_needs_next_value` | rows whose next value the following step's policy call will not give |
 | `_record_step` | what to keep of a step |
 | `_total_rewards` | rewards beside the task's |
+| `_eval_critic` | a critic of its own |
+| `_calc_advs` | how advantages are normalised |
 | `_before_update`, `_after_update` | work around the gradient steps |
 | `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
 | `_derived_rows` | rows that a whole minibatch decides about |
+| `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's terms |
 | `_extra_losses` | loss terms beside PPO's |
+| `_record_train_batch_info`, `_log_train_info` | what to log of an epoch |
 | `_checkpoint_keys` | what a checkpoint must hold |
+
+Hooks that the agents of IsaacGymEnvs or ASE have, too, have their names and arguments there; the
+others of theirs are listed in `published_names`.
 """
 
 from __future__ import annotations
@@ -38,9 +48,13 @@ class AgentHooks:
 
     dones: Tensor
     model: Any
+    _rollout_rewards: dict[str, Tensor]
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         """Read an agent's own keys of `params.config`; the networks do not exist yet."""
+
+    def _init_train(self) -> None:
+        """Called once, before the first rollout; buffers exist, environments are not reset yet."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """Return Adam's parameter groups; the first follows the learning rate's schedule.
@@ -87,7 +101,10 @@ class AgentHooks:
         """Keep what an agent needs of step n."""
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
-        """Return the rewards (H, N, values) to learn from, given the shaped task rewards."""
+        """Return the rewards (H, N, values) to learn from, given the shaped task rewards.
+
+        `self._rollout_rewards` are what they consist of: {name: (H, N, values)}, for the batch.
+        """
         return task_rewards
 
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
@@ -95,6 +112,11 @@ class AgentHooks:
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Called with the rollout's rows after the last minibatch."""
+
+    def _record_train_batch_info(
+        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
+    ) -> None:
+        """Add to `train_info` what `_log_train_info` will need of the rollout's rows."""
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         """Return rows (B, ...) that join the training set."""

@@ -16,8 +16,15 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
+from isaacgymenvs_lite.learning.discriminator import (
+    AMPObsShape,
+    DiscriminatorParts,
+    StyleDiscriminator,
+    accuracies,
+    judged_size,
+)
 from isaacgymenvs_lite.learning.losses import normalize_masked
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
@@ -25,7 +32,10 @@ _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
 class AMPAgent(CommonAgent):
-    """The agent of `algo: name: amp_agent`, `amp_continuous` or `amp`.
+    """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
+
+    Also where a user registers this class as `amp_agent` by hand, as IsaacGymEnvs does;
+    `registration.register` gives that name to `LeastSquaresAMPAgent`.
 
     Needs of the environment: `amp_observation_space`, `infos["amp_obs"]` (N, F),
     `infos["terminate"]` (N,) and `fetch_amp_obs_demo(n)` -> (n, F).
@@ -53,15 +63,37 @@ class AMPAgent(CommonAgent):
         "style_share": "info/style_reward_share",
     }
 
-    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        super().__init__(base_name, params)
+    _task_reward_w = ReadOnly("_amp.task_reward_w")
+    _disc_reward_w = ReadOnly("_amp.disc_reward_w")
+    _disc_reward_scale = ReadOnly("_amp.disc_reward_scale")
+    _disc_coef = ReadOnly("_amp.disc_coef")
+    _disc_logit_reg = ReadOnly("_amp.disc_logit_reg")
+    _disc_grad_penalty = ReadOnly("_amp.disc_grad_penalty")
+    _disc_weight_decay = ReadOnly("_amp.disc_weight_decay")
+    _amp_batch_size = ReadOnly("_amp.amp_batch_size")
+    _amp_replay_keep_prob = ReadOnly("_amp.amp_replay_keep_prob")
+    _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
+    _enable_eps_greedy = ReadOnly("_amp.enable_eps_greedy")
+    _amp_input_mean_std = ReadOnly("discriminator.normalizer", "the agent's discriminator")
+    _amp_observation_space = ReadOnly("vec_env.env.amp_observation_space", "the task")
+
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(base_name, params, config)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self._amp_obs_size,
             self._amp,
             self.default_disc_reward,
             self.ppo_device,
+            preprocess=lambda amp_obs: self._preproc_amp_obs(amp_obs),
         )
+        # A subclass' loss as published has three arguments and computes the gradient itself.
+        self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
@@ -72,6 +104,8 @@ class AMPAgent(CommonAgent):
                 " (amp_observation_space), such as task=HumanoidAMP"
             )
         self._amp_obs_size = judged_size(AMPObsShape.of_task(self.vec_env.env), self._amp)
+        # Whether some environments act without exploration noise.
+        self._masks_exploration = self._amp.enable_eps_greedy
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
 
     def _build_net_config(self) -> dict[str, Any]:
@@ -88,26 +122,55 @@ class AMPAgent(CommonAgent):
         return [{"params": others}, {"params": disc, "lr": self._amp.disc_learning_rate}]
 
     def init_tensors(self) -> None:
-        """Allocate the rollout of AMP observations and fill the demonstration buffer."""
+        """Allocate the rollout of AMP observations and the buffers of the discriminator, too."""
         super().init_tensors()
+        self._build_amp_buffers()
+
+    def _build_amp_buffers(self) -> None:
+        """Allocate what AMP keeps beside PPO: the rollout's rows, demonstrations, replayed rows."""
         self.experience_buffer.tensor_dict["amp_obs"] = torch.zeros(
             self.horizon_length, self.num_actors, self._amp_obs_size, device=self.ppo_device
         )
         self.tensor_list += ["amp_obs"]
-        if self._amp.enable_eps_greedy:
+        self._build_rand_action_probs()
+        self._masks_exploration |= bool((self._rand_action_probs < 1.0).any())
+        if self._masks_exploration:
             self.experience_buffer.tensor_dict["rand_action_mask"] = torch.zeros(
                 self.horizon_length, self.num_actors, device=self.ppo_device
             )
             self.tensor_list += ["rand_action_mask"]
-            self._exploration_probs = exploration_probs(self.num_actors).to(self.ppo_device)
-        self._demo_buffer = ReplayBuffer(self._amp.amp_obs_demo_buffer_size, self.ppo_device)
-        self._replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
-        for _ in range(math.ceil(self._amp.amp_obs_demo_buffer_size / self._amp.amp_batch_size)):
+        self._amp_obs_demo_buffer = ReplayBuffer(
+            self._amp.amp_obs_demo_buffer_size, self.ppo_device
+        )
+        self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
+
+    def _build_rand_action_probs(self) -> None:
+        """Set `_rand_action_probs` (N,), how probable exploration noise is in each environment."""
+        self._rand_action_probs = torch.ones(self.num_actors, device=self.ppo_device)
+        if self._amp.enable_eps_greedy:
+            self._rand_action_probs = exploration_probs(self.num_actors).to(self.ppo_device)
+
+    def _init_train(self) -> None:
+        super()._init_train()
+        self._init_amp_demo_buf()
+
+    def _init_amp_demo_buf(self) -> None:
+        """Fill the buffer of demonstrations."""
+        size = self._amp_obs_demo_buffer.get_buffer_size()
+        for _ in range(math.ceil(size / self._amp.amp_batch_size)):
             self._store_demos()
 
+    def _update_amp_demos(self) -> None:
+        """Add new demonstrations to the buffer; once in each epoch."""
+        self._store_demos()
+
     def _store_demos(self) -> None:
-        demos = self.vec_env.env.fetch_amp_obs_demo(self._amp.amp_batch_size)
-        self._demo_buffer.store({"amp_obs": self._judged(demos)})
+        demos = self._fetch_amp_obs_demo(self._amp.amp_batch_size)
+        self._amp_obs_demo_buffer.store({"amp_obs": self._judged(demos)})
+
+    def _fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
+        """Return AMP observations (n, F) of the reference motions."""
+        return self.vec_env.env.fetch_amp_obs_demo(num_samples)
 
     def _judged(self, amp_obs: Tensor) -> Tensor:
         """Return what discriminator and encoder see of AMP observations (..., F)."""
@@ -116,27 +179,48 @@ class AMPAgent(CommonAgent):
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions; with `enable_eps_greedy` some environments take the mean action."""
+        """Sample actions; where `_rand_action_probs` say so, the mean action is taken."""
         result = super().get_action_values(obs)
-        if self._amp.enable_eps_greedy:
-            self._explored = torch.bernoulli(self._exploration_probs)
+        if self._masks_exploration:
+            self._explored = torch.bernoulli(self._rand_action_probs)
             explored = self._explored.bool().unsqueeze(-1)
             result["actions"] = torch.where(explored, result["actions"], result["mus"])
         return result
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
         self.experience_buffer.update_data("amp_obs", n, self._judged(infos["amp_obs"]))
-        if self._amp.enable_eps_greedy:
+        if self._masks_exploration:
             self.experience_buffer.update_data("rand_action_mask", n, self._explored)
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
-        amp_rewards = self._calc_amp_rewards(self.experience_buffer.tensor_dict["amp_obs"])
+        amp_obs = self.experience_buffer.tensor_dict["amp_obs"]
+        amp_rewards = self._calc_amp_rewards(amp_obs, *self._reward_latents())
         self._rollout_rewards = {"task_rewards": task_rewards, **amp_rewards}
         return self._combine_rewards(task_rewards, amp_rewards)
 
     def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
         """Return {"disc_rewards": (..., 1)}, the style rewards of raw AMP observations (..., F)."""
-        return {"disc_rewards": self.discriminator.reward(amp_obs)}
+        return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
+
+    def _reward_latents(self) -> tuple[Tensor, ...]:
+        """Return what the rewards depend on beside the rollout's AMP observations."""
+        return ()
+
+    def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return style rewards (..., 1) of raw AMP observations (..., F)."""
+        return self.discriminator.reward_from_logits(self._eval_disc(amp_obs, *latents))
+
+    def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return logits (..., 1) of raw AMP observations, without gradients."""
+        return self.discriminator.logits(amp_obs, *latents)
+
+    def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
+        """Return what discriminator and encoder get for raw AMP observations (n, F): normalised.
+
+        Several threads call it at the same time: it must not change the agent. Statistics are
+        counted elsewhere (`_rows_to_count`).
+        """
+        return self.discriminator.normalize(amp_obs)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
@@ -150,12 +234,12 @@ class AMPAgent(CommonAgent):
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
         """Fetch new demonstrations and draw the rows that the discriminator will compare."""
         self._log_rewards()
-        self._store_demos()
+        self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
-        batch_dict |= self._demo_rows(self._demo_buffer.sample(rows))
+        batch_dict |= self._demo_rows(self._amp_obs_demo_buffer.sample(rows))
         replayed = self._fakes(batch_dict)
-        if self._replay_buffer.get_total_count() > 0:
-            replayed = self._replay_buffer.sample(rows)
+        if self._amp_replay_buffer.get_total_count() > 0:
+            replayed = self._amp_replay_buffer.sample(rows)
         for name, values in replayed.items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
@@ -172,7 +256,7 @@ class AMPAgent(CommonAgent):
         task_part = self._amp.task_reward_w * task.mean()
         style_part = self._amp.disc_reward_w * style.mean()
         total = (task_part.abs() + style_part.abs()).clamp(min=1e-8)
-        self._log_train_info(
+        self._collect(
             {
                 "disc_reward_mean": style.mean(),
                 "disc_reward_std": style.std(),
@@ -181,17 +265,16 @@ class AMPAgent(CommonAgent):
             }
         )
 
-    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """As CommonAgent; advantages by the moments of the rows that explored."""
-        super().prepare_dataset(batch_dict)
-        if self._amp.enable_eps_greedy and self.normalize_advantage:
-            raw = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-            advantages = normalize_masked(raw, batch_dict["rand_action_mask"])
-            self.dataset.values_dict["advantages"] = advantages
+    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
+        """As CommonAgent, by the moments of the rows that explored."""
+        if not (self._masks_exploration and self.normalize_advantage):
+            return super()._calc_advs(batch_dict)
+        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
+        return normalize_masked(advantages, batch_dict["rand_action_mask"])
 
     def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         rows = super()._derived_rows(input_dict)
-        if self._amp.enable_eps_greedy:
+        if self._masks_exploration:
             mask = input_dict["rand_action_mask"]
             rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
         if self._amp.disc_input_noise != 0.0:
@@ -201,7 +284,7 @@ class AMPAgent(CommonAgent):
         return rows
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        mask = ("rand_action_mask",) if self._amp.enable_eps_greedy else ()
+        mask = ("rand_action_mask",) if self._masks_exploration else ()
         return {name: batch_dict[name] for name in (*_AMP_OBS_KINDS, *mask)}
 
     def _dataset_row_limits(self) -> dict[str, int]:
@@ -213,7 +296,9 @@ class AMPAgent(CommonAgent):
         noise = (f"{name}_noise" for name in _AMP_OBS_KINDS)
         inputs |= {name: input_dict[name] for name in noise if name in input_dict}
         for name in _AMP_OBS_KINDS:
-            inputs[name] = self.discriminator.normalize(input_dict[name])
+            inputs[name] = self._preproc_amp_obs(input_dict[name])
+        if not self._disc_loss_takes_gradient:
+            inputs["amp_obs_demo"].requires_grad_()
         return inputs
 
     def _rows_to_count(
@@ -230,11 +315,9 @@ class AMPAgent(CommonAgent):
     ) -> LossTerms:
         terms = super()._extra_losses(result, batch, input_dict)
         agent_logit = torch.cat((result["disc_agent_logit"], result["disc_agent_replay_logit"]))
+        gradient = (result["disc_demo_gradient"],) if self._disc_loss_takes_gradient else ()
         info = self._disc_loss(
-            agent_logit,
-            result["disc_demo_logit"],
-            batch["amp_obs_demo"],
-            result["disc_demo_gradient"],
+            agent_logit, result["disc_demo_logit"], batch["amp_obs_demo"], *gradient
         )
         weights = {"disc_loss": self._amp.disc_coef}
         return terms | {
@@ -248,14 +331,47 @@ class AMPAgent(CommonAgent):
         obs_demo: Tensor,
         disc_demo_gradient: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Return the discriminator's loss and its parts; see `StyleDiscriminator.loss`."""
+        """Return the discriminator's loss and its parts; see `StyleDiscriminator.loss`.
+
+        Called as `_extra_losses`. The published three arguments do: without the last one the
+        gradient of `disc_demo_logit` by `obs_demo` is computed here.
+        """
         return self.discriminator.loss(
-            disc_agent_logit, disc_demo_logit, obs_demo, disc_demo_gradient
+            disc_agent_logit,
+            disc_demo_logit,
+            obs_demo,
+            disc_demo_gradient,
+            DiscriminatorParts(self._disc_loss_neg, self._disc_loss_pos, self._compute_disc_acc),
         )
+
+    def _disc_loss_neg(self, disc_logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of the policy's observations."""
+        return self.discriminator.loss_neg(disc_logits)
+
+    def _disc_loss_pos(self, disc_logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of demonstrations."""
+        return self.discriminator.loss_pos(disc_logits)
+
+    def _compute_disc_acc(
+        self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the shares that the discriminator takes for what they are."""
+        return accuracies(disc_agent_logit, disc_demo_logit)
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Keep the policy's AMP observations: all until the buffer is full, then a few."""
-        self._replay_buffer.store_some(self._fakes(batch_dict), self._amp.amp_replay_keep_prob)
+        self._store_replay_amp_obs(**self._fakes(batch_dict))
+
+    def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
+        """Keep AMP observations (n, F), and rows that belong to them."""
+        rows = {"amp_obs": amp_obs, **others}
+        self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
+
+    def _record_train_batch_info(
+        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
+    ) -> None:
+        super()._record_train_batch_info(batch_dict, train_info)
+        train_info["disc_rewards"] = batch_dict["disc_rewards"]
 
     # --- checkpoint ------------------------------------------------------------------------
 
@@ -290,6 +406,9 @@ def exploration_probs(num_envs: int) -> Tensor:
 
 
 class LeastSquaresAMPAgent(AMPAgent):
-    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default."""
+    """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default.
+
+    Only `registration.register` gives it that name; AMPAgent by itself pays the logistic reward.
+    """
 
     default_disc_reward = "least_squares"

@@ -9,8 +9,10 @@ import torch
 from rl_games.common.datasets import PPODataset
 from torch import Tensor
 
+from isaacgymenvs_lite.learning.published_names import PublishedNames
 
-class AMPDataset(PPODataset):
+
+class AMPDataset(PublishedNames, PPODataset):
     """rl_games' dataset with random minibatches.
 
     A permutation of all rows is drawn at the start and again after the last minibatch of every
@@ -40,7 +42,7 @@ class AMPDataset(PPODataset):
     ) -> None:
         super().__init__(batch_size, minibatch_size, is_discrete, is_rnn, device, seq_length)
         self._row_limits = dict(row_limits or {})
-        self._order = torch.randperm(self.batch_size, device=self.device)
+        self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
         """Refuse: minibatches are random rows, which have no place to be written back to.
@@ -51,12 +53,16 @@ class AMPDataset(PPODataset):
         raise NotImplementedError("AMPDataset keeps the rollout's mu and sigma")
 
     def _get_item(self, idx: int) -> dict[str, Any]:
-        rows = self._order[idx * self.minibatch_size : (idx + 1) * self.minibatch_size]
+        rows = self._idx_buf[idx * self.minibatch_size : (idx + 1) * self.minibatch_size]
         minibatch = {
             name: values.index_select(0, rows[: self._row_limits.get(name, self.minibatch_size)])
             for name, values in self.values_dict.items()
             if name not in self.special_names and values is not None
         }
         if idx == self.length - 1:
-            self._order = torch.randperm(self.batch_size, device=self.device)
+            self._shuffle_idx_buf()
         return minibatch
+
+    def _shuffle_idx_buf(self) -> None:
+        """Draw the order of the rows for the next pass."""
+        self._idx_buf = torch.randperm(self.batch_size, device=self.device)

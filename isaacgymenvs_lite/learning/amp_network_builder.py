@@ -10,7 +10,14 @@ from torch import nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.actor_critic_network import ActorCriticNetwork
-from isaacgymenvs_lite.learning.discriminator_layers import DiscriminatorLayers
+from isaacgymenvs_lite.learning.discriminator_layers import (
+    DISC_LOGIT_INIT_SCALE,
+    DiscriminatorLayers,
+)
+
+__all__ = ["DEFAULT_INITIALIZER", "DISC_LOGIT_INIT_SCALE", "AMPBuilder"]
+
+DEFAULT_INITIALIZER = {"name": "default"}
 
 
 class AMPBuilder(A2CBuilder):
@@ -40,38 +47,52 @@ class AMPBuilder(A2CBuilder):
         def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
             amp_input_shape = kwargs.pop("amp_input_shape")
             super().__init__(params, **kwargs)
-            self._build_disc(params, amp_input_shape)
+            self._build_disc(amp_input_shape)
 
-        def _build_disc(self, params: dict[str, Any], input_shape: tuple[int, ...]) -> None:
+        def load(self, params: dict[str, Any]) -> None:
+            """Read the section `network:`; rl_games calls this before the layers are built."""
+            super().load(params)
             if "disc" not in params:
                 raise ConfigError(
                     "train.params.network.disc is missing: expected units, activation and"
                     " initializer of the discriminator"
                 )
             disc = params["disc"]
-            if len(disc["units"]) == 0:
+            self._disc_units = list(disc["units"])
+            self._disc_activation = disc["activation"]
+            self._disc_initializer = disc.get("initializer", DEFAULT_INITIALIZER)
+
+        def _build_disc(self, input_shape: tuple[int, ...]) -> None:
+            """Build the discriminator's layers, for inputs (n, input_shape[0])."""
+            if len(self._disc_units) == 0:
                 raise ConfigError(
                     "train.params.network.disc.units=[]: expected at least one hidden layer"
                 )
-            hidden = self._hidden_layers(input_shape[0], disc["units"], disc)
-            self._set_disc_layers(hidden, disc["units"][-1])
+            hidden = self._hidden_layers(
+                input_shape[0], self._disc_units, self._disc_activation, self._disc_initializer
+            )
+            self._set_disc_layers(hidden, self._disc_units[-1])
 
         def _hidden_layers(
-            self, inputs: int, units: Sequence[int], section: dict[str, Any]
+            self,
+            inputs: int,
+            units: Sequence[int],
+            activation: str,
+            initializer: dict[str, Any],
         ) -> nn.Module:
-            """Return layers with the section's activation behind each, initialised as it says."""
+            """Return initialised layers with the activation behind each."""
             layers = self._build_mlp(
                 input_size=inputs,
                 units=list(units),
-                activation=section["activation"],
+                activation=activation,
                 dense_func=nn.Linear,
             )
-            self._init_linear(layers, section)
+            self._init_linear(layers, initializer)
             return layers
 
-        def _init_linear(self, module: nn.Module, section: dict[str, Any]) -> None:
-            """Initialise linear layers by a section's `initializer`, their biases with zeros."""
-            init = self.init_factory.create(**section.get("initializer", {"name": "default"}))
+        def _init_linear(self, module: nn.Module, initializer: dict[str, Any]) -> None:
+            """Initialise linear layers, their biases with zeros."""
+            init = self.init_factory.create(**initializer)
             for layer in module.modules():
                 if isinstance(layer, nn.Linear):
                     init(layer.weight)

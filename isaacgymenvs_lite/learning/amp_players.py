@@ -14,6 +14,7 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
+from isaacgymenvs_lite.learning.published_names import ReadOnly
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +26,10 @@ class AMPPlayerContinuous(CommonPlayer):
     logit and reward of environment 0 at every step.
     """
 
+    _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
+    _disc_reward_scale = ReadOnly("_amp.disc_reward_scale")
+    _amp_input_mean_std = ReadOnly("discriminator.normalizer", "restore, from a checkpoint")
+
     default_disc_reward = AMPAgent.default_disc_reward
     params_class: ClassVar[type[AMPParams]] = AMPParams
 
@@ -32,12 +37,17 @@ class AMPPlayerContinuous(CommonPlayer):
         self._print_disc_prediction = bool(params["config"].get("print_disc_prediction", False))
         self._amp = read_amp_params(params["config"], self.params_class)
         super().__init__(params)
+
+    def _build_net(self, config: dict[str, Any]) -> None:
+        """As CommonPlayer, and the discriminator."""
+        super()._build_net(config)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             judged_size(AMPObsShape.of_task(self.env), self._amp),
             self._amp,
             self.default_disc_reward,
             self.device,
+            preprocess=lambda amp_obs: self._preproc_amp_obs(amp_obs),
         )
 
     def _build_net_config(self) -> dict[str, Any]:
@@ -70,7 +80,7 @@ class AMPPlayerContinuous(CommonPlayer):
 
     def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
         def reward(amp_obs: Tensor) -> Tensor:
-            rewards = self.discriminator.reward(amp_obs.to(self.device), *self._disc_latents())
+            rewards = self._calc_disc_rewards(amp_obs.to(self.device), *self._disc_latents())
             return rewards.to(amp_obs.device)
 
         return reward
@@ -79,13 +89,38 @@ class AMPPlayerContinuous(CommonPlayer):
         """Return what the discriminator hears beside the AMP observations (N, F) of now."""
         return ()
 
-    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        super()._on_step(dones, infos)
+    def _reward_latents(self) -> tuple[Tensor, ...]:
+        """Return what the rewards depend on beside the AMP observations (N, F) of now."""
+        return ()
+
+    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
+        """Return {"disc_rewards": (..., 1)} of raw AMP observations (..., F)."""
+        return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
+
+    def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return style rewards (..., 1) of raw AMP observations (..., F)."""
+        return self.discriminator.reward_from_logits(self._eval_disc(amp_obs, *latents))
+
+    def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
+        """Return logits (..., 1) of raw AMP observations (..., F)."""
+        return self.discriminator.logits(amp_obs, *latents)
+
+    def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
+        """Return what the discriminator gets for raw AMP observations (n, F): normalised."""
+        return self.discriminator.normalize(amp_obs)
+
+    def _post_step(self, info: dict[str, Any]) -> None:
+        super()._post_step(info)
         if self._print_disc_prediction:
-            first = (infos["amp_obs"].to(self.device), *self._disc_latents())
-            logit = self.discriminator.logits(*(rows[:1] for rows in first))
-            reward = self.discriminator.reward_from_logits(logit)
-            log.info("disc_pred: %.4f  style reward: %.4f", logit.item(), reward.item())
+            self._amp_debug(info)
+
+    def _amp_debug(self, info: dict[str, Any]) -> None:
+        """Log what environment 0 is worth."""
+        amp_obs = info["amp_obs"][:1].to(self.device)
+        logit = self._eval_disc(amp_obs, *(rows[:1] for rows in self._disc_latents()))
+        rewards = self._calc_amp_rewards(amp_obs, *(rows[:1] for rows in self._reward_latents()))
+        parts = [f"{name} {value.item():.4f}" for name, value in rewards.items()]
+        log.info("disc_pred: %.4f  %s", logit.item(), "  ".join(parts))
 
 
 class LeastSquaresAMPPlayer(AMPPlayerContinuous):

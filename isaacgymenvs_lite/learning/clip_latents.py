@@ -29,6 +29,7 @@ class ClipLatents:
         latent_dim: Z.
         read: AMP observations (n, F) -> latents (n, Z), the encoder.
         fetch: n -> AMP observations (n, F) of the clips.
+        sample: n -> random latents (n, Z); None: uniform on the sphere.
     """
 
     def __init__(
@@ -37,11 +38,13 @@ class ClipLatents:
         latent_dim: int,
         read: Callable[[Tensor], Tensor],
         fetch: Callable[[int], Tensor],
+        sample: Callable[[int], Tensor] | None = None,
     ) -> None:
         self._share = share
         self._latent_dim = latent_dim
         self._read = read
         self._fetch = fetch
+        self._sample = sample
 
     def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
         """Return n latents (n, Z), those of clips from anywhere in them."""
@@ -59,7 +62,8 @@ class ClipLatents:
 
     def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
         """Return random latents (n, Z), and the places (k,) that those of clips shall have."""
-        latents = sample_latents(n, self._latent_dim, device)
+        sample = self._sample or (lambda k: sample_latents(k, self._latent_dim, device))
+        latents = sample(n).to(device)
         if self._share == 0.0:  # nor shall it use up random numbers
             return latents, torch.empty(0, dtype=torch.int64, device=device)
         chosen = torch.rand(n, device=device) < self._share

@@ -15,12 +15,15 @@ from rl_games.algos_torch import torch_ext
 from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
+from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
+from isaacgymenvs_lite.learning.flat_config import given_section
 from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.next_values import NextValues
 from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
+from isaacgymenvs_lite.learning.published_names import ExplainedNames
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.learning.training_log import TrainingLog
 
@@ -32,7 +35,7 @@ _UNSUPPORTED_KEYS = (
 )
 
 
-class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
+class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
     """PPO that asks the environment for resets and bootstraps with the value after each step.
 
     Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
@@ -43,9 +46,11 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     Args:
         base_name: name for rl_games' bookkeeping.
         params: the section `params` of a train file, prepared by the Runner.
+        config: the same under the name that the published agents have for it.
 
     Raises:
         ConfigError: a key that this family of agents does not support.
+        OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
     # rl_games declares these as None and fills them in its constructors.
@@ -56,24 +61,35 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     tensor_list: list[str]
     control_steps_per_action = 1
 
-    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        config = params["config"]
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        section = given_section(params, config)
+        settings: dict[str, Any] = section["config"]
         for key in _UNSUPPORTED_KEYS:
-            if config.get(key):
+            if settings.get(key):
                 raise ConfigError(
                     f"train.params.config.{key} is not supported by AMP-family agents; remove it"
                 )
-        wanted_precision = config.get("mixed_precision", False)
+        wanted_precision = settings.get("mixed_precision", False)
         # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
-        config["mixed_precision"] = False
+        settings["mixed_precision"] = False
+        settings["torch_compile"] = torch_compile_setting(
+            settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
+        )
         # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
-        ContinuousA2CBase.__init__(self, base_name, params)
+        ContinuousA2CBase.__init__(self, base_name, section)
         if self.batch_size < 2:
             raise ConfigError(
                 "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
                 " undefined; expected at least two: raise num_envs or horizon_length"
             )
+        self.network_path = self.nn_dir
         self._load_config_params(self.config)
+        self._setup_action_space()
 
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
@@ -104,10 +120,19 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         if self.normalize_value:
             self.value_mean_std = self.model.value_mean_std
         self._train_info: dict[str, list[Tensor]] = {}
+        self._epoch_info: dict[str, Any] = {}
+        self._rollout_rewards: dict[str, Tensor] = {}
         self._unvalued: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._restored_best: float | None = None
         self._restored_from = ""
         self.algo_observer.after_init(self)
+
+    def _setup_action_space(self) -> None:
+        """Take number and limits of the actions from `env_info`; the networks do not exist yet."""
+        box = self.env_info["action_space"]
+        self.actions_num = box.shape[0]
+        self.actions_low = torch.from_numpy(box.low.copy()).float().to(self.ppo_device)
+        self.actions_high = torch.from_numpy(box.high.copy()).float().to(self.ppo_device)
 
     def _build_net_config(self) -> dict[str, Any]:
         """Return the arguments that the model is built with."""
@@ -131,11 +156,12 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
 
         The networks have threads of their own; what is left is too small to be shared by torch's.
         rl_games forgets the best reward of a checkpoint between restoring and training, and
-        would overwrite the best checkpoint by a worse one.
+        would overwrite the best checkpoint by a worse one. Calls `_init_train`.
         """
         if self._restored_best is not None:
             self.last_mean_rewards, self._restored_best = self._restored_best, None
         torch.set_num_threads(1)
+        self._init_train()
         return super().env_reset()
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
@@ -179,7 +205,8 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         buffer = self.experience_buffer
         step_time_s = 0.0
         for n in range(self.horizon_length):
-            self.obs = self._reset_done_envs()
+            self.obs, reset_ids = self._env_reset_done()
+            self._after_reset(reset_ids.to(self.ppo_device))
             self._before_step()
             result = self.get_action_values(self.obs)
             if n > 0:
@@ -200,10 +227,10 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
             self._track_episodes(rewards, shaped_rewards, infos)
         return self._rollout_batch(step_time_s)
 
-    def _reset_done_envs(self) -> Any:
+    def _env_reset_done(self) -> tuple[Any, Tensor]:
+        """Let ended episodes start anew; return all observations, and the environments (n,)."""
         obs, env_ids = self.vec_env.reset_done()
-        self._after_reset(env_ids.to(self.ppo_device))
-        return self.obs_to_tensors(obs)
+        return self.obs_to_tensors(obs), env_ids
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
@@ -249,6 +276,8 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         )
         batch = self.experience_buffer.get_transformed_list(swap_and_flatten01, self.tensor_list)
         batch["returns"] = swap_and_flatten01(advantages + buffer["values"])
+        for name, part in {**self._rollout_rewards, "rewards": rewards}.items():
+            batch[name] = swap_and_flatten01(part)
         batch["played_frames"] = self.batch_size * self.control_steps_per_action
         batch["step_time"] = step_time_s
         return batch
@@ -272,15 +301,24 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         lr_mul, kls = self._run_mini_epochs()
         self._after_update(batch)
         end = time.perf_counter()
-        info = self._train_info
+        info = {
+            **self._train_info,
+            "last_lr": [self.last_lr],
+            "lr_mul": [lr_mul],
+            "play_time": played - start,
+            "update_time": end - played,
+            "total_time": end - start,
+        }
+        self._record_train_batch_info(batch, info)
+        self._epoch_info = info
         return (
             batch["step_time"],
-            played - start,
-            end - played,
-            end - start,
+            info["play_time"],
+            info["update_time"],
+            info["total_time"],
             info["actor_loss"],
             info["critic_loss"],
-            info["bounds_loss"] if self.bounds_loss_coef is not None else [],
+            info["b_loss"] if self.bounds_loss_coef is not None else [],
             info["entropy"],
             kls,
             self.last_lr,
@@ -309,7 +347,9 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
         """Take a gradient step; unlike rl_games' it leaves the optimiser's step sizes alone."""
         self.set_train()
         self.calc_gradients(input_dict)
-        return self.train_result
+        result: Any = self.train_result
+        self._collect({n: value for n, value in result.items() if isinstance(value, Tensor)})
+        return result
 
     def update_lr(self, lr: float) -> None:
         """Set the step size of all parameters but those that have one of their own."""
@@ -329,10 +369,23 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages and hand all rows to the dataset."""
         super().prepare_dataset(batch_dict)
+        self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
         self.dataset.values_dict.update(self._extra_dataset(batch_dict))
 
+    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
+        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values)."""
+        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
+        if not self.normalize_advantage:
+            return advantages
+        return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
-        """Take one gradient step on a minibatch; `self.train_result` holds what to log."""
+        """Take one gradient step on a minibatch.
+
+        `self.train_result` is then what the published agents keep of one: `entropy`, `kl`,
+        `last_lr`, `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss` and the terms
+        that an agent adds, means over the minibatch without gradients.
+        """
         self._count_in(input_dict)
         rows = input_dict | self._derived_rows(input_dict)
         gradients, values = self.executor.gradients(self._row_loss, rows, self._learned)
@@ -340,7 +393,7 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
             parameter.grad = gradient
         self.trancate_gradients_and_step()
 
-        kl, neglogp = values.pop("kl"), values.pop("neglogp")
+        neglogp = values.pop("neglogp")
         self.diagnostics.mini_batch(
             self,
             {
@@ -353,5 +406,4 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
             self.e_clip,
             0,
         )
-        self._log_train_info(values)
-        self.train_result = {"kl": kl, "lr_mul": 1.0, "last_lr": self.last_lr}
+        self.train_result = {**values, "last_lr": self.last_lr, "lr_mul": 1.0}

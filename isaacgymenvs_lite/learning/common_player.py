@@ -18,9 +18,10 @@ from isaacgymenvs_lite.learning.evaluation import (
     play_on,
 )
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
+from isaacgymenvs_lite.learning.published_names import ExplainedNames
 
 
-class CommonPlayer(PpoPlayerContinuous):
+class CommonPlayer(ExplainedNames, PpoPlayerContinuous):
     """rl_games' PPO player with the play loop of `evaluation`.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
@@ -33,6 +34,7 @@ class CommonPlayer(PpoPlayerContinuous):
 
     Raises:
         ConfigError: a latent for a policy that hears none.
+        OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
     hears_latents: ClassVar[bool] = False
@@ -52,15 +54,23 @@ class CommonPlayer(PpoPlayerContinuous):
         self.games_num = episodes_to_play(self.player_config)
         self.has_batch_dimension = True
         self.network = self.config["network"]
+        self.normalize_input = self.config["normalize_input"]
+        self.normalize_value = self.config.get("normalize_value", False)
+        self._setup_action_space()
+        self._build_net(self._build_net_config())
+        path = self.player_config.get("record")
+        self._recorder = MotionRecorder(self.env, path) if path else None
+
+    def _setup_action_space(self) -> None:
+        """Set number and limits of the policy's actions; the networks do not exist yet."""
         self.actions_num = self.action_space.shape[0]
         self.actions_low = torch.from_numpy(self.action_space.low.copy()).to(self.device)
         self.actions_high = torch.from_numpy(self.action_space.high.copy()).to(self.device)
-        self.normalize_input = self.config["normalize_input"]
-        self.normalize_value = self.config.get("normalize_value", False)
-        self.model = self.network.build(self._build_net_config()).to(self.device).eval()
+
+    def _build_net(self, config: dict[str, Any]) -> None:
+        """Build the model, of the arguments that `_build_net_config` returned."""
+        self.model = self.network.build(config).to(self.device).eval()
         self.is_rnn = False
-        path = self.player_config.get("record")
-        self._recorder = MotionRecorder(self.env, path) if path else None
 
     def _build_net_config(self) -> dict[str, Any]:
         """Return the arguments that the model is built with."""
@@ -88,8 +98,18 @@ class CommonPlayer(PpoPlayerContinuous):
             on_step=self._on_step,
         )
 
-    def get_action(self, obs: Any, is_deterministic: bool = False) -> Tensor:
-        """Return actions (N, A) for raw observations (N, O), within the action space's limits."""
+    def obs_to_torch(self, obs: Any) -> Any:
+        """Return {"obs": (N, O)}, what `get_action` takes."""
+        return {"obs": super().obs_to_torch(obs)}
+
+    def get_action(self, obs_dict: Any, is_deterministic: bool = False) -> Tensor:
+        """Return actions (N, A), within the action space's limits.
+
+        Args:
+            obs_dict: raw observations, {"obs": (N, O)} or the tensor itself.
+            is_deterministic: mean actions.
+        """
+        obs = obs_dict["obs"] if isinstance(obs_dict, dict) else obs_dict
         with torch.no_grad():
             result = self.model(
                 {
@@ -119,6 +139,9 @@ class CommonPlayer(PpoPlayerContinuous):
 
     def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
         """Called with the dones (N,) and infos of each step, before resets."""
-        del infos
         if self._recorder is not None:
             self._recorder.step(dones)
+        self._post_step(infos)
+
+    def _post_step(self, info: dict[str, Any]) -> None:
+        """Called with the infos of each step, before resets."""

@@ -6,8 +6,9 @@ the actor-critic network, so that one optimiser and one checkpoint hold everythi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 import torch.nn.functional as F
@@ -77,6 +78,14 @@ def judged_size(shape: AMPObsShape, params: AMPParams) -> int:
     return size // steps * params.amp_obs_steps
 
 
+class DiscriminatorParts(NamedTuple):
+    """Functions of logits (n, 1) that a discriminator's loss is made of."""
+
+    loss_neg: Callable[[Tensor], Tensor]
+    loss_pos: Callable[[Tensor], Tensor]
+    accuracies: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
 class StyleDiscriminator:
     """Judges whether AMP observations come from the reference motions.
 
@@ -86,6 +95,7 @@ class StyleDiscriminator:
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
         device: of the normaliser's statistics.
+        preprocess: from raw AMP observations (n, F) to the network's inputs; None: `normalize`.
 
     Attributes:
         normalizer: running mean and variance (None if `normalize_amp_input` is False). It is no
@@ -99,10 +109,12 @@ class StyleDiscriminator:
         params: AMPParams,
         disc_reward: str,
         device: str | torch.device,
+        preprocess: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         self._network = network
         self._params = params
         self._size = amp_obs_size
+        self._preprocess = preprocess or self.normalize
         self._reward_kind = params.disc_reward or disc_reward
         self.normalizer: RunningMeanStd | None = None
         if params.normalize_amp_input:
@@ -127,7 +139,7 @@ class StyleDiscriminator:
             latents: (..., Z) for a conditional discriminator, none for another.
         """
         return evaluate_in_chunks(
-            lambda rows, *given: self._network.eval_disc(self.normalize(rows), *given),
+            lambda rows, *given: self._network.eval_disc(self._preprocess(rows), *given),
             amp_obs,
             *latents,
         )
@@ -155,6 +167,7 @@ class StyleDiscriminator:
         demo_logit: Tensor,
         demo_obs: Tensor,
         demo_gradient: Tensor | None = None,
+        parts: DiscriminatorParts | None = None,
     ) -> dict[str, Tensor]:
         """Return the discriminator's loss and what is worth logging.
 
@@ -167,13 +180,16 @@ class StyleDiscriminator:
             demo_obs: (K, F) normalised, that `demo_logit` came from; with gradients required if
                 `demo_gradient` is None.
             demo_gradient: (K, F) gradients of the logits by `demo_obs`, differentiable.
+            parts: what an agent computes otherwise.
 
         Returns:
             `disc_loss` (the weighted sum), `disc_grad_penalty` and `disc_logit_loss` (unweighted),
             `disc_agent_acc`, `disc_demo_acc`, `disc_agent_logit`, `disc_demo_logit`.
         """
         agent_logit, demo_logit = agent_logit.float(), demo_logit.float()
-        prediction = self._prediction_loss(agent_logit, demo_logit)
+        parts = parts or self.parts()
+        # Half the sum of the mean losses on fakes and on demonstrations.
+        prediction = 0.5 * (parts.loss_neg(agent_logit) + parts.loss_pos(demo_logit))
         logit_loss = self._network.get_disc_logit_weights().square().sum()
         if demo_gradient is None:
             demo_gradient = input_gradient(demo_logit, demo_obs)
@@ -186,20 +202,34 @@ class StyleDiscriminator:
         if self._params.disc_weight_decay != 0.0:
             squares = [weights.square().sum() for weights in self._network.get_disc_weights()]
             loss = loss + self._params.disc_weight_decay * torch.stack(squares).sum()
+        agent_acc, demo_acc = parts.accuracies(agent_logit.detach(), demo_logit.detach())
         return {
             "disc_loss": loss,
             "disc_grad_penalty": grad_penalty.detach(),
             "disc_logit_loss": logit_loss.detach(),
-            "disc_agent_acc": (agent_logit.detach() < 0.0).float().mean(),
-            "disc_demo_acc": (demo_logit.detach() > 0.0).float().mean(),
+            "disc_agent_acc": agent_acc,
+            "disc_demo_acc": demo_acc,
             "disc_agent_logit": agent_logit.detach(),
             "disc_demo_logit": demo_logit.detach(),
         }
 
-    def _prediction_loss(self, agent_logit: Tensor, demo_logit: Tensor) -> Tensor:
-        """Half the sum of the mean losses on fakes and on demonstrations."""
+    def parts(self) -> DiscriminatorParts:
+        """Return what `loss` is made of."""
+        return DiscriminatorParts(self.loss_neg, self.loss_pos, accuracies)
+
+    def loss_neg(self, logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of the policy's observations."""
         if self._params.disc_loss == "least_squares":
-            return 0.5 * ((agent_logit + 1.0).square().mean() + (demo_logit - 1.0).square().mean())
-        fakes = F.binary_cross_entropy_with_logits(agent_logit, torch.zeros_like(agent_logit))
-        demos = F.binary_cross_entropy_with_logits(demo_logit, torch.ones_like(demo_logit))
-        return 0.5 * (fakes + demos)
+            return (logits + 1.0).square().mean()
+        return F.binary_cross_entropy_with_logits(logits, torch.zeros_like(logits))
+
+    def loss_pos(self, logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of reference observations."""
+        if self._params.disc_loss == "least_squares":
+            return (logits - 1.0).square().mean()
+        return F.binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
+
+
+def accuracies(agent_logit: Tensor, demo_logit: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the shares of the policy's and of reference observations taken for what they are."""
+    return (agent_logit < 0.0).float().mean(), (demo_logit > 0.0).float().mean()

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from isaacgymenvs_lite.learning.losses import input_gradient
 
 # The last layer starts in U(-1, 1), as IsaacGymEnvs and ASE.
-_LOGIT_INIT_SCALE = 1.0
+DISC_LOGIT_INIT_SCALE = 1.0
 
 
 class DiscriminatorLayers:
@@ -27,7 +27,7 @@ class DiscriminatorLayers:
         """Take hidden layers with `width` outputs, and add the last one."""
         self._disc_mlp = hidden
         self._disc_logits = nn.Linear(width, 1)
-        nn.init.uniform_(self._disc_logits.weight, -_LOGIT_INIT_SCALE, _LOGIT_INIT_SCALE)
+        nn.init.uniform_(self._disc_logits.weight, -DISC_LOGIT_INIT_SCALE, DISC_LOGIT_INIT_SCALE)
         nn.init.zeros_(self._disc_logits.bias)
 
     def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
@@ -44,7 +44,8 @@ class DiscriminatorLayers:
         The gradients can be differentiated by the parameters. Arguments as `eval_disc`.
         """
         with torch.enable_grad():
-            amp_obs = amp_obs.detach().requires_grad_()
+            # A caller's own gradients stay possible: its rows may want some.
+            amp_obs = amp_obs if amp_obs.requires_grad else amp_obs.detach().requires_grad_()
             logits = self.eval_disc(amp_obs, *latents)
         # The backward pass computes as the forward pass did; autocast has no say in it.
         with torch.autocast(amp_obs.device.type, enabled=False):

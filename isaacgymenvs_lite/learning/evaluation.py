@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.config.train_params import player_class_note
 from isaacgymenvs_lite.imitation import (
     EpisodeRecorder,
     ImitationResult,
@@ -163,7 +164,12 @@ _WITHOUT_END = 10_000
 
 
 def episodes_to_play(player_config: Mapping[str, Any]) -> int:
-    """Return `player.games_num` of a train file, or a number that comes to an end."""
+    """Return `player.games_num` of a train file, or a number that comes to an end.
+
+    Logs what else the section asks for in vain.
+    """
+    if note := player_class_note(player_config):
+        log.info("%s", note)
     asked = int(player_config.get("games_num", DEFAULT_EPISODES))
     if asked < _WITHOUT_END:
         return asked

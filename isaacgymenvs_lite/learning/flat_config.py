@@ -10,12 +10,48 @@ from rl_games.common import env_configurations, tr_helpers
 from rl_games.common.algo_observer import DefaultAlgoObserver
 
 from isaacgymenvs_lite.config.train_files import load_train_file
-from isaacgymenvs_lite.config.train_params import prepare_train_params
+from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_config import UNREAD_KEYS, GenAMPParams
+from isaacgymenvs_lite.learning.hrl_config import HRLParams
+from isaacgymenvs_lite.schema import keys_of
 
 _PLAIN = (str, int, float, bool, dict, list, tuple, type(None))
 _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
+
+
+# What agents read beyond PPO's keys.
+AGENT_KEYS = frozenset((*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS))
+
+
+def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
+    """Return what an agent's constructor was given, as `params` or under the published name.
+
+    Raises:
+        ConfigError: neither, or both.
+    """
+    if (params is None) == (config is None):
+        raise ConfigError(
+            "an agent is made with base_name and the section params of a train file, given as"
+            " params= or config=, one of both"
+        )
+    return params if config is None else config  # type: ignore[return-value]
+
+
+def given_section(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
+    """As `given_params`, for agents that want the whole section.
+
+    Raises:
+        ConfigError: also for a flat configuration.
+    """
+    section = given_params(params, config)
+    if not isinstance(section.get("config"), Mapping):
+        raise ConfigError(
+            "an agent's params have no section 'config': expected the section params of a train"
+            " file (algo, model, network, config), as rl_games' Runner hands it over"
+        )
+    return section
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:
@@ -51,7 +87,8 @@ def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any
         section["network"] = given.pop("network")
     section["config"] |= given
     tree = OmegaConf.create({"train": {"params": section}, "pbt": {}, "rl_device": device})
-    complete = prepare_train_params(tree, num_envs=num_actors, seed=0)
+    names = KnownNames(config_keys=AGENT_KEYS)
+    complete = prepare_train_params(tree, num_envs=num_actors, seed=0, names=names)
     config = complete["config"]
     config["reward_shaper"] = shaper or tr_helpers.DefaultRewardsShaper(**config["reward_shaper"])
     config["features"] = {"observer": observer}

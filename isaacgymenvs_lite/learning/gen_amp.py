@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import OverrideError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
@@ -25,6 +26,7 @@ from isaacgymenvs_lite.learning.clip_latents import (
 from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
 from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 
 # Rows of the clips that a random latent is compared with.
@@ -57,18 +59,47 @@ class GenAMPAgent(AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     _amp: GenAMPParams
+    _latent_dim = ReadOnly("_amp.latent_dim")
+    _latent_steps_min = ReadOnly("_amp.latent_steps_min")
+    _latent_steps_max = ReadOnly("_amp.latent_steps_max")
+    _amp_diversity_bonus = ReadOnly("_amp.amp_diversity_bonus")
+    _amp_diversity_tar = ReadOnly("_amp.amp_diversity_tar")
+    _enc_coef = ReadOnly("_amp.enc_coef")
+    _enc_weight_decay = ReadOnly("_amp.enc_weight_decay")
+    _enc_reward_scale = ReadOnly("_amp.enc_reward_scale")
+    _enc_grad_penalty = ReadOnly("_amp.enc_grad_penalty")
+    _enc_reward_w = ReadOnly("_amp.enc_reward_w")
+    _ase_latents = ReadOnly("schedule.latents", "the agent's schedule")
+    _latent_reset_steps = ReadOnly("schedule.change_at", "the agent's schedule")
 
-    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        super().__init__(base_name, params)
-        self.encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(base_name, params, config)
+        self.encoder = SkillEncoder(
+            self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
+        )
+        # A subclass' loss as published has three arguments and draws the other latents itself.
+        self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
+        needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
+        if needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
+            raise OverrideError(
+                f"{type(self).__name__}._fetch_amp_obs_demo: with enc_alignment_coef,"
+                " enc_uniformity_coef or disc.conditional demonstrations come in pairs; override"
+                " _fetch_amp_obs_demo_pairs"
+            )
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
         self._clip_latents = ClipLatents(
             self._amp.clip_latents,
             self._amp.latent_dim,
-            read=lambda amp_obs: self.encoder.read(amp_obs),
-            fetch=lambda n: self._demo_buffer.sample(n)["amp_obs"],
+            read=lambda amp_obs: self._eval_enc(amp_obs),
+            fetch=lambda n: self._amp_obs_demo_buffer.sample(n)["amp_obs"],
+            sample=lambda n: self._sample_latents(n),
         )
         self.schedule = make_schedule(
             self._amp,
@@ -97,8 +128,12 @@ class GenAMPAgent(AMPAgent):
         if not (self._amp.encodes_clips or self._disc_is_conditional):
             super()._store_demos()
             return
-        pairs = self._judged(self.vec_env.env.fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
-        self._demo_buffer.store({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
+        pairs = self._judged(self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
+        self._amp_obs_demo_buffer.store({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
+
+    def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
+        """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
+        return self.vec_env.env.fetch_amp_obs_demo_pairs(num_samples)
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -121,7 +156,15 @@ class GenAMPAgent(AMPAgent):
 
     def _before_step(self) -> None:
         super()._before_step()
+        self._update_latents()
+
+    def _update_latents(self) -> None:
+        """Renew the latents that are over; called before each policy step."""
         self.schedule.advance(self._progress())
+
+    def _sample_latents(self, n: int) -> Tensor:
+        """Return n random latents (n, Z), unit vectors."""
+        return self.model.a2c_network.sample_latents(n)
 
     def _progress(self) -> Tensor:
         return self.vec_env.env.progress_buf.to(self.ppo_device)
@@ -141,14 +184,32 @@ class GenAMPAgent(AMPAgent):
         super()._record_step(n, infos)
         self.experience_buffer.update_data("amp_latents", n, self.schedule.latents)
 
-    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
-        """Return {"disc_rewards", "enc_rewards"}, (H, N, 1) each, of the rollout's (H, N, F)."""
-        latents = self.experience_buffer.tensor_dict["amp_latents"]
-        if self._disc_is_conditional:
-            rewards = {"disc_rewards": self.discriminator.reward(amp_obs, latents)}
-        else:
-            rewards = super()._calc_amp_rewards(amp_obs)
-        return {**rewards, "enc_rewards": self.encoder.reward(amp_obs, latents)}
+    def _reward_latents(self) -> tuple[Tensor, ...]:
+        return (self.experience_buffer.tensor_dict["amp_latents"],)
+
+    def _calc_amp_rewards(
+        self, amp_obs: Tensor, ase_latents: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each.
+
+        Args:
+            amp_obs: (..., F), raw.
+            ase_latents: (..., Z), which the policy acted under; None: the rollout's.
+        """
+        latents = self._reward_latents()[0] if ase_latents is None else ase_latents
+        of_disc = (latents,) if self._disc_is_conditional else ()
+        return {
+            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
+            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
+        }
+
+    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
+        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
+        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
+
+    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
+        return self.encoder.read(amp_obs)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return AMP's sum and enc_reward_w * encoder, (..., 1)."""
@@ -166,7 +227,7 @@ class GenAMPAgent(AMPAgent):
         """
         rows = super()._demo_rows(demos)
         if self._disc_is_conditional:
-            rows["amp_obs_demo_latents"] = self.encoder.read(demos["amp_obs_near"])
+            rows["amp_obs_demo_latents"] = self._eval_enc(demos["amp_obs_near"])
             if self._amp.latent_sharpness > 0.0:
                 self._give_random_latents(rows)
         return rows
@@ -194,7 +255,7 @@ class GenAMPAgent(AMPAgent):
     def _log_rewards(self) -> None:
         super()._log_rewards()
         rewards = self._rollout_rewards["enc_rewards"]
-        self._log_train_info({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
+        self._collect({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         latents = batch_dict["amp_latents"]
@@ -209,15 +270,14 @@ class GenAMPAgent(AMPAgent):
 
     def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         rows = super()._derived_rows(input_dict)
-        if self._amp.amp_diversity_bonus != 0.0:
-            n = len(input_dict["amp_latents"])
-            rows["diversity_latents"] = self.model.a2c_network.sample_latents(n)
+        if self._enable_amp_diversity_bonus():
+            rows["diversity_latents"] = self._sample_latents(len(input_dict["amp_latents"]))
         if self._amp.encodes_clips:
-            demos = self._demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
+            demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
             pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
             # Drawn at random, so that the next is as good as any to be compared with.
             others = pairs[:, :1].roll(1, dims=0)
-            rows["demo_triples"] = self.discriminator.normalize(torch.cat((pairs, others), dim=1))
+            rows["demo_triples"] = self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
         return rows
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
@@ -225,7 +285,7 @@ class GenAMPAgent(AMPAgent):
         return {
             **super()._training_inputs(input_dict),
             **{name: input_dict[name] for name in names if name in input_dict},
-            "enc_gradient": self._amp.enc_grad_penalty != 0.0,
+            "enc_gradient": self._enable_enc_grad_penalty(),
         }
 
     def _extra_losses(
@@ -246,17 +306,50 @@ class GenAMPAgent(AMPAgent):
             terms["enc_alignment_loss"] = (self._amp.enc_alignment_coef, alignment)
             terms["enc_uniformity_loss"] = (self._amp.enc_uniformity_coef, uniformity)
         if "diversity_latents" in input_dict:
-            loss = self._diversity_loss(result["mus"], batch, input_dict["diversity_latents"])
+            fresh = (input_dict["diversity_latents"],) if self._diversity_loss_takes_latents else ()
+            loss = self._diversity_loss(batch["obs"], result["mus"], batch["amp_latents"], *fresh)
             mean = weighted_mean(loss, input_dict)
             terms["amp_diversity_loss"] = (self._amp.amp_diversity_bonus, mean)
         return terms
 
-    def _diversity_loss(self, mu: Tensor, batch: dict[str, Any], others: Tensor) -> Tensor:
-        """Return (n,) the loss of rows whose observations the model has normalised."""
-        other_mu, _ = self.model.a2c_network.eval_actor(batch["obs"], others)
+    def _enable_amp_diversity_bonus(self) -> bool:
+        """Return whether there is a diversity loss."""
+        return self._amp.amp_diversity_bonus != 0.0
+
+    def _enable_enc_grad_penalty(self) -> bool:
+        """Return whether the encoder's loss has a gradient penalty."""
+        return self._amp.enc_grad_penalty != 0.0
+
+    def _diversity_loss(
+        self,
+        obs: Tensor,
+        action_params: Tensor,
+        ase_latents: Tensor,
+        new_latents: Tensor | None = None,
+    ) -> Tensor:
+        """Return (n,) the loss of rows; see `losses.diversity_loss`. Called as `_extra_losses`.
+
+        Args:
+            obs: (n, O), normalised by the model.
+            action_params: (n, A) mean actions under `ase_latents`.
+            ase_latents: (n, Z).
+            new_latents: (n, Z) to compare with; None: drawn here.
+        """
+        new_z = self._sample_latents(len(obs)) if new_latents is None else new_latents
+        other_mu, _ = self._eval_actor(obs, new_z)
         return diversity_loss(
-            mu, other_mu, batch["amp_latents"], others, self._amp.amp_diversity_tar
+            action_params, other_mu, ase_latents, new_z, self._amp.amp_diversity_tar
         )
+
+    def _eval_actor(self, obs: Tensor, ase_latents: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean actions and log standard deviations (n, A) for normalised obs (n, O)."""
+        return self.model.a2c_network.eval_actor(obs, ase_latents)
+
+    def _record_train_batch_info(
+        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
+    ) -> None:
+        super()._record_train_batch_info(batch_dict, train_info)
+        train_info["enc_rewards"] = batch_dict["enc_rewards"]
 
 
 def make_schedule(

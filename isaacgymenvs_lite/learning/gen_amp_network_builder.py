@@ -15,17 +15,18 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
+from isaacgymenvs_lite.learning.amp_network_builder import DEFAULT_INITIALIZER, AMPBuilder
 from isaacgymenvs_lite.learning.latents import sample_latents
 from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.published_names import PublishedNames
 
 _STYLE_UNITS = (512, 256)
 # As ASE: the style starts spread over all of tanh, the encoder near one point of the sphere.
 _STYLE_INIT_SCALE = 1.0
-_ENC_INIT_SCALE = 0.1
+ENC_LOGIT_INIT_SCALE = 0.1
 
 
-class StyleMLP(nn.Module):
+class StyleMLP(PublishedNames, nn.Module):
     """The actor's trunk: layers over the observation and a style that is made of the latent.
 
     style(z) = tanh(W MLP(z)), as wide as the latent.
@@ -68,7 +69,7 @@ class StyleMLP(nn.Module):
         return features
 
 
-class LatentMLP(nn.Module):
+class LatentMLP(PublishedNames, nn.Module):
     """The critic's trunk: layers over the observation and the latent itself."""
 
     def __init__(self, layers: nn.Module) -> None:
@@ -124,11 +125,32 @@ class GenAMPBuilder(AMPBuilder):
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)
             self._build_trunks(params, obs_size)
-            self._build_enc(params, amp_obs_size)
+            self._build_enc((amp_obs_size,))
+
+        @property
+        def _ase_latent_shape(self) -> tuple[int]:
+            return (self._latent_dim,)
+
+        def load(self, params: dict[str, Any]) -> None:
+            """Read the section `network:`; rl_games calls this before the layers are built."""
+            super().load(params)
+            if "enc" not in params:
+                raise ConfigError(
+                    "train.params.network.enc is missing: expected units, activation, separate and"
+                    " initializer of the encoder"
+                )
+            enc = params["enc"]
+            self._enc_separate = bool(enc.get("separate", False))
+            # Read by a separate encoder only.
+            self._enc_units = list(enc["units"] if self._enc_separate else enc.get("units") or ())
+            self._enc_activation = enc["activation"] if self._enc_separate else ""
+            self._enc_initializer = enc.get("initializer", DEFAULT_INITIALIZER)
+            self.disc_is_conditional = bool(params["disc"].get("conditional", False))
 
         def _build_trunks(self, params: dict[str, Any], obs_size: int) -> None:
             """Replace the trunks of actor and critic by those with latents."""
             mlp = params["mlp"]
+            how = (mlp["activation"], mlp.get("initializer", DEFAULT_INITIALIZER))
             style_units = list(params.get("style", {}).get("units", _STYLE_UNITS))
             for key, units in (("mlp", mlp["units"]), ("style", style_units)):
                 if len(units) == 0:
@@ -140,44 +162,39 @@ class GenAMPBuilder(AMPBuilder):
                 self._latent_dim,
                 mlp["units"],
                 style_units,
-                self._hidden_layers(self._latent_dim, style_units, mlp),
+                self._hidden_layers(self._latent_dim, style_units, *how),
                 self.activations_factory.create(mlp["activation"]),
             )
-            self._init_linear(self.actor_mlp, mlp)
+            self._init_linear(self.actor_mlp, how[1])
             self.critic_mlp = LatentMLP(
-                self._hidden_layers(obs_size + self._latent_dim, mlp["units"], mlp)
+                self._hidden_layers(obs_size + self._latent_dim, mlp["units"], *how)
             )
             style_dense = self.actor_mlp._style_dense
             nn.init.uniform_(style_dense.weight, -_STYLE_INIT_SCALE, _STYLE_INIT_SCALE)
 
-        def _build_disc(self, params: dict[str, Any], input_shape: tuple[int, ...]) -> None:
-            self.disc_is_conditional = bool(params.get("disc", {}).get("conditional", False))
+        def _build_disc(self, input_shape: tuple[int, ...]) -> None:
             if self.disc_is_conditional:
-                if not params.get("enc", {}).get("separate", False):
+                if not self._enc_separate:
                     raise ConfigError(
                         "train.params.network.disc.conditional=True: such a discriminator hears the"
                         " latent, which the encoder must find out by itself, so that they share no"
                         " layers; set enc.separate=True"
                     )
                 input_shape = (input_shape[0] + self._latent_dim,)
-            super()._build_disc(params, input_shape)
+            super()._build_disc(input_shape)
 
-        def _build_enc(self, params: dict[str, Any], amp_obs_size: int) -> None:
-            if "enc" not in params:
-                raise ConfigError(
-                    "train.params.network.enc is missing: expected units, activation, separate and"
-                    " initializer of the encoder"
-                )
-            enc = params["enc"]
-            self._enc_separate = bool(enc.get("separate", False))
+        def _build_enc(self, input_shape: tuple[int, ...]) -> None:
+            """Build the encoder's layers, for inputs (n, input_shape[0])."""
             if self._enc_separate:
-                self._enc_mlp = self._hidden_layers(amp_obs_size, enc["units"], enc)
-                width = enc["units"][-1]
+                self._enc_mlp = self._hidden_layers(
+                    input_shape[0], self._enc_units, self._enc_activation, self._enc_initializer
+                )
+                width = self._enc_units[-1]
             else:
                 self._enc_mlp = self._disc_mlp
                 width = self._disc_logits.in_features
             self._enc = nn.Linear(width, self._latent_dim)
-            nn.init.uniform_(self._enc.weight, -_ENC_INIT_SCALE, _ENC_INIT_SCALE)
+            nn.init.uniform_(self._enc.weight, -ENC_LOGIT_INIT_SCALE, ENC_LOGIT_INIT_SCALE)
             nn.init.zeros_(self._enc.bias)
 
         def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
@@ -194,16 +211,17 @@ class GenAMPBuilder(AMPBuilder):
             self,
             obs: Tensor,
             amp_latents: Tensor | None = None,
-            ase_latents: Tensor | None = None,
             use_hidden_latents: bool = False,
+            *,
+            ase_latents: Tensor | None = None,
         ) -> tuple[Tensor, Tensor]:
             """Return mean actions and log standard deviations (n, A).
 
             Args:
                 obs: (n, O), normalised.
                 amp_latents: (n, Z) unit vectors.
-                ase_latents: the same under ASE's name.
                 use_hidden_latents: the latents are styles, the trunk's own, already.
+                ase_latents: the latents under ASE's name.
             """
             latents = _one_of(amp_latents, ase_latents)
             if not use_hidden_latents:
@@ -214,9 +232,15 @@ class GenAMPBuilder(AMPBuilder):
             self,
             obs: Tensor,
             amp_latents: Tensor | None = None,
+            use_hidden_latents: bool = False,
+            *,
             ase_latents: Tensor | None = None,
         ) -> Tensor:
-            """Return normalised values (n, values); arguments as `eval_actor`."""
+            """Return normalised values (n, values); arguments as `eval_actor`.
+
+            The critic takes the latent itself in any case, as ASE's.
+            """
+            del use_hidden_latents
             latents = self._latent_scale * _one_of(amp_latents, ase_latents)
             return self.value_act(self.value(self.critic_mlp(obs, latents)))
 

@@ -17,6 +17,7 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import played_schedule
 from isaacgymenvs_lite.learning.latents import PlayedLatents
+from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.skill_probe import SkillProbe, SkillResult
 
@@ -39,13 +40,21 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         ConfigError: a latent that is none of these, or of another width.
     """
 
+    _latent_dim = ReadOnly("_amp.latent_dim")
+    _latent_steps_min = ReadOnly("_amp.latent_steps_min")
+    _latent_steps_max = ReadOnly("_amp.latent_steps_max")
+    _enc_reward_scale = ReadOnly("_amp.enc_reward_scale")
+    _ase_latents = ReadOnly("_latents_now", "_latents_of")
+
     hears_latents = True
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
     _amp: GenAMPParams
 
     def __init__(self, params: dict[str, Any]) -> None:
         super().__init__(params)
-        self.encoder = SkillEncoder(self.model.a2c_network, self.discriminator.normalize, self._amp)
+        self.encoder = SkillEncoder(
+            self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
+        )
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
         self._probe = SkillProbe(self.env, self.encoder)
@@ -75,6 +84,28 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
     def _disc_latents(self) -> tuple[Tensor, ...]:
         return (self._latents_now,) if self.model.a2c_network.disc_is_conditional else ()
 
+    def _reward_latents(self) -> tuple[Tensor, ...]:
+        return (self._latents_now,)
+
+    def _calc_amp_rewards(
+        self, amp_obs: Tensor, ase_latents: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each; None: the latents of now."""
+        latents = self._latents_now if ase_latents is None else ase_latents
+        of_disc = (latents,) if self.model.a2c_network.disc_is_conditional else ()
+        return {
+            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
+            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
+        }
+
+    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
+        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
+        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
+
+    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
+        return self.encoder.read(amp_obs)
+
     def _measure(self) -> None:
         """As AMP's; the log says which skills there are."""
         super()._measure()
@@ -82,9 +113,9 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         if self.skills is not None:
             log.info("skills: %s", self.skills)
 
-    def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
-        super()._on_step(dones, infos)
-        self._probe.step(self._latents_now, infos["amp_obs"].to(self.device))
+    def _post_step(self, info: dict[str, Any]) -> None:
+        super()._post_step(info)
+        self._probe.step(self._latents_now, info["amp_obs"].to(self.device))
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:

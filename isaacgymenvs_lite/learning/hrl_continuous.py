@@ -13,7 +13,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.correlated_noise import CorrelatedNoise
-from isaacgymenvs_lite.learning.flat_config import complete_params
+from isaacgymenvs_lite.learning.flat_config import complete_params, given_params
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
 from isaacgymenvs_lite.learning.low_level_policy import (
@@ -21,6 +21,7 @@ from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.policies.llc_reference import (
     LLC_KEY,
     llc_checkpoint_for,
@@ -47,6 +48,7 @@ class HRLAgent(CommonAgent):
         base_name: name for rl_games' bookkeeping.
         params: the section `params` of a train file, as the Runner hands it over, or a flat
             configuration; see `flat_config.complete_params`.
+        config: the same under the name that the published agents have for it.
 
     Raises:
         ConfigError: a value that cannot be used, or a train file of no low-level controller.
@@ -59,8 +61,20 @@ class HRLAgent(CommonAgent):
         "disc_reward_std": "info/disc_reward_std",
     }
 
-    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        self._params = complete_params(params, _DEFAULTS)
+    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
+    _task_size = ReadOnly("llc.num_task_obs", "the task")
+    _llc_steps = ReadOnly("_hrl.llc_steps")
+    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
+    _task_reward_w = ReadOnly("_hrl.task_reward_w")
+    _disc_reward_w = ReadOnly("_hrl.disc_reward_w")
+
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        self._params = complete_params(given_params(params, config), _DEFAULTS)
         super().__init__(base_name, self._params)
 
     def load_networks(self, params: dict[str, Any]) -> None:
@@ -73,9 +87,10 @@ class HRLAgent(CommonAgent):
         self._hrl: HRLParams = read_hrl_params(config)
         self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
-        self._setup_action_space()
         self.control_steps_per_action = self._hrl.llc_steps
         self._disc_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
+        # A subclass' reward as published depends on the motion alone.
+        self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
 
     def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
         """Return the low-level controller that the keys name."""
@@ -92,11 +107,8 @@ class HRLAgent(CommonAgent):
 
     def _setup_action_space(self) -> None:
         """Make the latent the agent's action; rl_games sized everything by the task's actions."""
-        self.actions_num = self.llc.latent_dim
-        box = latent_space(self.actions_num)
-        self.env_info = {**self.env_info, "action_space": box}
-        self.actions_low = torch.from_numpy(box.low.copy()).to(self.ppo_device)
-        self.actions_high = torch.from_numpy(box.high.copy()).to(self.ppo_device)
+        self.env_info = {**self.env_info, "action_space": latent_space(self.llc.latent_dim)}
+        super()._setup_action_space()
 
     def init_tensors(self) -> None:
         """Allocate the rollout of style rewards, too."""
@@ -140,7 +152,8 @@ class HRLAgent(CommonAgent):
 
     def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
         """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
-        return self.llc.actions(self._obs_tensor(obs), latents_of_actions(actions))
+        llc_obs = self._extract_llc_obs(self._obs_tensor(obs))
+        return self.llc.actions(llc_obs, latents_of_actions(actions))
 
     def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Make `llc_steps` control steps under one latent.
@@ -168,10 +181,9 @@ class HRLAgent(CommonAgent):
             obs = torch.where(playing.bool(), self._obs_tensor(raw_obs), obs)
             rewards += playing * step_rewards.to(self.ppo_device).view_as(rewards)
             if self._hrl.disc_reward_w != 0.0:
-                style = self.llc.style_reward(
-                    infos["amp_obs"].to(self.ppo_device), latents_of_actions(actions)
-                )
-                self._disc_rewards += playing * style
+                amp_obs = infos["amp_obs"].to(self.ppo_device)
+                given = (latents_of_actions(actions),) if self._disc_reward_takes_latents else ()
+                self._disc_rewards += playing * self._calc_disc_reward(amp_obs, *given)
             terminate += going_on * self._step_terminated(dones, infos)
             going_on *= 1.0 - dones.to(self.ppo_device).float()
         self._disc_rewards /= self._hrl.llc_steps
@@ -180,6 +192,13 @@ class HRLAgent(CommonAgent):
         env.reset_buf.masked_fill_((going_on == 0.0).to(env.device), 1)
         infos = {**infos, "terminate": terminate}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
+
+    def _calc_disc_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
+        """Return the low level's style rewards (N, 1); see `LowLevelPolicy.style_reward`.
+
+        Asked for only if disc_reward_w is not 0.
+        """
+        return self.llc.style_reward(amp_obs, latents)
 
     def _step_terminated(self, dones: Tensor, infos: dict[str, Any]) -> Tensor:
         self.dones = dones.to(self.ppo_device)
@@ -191,7 +210,12 @@ class HRLAgent(CommonAgent):
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
         style = self.experience_buffer.tensor_dict["disc_rewards"]
-        return self._hrl.task_reward_w * task_rewards + self._hrl.disc_reward_w * style
+        self._rollout_rewards = {"task_rewards": task_rewards, "disc_rewards": style}
+        return self._combine_rewards(task_rewards, style)
+
+    def _combine_rewards(self, task_rewards: Tensor, disc_rewards: Tensor) -> Tensor:
+        """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
+        return self._hrl.task_reward_w * task_rewards + self._hrl.disc_reward_w * disc_rewards
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
@@ -206,12 +230,18 @@ class HRLAgent(CommonAgent):
 
         def choose(obs: Tensor) -> Tensor:
             means = self._evaluate_policy({"obs": obs}, {})["mus"].float()
-            return latents_of_actions(self.preprocess_actions(means))
+            return self.preprocess_actions(means)
 
-        act = self.llc.policy_under(choose, self._hrl.llc_steps)
+        act = self.llc.policy_under(choose, self._hrl.llc_steps, self._compute_llc_action)
         return lambda obs: act(self._obs_tensor(obs))
 
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
         super()._before_update(batch_dict)
         style = self.experience_buffer.tensor_dict["disc_rewards"]
-        self._log_train_info({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
+        self._collect({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
+
+    def _record_train_batch_info(
+        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
+    ) -> None:
+        super()._record_train_batch_info(batch_dict, train_info)
+        train_info["disc_rewards"] = batch_dict["disc_rewards"]

@@ -25,7 +25,7 @@ class HRLBuilder(A2CBuilder):
             return torch.tanh(mu), logstd
 
         def forward(self, obs_dict: dict[str, Any]) -> tuple[Any, ...]:
-            """Return mean actions, log standard deviations, values and no recurrent state."""
+            """As ActorCriticNetwork."""
             obs = obs_dict["obs"]
             return *self.eval_actor(obs), self.eval_critic(obs), None
 

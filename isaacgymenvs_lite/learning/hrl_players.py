@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
-from isaacgymenvs_lite.learning.hrl_config import read_hrl_params
+from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
 from isaacgymenvs_lite.learning.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.policies.llc_reference import llc_checkpoint_for, warn_of_another_llc
 
 
@@ -26,28 +26,44 @@ class HRLPlayer(CommonPlayer):
         llc: the low-level controller.
     """
 
+    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
+    _task_size = ReadOnly("llc.num_task_obs", "the task")
+    _llc_steps = ReadOnly("_hrl.llc_steps")
+    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
+
     def __init__(self, params: dict[str, Any]) -> None:
         self._hrl = read_hrl_params(params["config"])
         self._llc_checkpoint = llc_checkpoint_for(self._hrl.llc_checkpoint, params)
         super().__init__(params)
         self._policy = self.llc.policy_under(
-            lambda obs: latents_of_actions(self.get_action(obs, self.is_deterministic)),
+            lambda obs: self.get_action({"obs": obs}, self.is_deterministic),
             self._hrl.llc_steps,
+            self._compute_llc_action,
         )
 
-    def _build_net_config(self) -> dict[str, Any]:
-        self.llc = LowLevelPolicy(
-            self._hrl.llc_config,
-            self._llc_checkpoint,
-            LowLevelSizes.of_task(self.env),
-            self.device,
+    def _setup_action_space(self) -> None:
+        """Make the latent the policy's action, of the low-level controller that is built here."""
+        self.llc = self._build_llc(self._hrl)
+        self.action_space = latent_space(self.llc.latent_dim)
+        super()._setup_action_space()
+
+    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
+        """Return the low-level controller that the keys name."""
+        return LowLevelPolicy(
+            params.llc_config, self._llc_checkpoint, self._build_llc_agent_config(), self.device
         )
-        # The high level's actions are latents.
-        self.actions_num = self.llc.latent_dim
-        box = latent_space(self.actions_num)
-        self.actions_low = torch.from_numpy(box.low.copy()).to(self.device)
-        self.actions_high = torch.from_numpy(box.high.copy()).to(self.device)
-        return super()._build_net_config()
+
+    def _build_llc_agent_config(self) -> LowLevelSizes:
+        """Return what the task tells the low-level controller; see `LowLevelSizes.of_task`."""
+        return LowLevelSizes.of_task(self.env)
+
+    def _compute_llc_action(self, obs: Tensor, actions: Tensor) -> Tensor:
+        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
+        return self.llc.actions(self._extract_llc_obs(obs), latents_of_actions(actions))
+
+    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (N, O) without the task's features."""
+        return self.llc.extract_obs(obs)
 
     def restore(self, fn: str) -> None:
         """Load the high level from a checkpoint.
@@ -65,5 +81,4 @@ class HRLPlayer(CommonPlayer):
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:
         """Return the task's actions (N, A); the latent changes every `llc_steps` calls."""
-        rows: Any = self.obs_to_torch(obs)
-        return self._policy(rows)
+        return self._policy(self.obs_to_torch(obs)["obs"])

@@ -197,6 +197,11 @@ class LowLevelPolicy:
         """Numbers in an observation without the task's features."""
         return self._sizes.num_obs - self._sizes.num_task_obs
 
+    @property
+    def num_task_obs(self) -> int:
+        """Numbers in an observation that describe the task, the last ones."""
+        return self._sizes.num_task_obs
+
     def extract_obs(self, obs: Tensor) -> Tensor:
         """Return observations (n, O) without the task's features, the last ones."""
         return obs[:, : self.num_character_obs]
@@ -214,24 +219,28 @@ class LowLevelPolicy:
         return rescale_actions(self._low, self._high, mu.clamp(-1.0, 1.0))
 
     def policy_under(
-        self, choose: Callable[[Tensor], Tensor], steps: int
+        self,
+        choose: Callable[[Tensor], Tensor],
+        steps: int,
+        act: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> Callable[[Tensor], Tensor]:
         """Return a policy from raw observations (n, O) to actions (n, A), one step at a time.
 
         Args:
             choose: observations (n, O) -> latents (n, Z), unit vectors; asked every `steps` steps.
             steps: control steps under one latent.
+            act: observations and what `choose` returned -> actions (n, A); None: `actions`.
         """
-        latents, step = torch.empty(0), 0
+        chosen, step, actions_of = torch.empty(0), 0, act or self.actions
 
-        def act(obs: Tensor) -> Tensor:
-            nonlocal latents, step
+        def policy(obs: Tensor) -> Tensor:
+            nonlocal chosen, step
             if step % steps == 0:
-                latents = choose(obs)
+                chosen = choose(obs)
             step += 1
-            return self.actions(obs, latents)
+            return actions_of(obs, chosen)
 
-        return act
+        return policy
 
     def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
         """Return style rewards (n, 1) of raw AMP observations (n, F).

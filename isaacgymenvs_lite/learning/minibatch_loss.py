@@ -49,7 +49,7 @@ class MinibatchLoss(AgentHooks):
     def _row_loss(self, rows: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of rows of the training set, and what to log of it.
 
-        The values are the loss terms, `clip_frac` and `kl`, all numbers, and `neglogp` (n,).
+        The values are the loss terms, `actor_clip_frac` and `kl`, numbers, and `neglogp` (n,).
         """
         batch = {
             "is_train": True,
@@ -68,23 +68,56 @@ class MinibatchLoss(AgentHooks):
         self, result: dict[str, Tensor], rows: dict[str, Tensor]
     ) -> tuple[LossTerms, dict[str, Tensor]]:
         neglogp, mu = result["prev_neglogp"], result["mus"]
-        actor, clipped = losses.actor_loss(
-            rows["old_logp_actions"], neglogp, rows["advantages"], self.ppo, self.e_clip
-        )
-        critic = losses.critic_loss(
-            rows["old_values"], result["values"], rows["returns"], self.e_clip, self.clip_value
+        actor = self._actor_loss(rows["old_logp_actions"], neglogp, rows["advantages"], self.e_clip)
+        critic = self._critic_loss(
+            rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
         )
         with torch.no_grad():
             kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
         bound = self.bound_loss(mu)
         terms = {
-            "actor_loss": (1.0, weighted_mean(actor, rows)),
-            "critic_loss": (self.critic_coef, critic.mean()),
-            "bounds_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
+            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
+            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
         }
-        clip_frac = weighted_mean(clipped.float(), rows)
-        return terms, {"clip_frac": clip_frac, "kl": kl, "neglogp": neglogp}
+        values = {"kl": kl, "neglogp": neglogp}
+        if "actor_clipped" in actor:
+            values["actor_clip_frac"] = weighted_mean(actor["actor_clipped"].float(), rows)
+        # What a subclass adds to log: a number, as the published agents' `actor_clip_frac`.
+        own = {*terms, "actor_clipped"}
+        for name, value in {**actor, **critic}.items():
+            if name not in own and isinstance(value, Tensor):
+                values[name] = value.detach().mean()
+        return terms, values
+
+    def _actor_loss(
+        self,
+        old_action_log_probs_batch: Tensor,
+        action_log_probs: Tensor,
+        advantage: Tensor,
+        curr_e_clip: float,
+    ) -> dict[str, Tensor]:
+        """Return `actor_loss` (n,) and `actor_clipped` (n,) bool, of negative log probabilities.
+
+        Several threads call it at the same time: it must not change the agent.
+        """
+        loss, clipped = losses.actor_loss(
+            old_action_log_probs_batch, action_log_probs, advantage, self.ppo, curr_e_clip
+        )
+        return {"actor_loss": loss, "actor_clipped": clipped}
+
+    def _critic_loss(
+        self,
+        value_preds_batch: Tensor,
+        values: Tensor,
+        curr_e_clip: float,
+        return_batch: Tensor,
+        clip_value: bool,
+    ) -> dict[str, Tensor]:
+        """Return `critic_loss` (n, values), of normalised values; threads as `_actor_loss`."""
+        loss = losses.critic_loss(value_preds_batch, values, return_batch, curr_e_clip, clip_value)
+        return {"critic_loss": loss}
 
     def bound_loss(self, mu: Tensor) -> Tensor:
         """Return (M,) the squared excess of mean actions (M, A) over +-1."""

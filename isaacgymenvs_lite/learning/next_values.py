@@ -9,6 +9,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.agent_hooks import AgentHooks
+from isaacgymenvs_lite.learning.published_names import is_overridden
 
 
 class NextValues(AgentHooks):
@@ -34,7 +35,9 @@ class NextValues(AgentHooks):
         and `_fill_next_values` takes its value over. After a failure there is nothing to value.
         """
         asked = self._needs_next_value()
-        if n == self.horizon_length - 1:
+        # A policy call gives the model's values, not those of a subclass' own critic.
+        own_critic = is_overridden(self, NextValues._eval_critic)
+        if n == self.horizon_length - 1 or own_critic:
             asked = torch.ones_like(asked)
         self._pending = ~asked
         terminate = self._terminated(infos).bool()
@@ -65,15 +68,15 @@ class NextValues(AgentHooks):
             return self.dones.bool() & ~infos["time_outs"].to(self.ppo_device).bool()
         return self.dones
 
-    def _eval_critic(self, inputs: dict[str, Tensor]) -> Tensor:
-        """Values (n, values), denormalised, of raw observations and the policy's other inputs.
+    def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
+        """Values (n, values), denormalised, of raw observations `obs` and the policy's inputs.
 
         The critic is called directly, so that the observation is normalised here.
         """
         self.model.eval()
-        others = {name: value for name, value in inputs.items() if name != "obs"}
+        others = {name: value for name, value in obs_dict.items() if name != "obs"}
         with torch.no_grad():
-            obs = self.model.norm_obs(inputs["obs"])
+            obs = self.model.norm_obs(obs_dict["obs"])
             return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **others))
 
     def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from rl_games.algos_torch.a2c_continuous import A2CAgent
 
+from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
@@ -33,6 +34,8 @@ class PPOAgent(A2CAgent):
         on_cpu = device.type == "cpu"
         # rl_games' switch means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
+        asked = config.get("torch_compile")
+        config["torch_compile"] = torch_compile_setting(asked, device.type, can_compile=True)
         super().__init__(base_name, params)
         self._sliced = on_cpu and not self.is_rnn
         if not on_cpu:

@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.published_names import PublishedNames
 
 
-class ReplayBuffer:
+class ReplayBuffer(PublishedNames):
     """Holds the newest `buffer_size` rows that were stored.
 
     `sample` walks through a random permutation of all rows and draws a new one when it passes the
@@ -26,20 +27,20 @@ class ReplayBuffer:
     def __init__(self, buffer_size: int, device: str | torch.device) -> None:
         if buffer_size < 1:
             raise ConfigError(f"replay buffer of {buffer_size} rows: expected at least 1")
-        self._size = buffer_size
+        self._buffer_size = buffer_size
         self._device = torch.device(device)
-        self._rows: dict[str, Tensor] = {}
+        self._data_buf: dict[str, Tensor] = {}
         self.reset()
 
     def reset(self) -> None:
         """Forget all rows."""
         self._head = 0
         self._total_count = 0
-        self._reset_sample_order()
+        self._reset_sample_idx()
 
     def get_buffer_size(self) -> int:
         """Rows that fit."""
-        return self._size
+        return self._buffer_size
 
     def get_total_count(self) -> int:
         """Rows stored since the start or the last `reset`, those overwritten included."""
@@ -55,17 +56,22 @@ class ReplayBuffer:
         if n == 0:
             return
         self._total_count += n
-        kept = min(n, self._size)
-        first = (self._head + (n - kept)) % self._size
-        before_end = min(kept, self._size - first)
+        kept = min(n, self._buffer_size)
+        first = (self._head + (n - kept)) % self._buffer_size
+        before_end = min(kept, self._buffer_size - first)
+        if not self._data_buf:
+            self._init_data_buf(data)
         for name, rows in data.items():
-            if name not in self._rows:
-                shape = (self._size, *rows.shape[1:])
-                self._rows[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
-            ring, newest = self._rows[name], rows[n - kept :]
+            ring, newest = self._data_buf[name], rows[n - kept :]
             ring[first : first + before_end] = newest[:before_end]
             ring[: kept - before_end] = newest[before_end:]
-        self._head = (self._head + n) % self._size
+        self._head = (self._head + n) % self._buffer_size
+
+    def _init_data_buf(self, data: dict[str, Tensor]) -> None:
+        """Allocate the rings, for rows like those of the first `store`."""
+        for name, rows in data.items():
+            shape = (self._buffer_size, *rows.shape[1:])
+            self._data_buf[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
 
     def store_some(self, data: dict[str, Tensor], keep_prob: float) -> None:
         """Append all rows until more were stored than fit, then a random share of them.
@@ -76,11 +82,11 @@ class ReplayBuffer:
         """
         values = next(iter(data.values()))
         rows = torch.arange(len(values), device=values.device)
-        if self._total_count > self._size:
+        if self._total_count > self._buffer_size:
             rows = rows[torch.rand(len(rows), device=rows.device) < keep_prob]
-        if len(rows) > self._size:
+        if len(rows) > self._buffer_size:
             chosen = torch.randperm(len(rows), device=rows.device)
-            rows = rows[chosen[: self._size]]
+            rows = rows[chosen[: self._buffer_size]]
         self.store({name: values[rows] for name, values in data.items()})
 
     def sample(self, n: int) -> dict[str, Tensor]:
@@ -91,15 +97,16 @@ class ReplayBuffer:
         """
         if self._total_count == 0:
             raise RuntimeError("the replay buffer is empty; store rows before sampling")
-        order = (self._sample_head + torch.arange(n, device=self._device)) % self._size
-        rows = self._sample_order[order]
-        if self._total_count < self._size:
+        order = (self._sample_head + torch.arange(n, device=self._device)) % self._buffer_size
+        rows = self._sample_idx[order]
+        if self._total_count < self._buffer_size:
             rows = rows % self._total_count
         self._sample_head += n
-        if self._sample_head >= self._size:
-            self._reset_sample_order()
-        return {name: stored.index_select(0, rows) for name, stored in self._rows.items()}
+        if self._sample_head >= self._buffer_size:
+            self._reset_sample_idx()
+        return {name: stored.index_select(0, rows) for name, stored in self._data_buf.items()}
 
-    def _reset_sample_order(self) -> None:
-        self._sample_order = torch.randperm(self._size, device=self._device)
+    def _reset_sample_idx(self) -> None:
+        """Draw the order in which rows are sampled."""
+        self._sample_idx = torch.randperm(self._buffer_size, device=self._device)
         self._sample_head = 0

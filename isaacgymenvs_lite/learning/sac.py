@@ -38,6 +38,8 @@ class SACAgent(RLGamesSACAgent):
         on_cpu = device.type == "cpu"
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
+        # rl_games compiles a `forward` that SAC never calls.
+        config.setdefault("torch_compile", False)
         # rl_games' other agents call it before they make their TensorBoard writer.
         name = config.get("full_experiment_name") or config["name"]
         config["features"]["observer"].before_init(base_name, config, name)

@@ -54,7 +54,11 @@ class SkillEncoder:
             amp_obs: x, (..., F), raw.
             latents: z, (..., Z), those that the policy acted under.
         """
-        agreement = (self.read(amp_obs) * latents).sum(dim=-1, keepdim=True)
+        return self.reward_of(self.read(amp_obs), latents)
+
+    def reward_of(self, found: Tensor, latents: Tensor) -> Tensor:
+        """As `reward`, of the latents (..., Z) that were read."""
+        agreement = (found * latents).sum(dim=-1, keepdim=True)
         return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
     def read(self, amp_obs: Tensor) -> Tensor:

@@ -16,10 +16,11 @@ class TrainingLog(A2CAgent):
         scalars: what an agent collects -> its name in TensorBoard.
     """
 
-    scalars: ClassVar[dict[str, str]] = {"clip_frac": "info/clip_frac"}
+    scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
 
     writer: Any
     _train_info: dict[str, list[Tensor]]
+    _epoch_info: dict[str, Any]
 
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
@@ -38,8 +39,8 @@ class TrainingLog(A2CAgent):
         self.current_shaped_rewards *= going_on
         self.current_lengths *= going_on.squeeze(1)
 
-    def _log_train_info(self, values: dict[str, Tensor]) -> None:
-        """Collect scalars of a minibatch; their epoch means are written by `write_stats`."""
+    def _collect(self, values: dict[str, Tensor]) -> None:
+        """Keep values of a minibatch or of an epoch; `_log_train_info` writes their means."""
         for name, value in values.items():
             self._train_info.setdefault(name, []).append(value)
 
@@ -57,7 +58,7 @@ class TrainingLog(A2CAgent):
         writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
         writer.add_scalar("performance/update_time", update_time, frame)
         writer.add_scalar("performance/play_time", play_time, frame)
-        self._write_train_info(frame)
+        self._log_train_info(self._epoch_info, frame)
         if self.game_rewards.current_size > 0:
             mean_length = self.game_lengths.get_mean().item()
             mean_reward = self.game_rewards.get_mean()[0].item()
@@ -65,8 +66,15 @@ class TrainingLog(A2CAgent):
             writer.add_scalar("episode_lengths/frame", mean_length, frame)
         super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
 
-    def _write_train_info(self, frame: int) -> None:
-        means = self.train_info_means()
+    def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
+        """Write the scalars of an epoch.
+
+        Args:
+            train_info: lists with one value for each minibatch, by the names of `train_result`,
+                and what `_record_train_batch_info` added.
+            frame: environment steps before the epoch.
+        """
         for name, tag in self.scalars.items():
-            if name in means:
-                self.writer.add_scalar(tag, means[name], frame)
+            if name in train_info:
+                mean = torch_ext.mean_list(train_info[name]).item()
+                self.writer.add_scalar(tag, mean, frame)

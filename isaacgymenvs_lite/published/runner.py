@@ -8,7 +8,6 @@ from typing import Any
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.config.devices import check_device
-from isaacgymenvs_lite.config.train_params import torch_compile
 from isaacgymenvs_lite.registration import register_algorithms, register_networks
 
 _original_init = Runner.__init__
@@ -18,9 +17,10 @@ _original_load_config = Runner.load_config
 def adapt_runner() -> None:
     """Let every Runner of this process begin with our agents, and learn where that is possible.
 
-    What a script registers itself goes first. A train section is changed in three keys:
-    `device` and `device_name`, where the CPU stands in for a GPU, and `torch_compile`. Our log is
-    heard again: published configurations disable all loggers that there are when Hydra starts.
+    What a script registers itself goes first. A train section gets
+    `device` and `device_name` of this machine, where the CPU may stand in for a GPU. The loggers of
+    this package are enabled again: published configurations disable all loggers that exist when
+    Hydra starts.
     """
     register_networks()
     Runner.__init__ = _init
@@ -41,6 +41,4 @@ def _load_config(self: Runner, params: dict[str, Any]) -> None:
     device = check_device(config.get("device", "cuda:0"), "rl_device")
     # Players read another key than agents, which IsaacGymEnvs' train.py does not set.
     config["device"], config["device_name"] = device, device
-    algo = params["algo"]["name"]
-    config["torch_compile"] = torch_compile(config.get("torch_compile"), algo, device)
     _original_load_config(self, params)

@@ -41,7 +41,7 @@ class TerrainLearnConfig(LearnConfig):
     hip_reward: float = setting(0.0, key="hipRewardScale")
     """Of the distances of the first joints of the legs from their default angles (rad)."""
     terminal_reward: float = setting(0.0, key="terminalReward")
-    """Of a fall, once."""
+    """Of a fall, once; per second as all others, so that -10 costs 0.2 (10 * 0.02 s)."""
     allow_knee_contacts: bool = setting(True, key="allowKneeContacts")
     """False: a knee that touches something ends the episode."""
     air_time_as_published: bool = setting(False, key="airTimeAsPublished")

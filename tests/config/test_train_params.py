@@ -112,25 +112,6 @@ def test_sequences_must_fit_into_the_horizon(prepare):
         prepare(RNN, "train.params.config.seq_len=5")
 
 
-@pytest.mark.parametrize(
-    ("algo", "device", "asked", "expected"),
-    [
-        ("amp_continuous", "cuda:0", None, False),
-        ("amp_continuous", "cuda:0", True, False),
-        ("amp_agent", "cpu", "default", False),
-        ("a2c_continuous", "cpu", None, False),
-        ("a2c_continuous", "cpu", True, True),
-        ("a2c_continuous", "cuda:0", None, True),
-        ("a2c_continuous", "cuda:0", False, False),
-        ("a2c_continuous", "cuda:0", "reduce-overhead", "reduce-overhead"),
-    ],
-)
-def test_torch_compile(prepare, algo, device, asked, expected):
-    overrides = [] if asked is None else [f"+train.params.config.torch_compile={asked}"]
-    params = prepare(f"train.params.algo.name={algo}", *overrides, rl_device=device)
-    assert params["config"]["torch_compile"] == expected
-
-
 def test_units_are_scaled(prepare):
     params = prepare("+train.params.network.mlp.model_size_multiplier=2")
     assert params["network"]["mlp"]["units"] == [64, 32]

@@ -113,6 +113,17 @@ def test_the_style_reward_of_each_player(algo, cls, kind, make_runner):
     assert reward.item() == pytest.approx(expected, abs=1e-5)
 
 
+def test_a_player_that_the_file_names_is_not_taken_and_said_so(make_runner, caplog):
+    with caplog.at_level(logging.INFO):
+        runner = make_runner(f"+{CONFIG}.player.class_name=MyPlayer")
+    note = "player.class_name=MyPlayer has no effect: algo.name chooses"
+    assert caplog.text.count(note) == 1
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        runner.create_player()
+    assert caplog.text.count(note) == 1
+
+
 def test_a_checkpoint_without_statistics_is_refused(checkpoint, make_runner, tmp_path):
     _, path = checkpoint
     state = torch.load(path, weights_only=True)

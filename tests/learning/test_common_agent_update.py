@@ -139,8 +139,8 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     info = {name: value[0].item() for name, value in agent._train_info.items()}
     assert info["actor_loss"] == pytest.approx(actor.mean(), rel=1e-4)
     assert info["critic_loss"] == pytest.approx(critic.mean(), rel=1e-4)
-    assert info["bounds_loss"] == pytest.approx(bound.mean(), rel=1e-4)
-    assert info["clip_frac"] == pytest.approx((np.abs(ratio - 1) > 0.2).mean())
+    assert info["b_loss"] == pytest.approx(bound.mean(), rel=1e-4)
+    assert info["actor_clip_frac"] == pytest.approx((np.abs(ratio - 1) > 0.2).mean())
 
     old_mu, old_sigma = given["mu"], given["sigma"]
     kl = (
@@ -148,6 +148,14 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
         + (sigma**2 + (old_mu - mu) ** 2) / (2 * (old_sigma**2 + 1e-5))
         - 0.5
     )
+    values = {**agent.train_result}
+    assert (values.pop("last_lr"), values.pop("lr_mul")) == (5e-5, 1.0)
+    assert set(values) == {
+        *("entropy", "kl", "b_loss", "actor_loss", "critic_loss", "actor_clip_frac"),
+        *("disc_loss", "disc_grad_penalty", "disc_logit_loss", "disc_agent_acc"),
+        *("disc_demo_acc", "disc_agent_logit", "disc_demo_logit"),
+    }
+    assert all(value.ndim == 0 and not value.requires_grad for value in values.values())
     assert agent.train_result["kl"].item() == pytest.approx(kl.sum(-1).mean(), rel=1e-4)
 
 

@@ -11,6 +11,7 @@ import torch
 from rl_games.algos_torch.model_builder import ModelBuilder
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.flat_config import complete_params
 from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
@@ -52,6 +53,25 @@ def test_a_flat_configuration_trains(config) -> None:
     assert agent.epoch_num == 1
     pairs = zip(before, agent.model.parameters(), strict=True)
     assert any(not torch.equal(old, new) for old, new in pairs)
+
+
+def test_a_published_call_is_understood_without_complaints(config, caplog) -> None:
+    agent = HRLAgent(base_name="hrl_humanoid", config=config)
+    agent.writer.close()
+    assert (agent._llc_steps, agent._latent_dim, agent._task_size) == (2, LATENT_DIM, 0)
+    assert agent._llc_agent is agent.llc
+    assert "nothing reads" not in caplog.text
+    complete_params({**config, "llc_stepz": 3}, TRAIN_FILE)
+    assert "nothing reads train.params.config.llc_stepz" in caplog.text
+
+
+@pytest.mark.parametrize("given", [{}, {"params": {}, "config": {}}])
+def test_an_agent_is_made_of_one_section(given) -> None:
+    for cls in (HRLAgent, AMPAgent):
+        with pytest.raises(ConfigError, match="params= or config=, one of both"):
+            cls("run", **given)
+    with pytest.raises(ConfigError, match="no section 'config'"):
+        AMPAgent(base_name="run", config={"horizon_length": 3})
 
 
 def test_the_network_may_be_given(config) -> None:

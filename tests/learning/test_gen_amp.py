@@ -143,7 +143,7 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     roll_out(agent)
     assert starts == [list(range(8)), [3]]
     # Later latents are of clips, too.
-    demos = agent.encoder.read(agent._demo_buffer._rows["amp_obs"])
+    demos = agent.encoder.read(agent._amp_obs_demo_buffer._data_buf["amp_obs"])
     agent.schedule.advance(torch.full((8,), 10_000))
     distances = torch.cdist(agent.schedule.latents, demos).min(dim=1).values
     assert distances.max() < 1e-3
@@ -157,7 +157,7 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     rows = prepared_minibatch(agent, roll_out)
     agent._count_in(rows)
     rows |= agent._derived_rows(rows)
-    demos = agent._demo_buffer._rows
+    demos = agent._amp_obs_demo_buffer._data_buf
     pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
     normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
     triples = rows["demo_triples"]
@@ -215,7 +215,7 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
     total = (
         values["actor_loss"]
         + 5 * values["critic_loss"]
-        + 10 * values["bounds_loss"]
+        + 10 * values["b_loss"]
         + 5 * values["disc_loss"]
         + 5 * values["enc_loss"]
         + 0.01 * values["amp_diversity_loss"]
@@ -264,7 +264,7 @@ def test_who_did_not_explore_does_not_train_the_policy_but_the_critic(make, roll
     rows["returns"] = rows["returns"].clone()
     rows["advantages"][silent] += 100.0
     _, others = agent._row_loss(dict(rows))
-    for name in ("actor_loss", "clip_frac", "bounds_loss", "entropy", "amp_diversity_loss"):
+    for name in ("actor_loss", "actor_clip_frac", "b_loss", "entropy", "amp_diversity_loss"):
         assert torch.equal(values[name], others[name]), name
     rows["returns"][silent] += 100.0
     assert agent._row_loss(dict(rows))[1]["critic_loss"] > 10 * values["critic_loss"]
@@ -279,7 +279,7 @@ def test_who_did_not_explore_does_not_train_the_policy_but_the_critic(make, roll
     )
     bound = agent.bound_loss(result["mus"])
     expected = (mask * bound).sum() / mask.sum()
-    torch.testing.assert_close(values["bounds_loss"], expected)
+    torch.testing.assert_close(values["b_loss"], expected)
 
 
 def test_a_minibatch_in_which_nobody_explored(make, roll_out):

@@ -66,6 +66,9 @@ def test_sizes_are_those_of_the_latent(agent, roll_out):
     assert batch["actions"].shape == (32, LATENT_DIM)
     assert batch["mus"].abs().max() <= 1.0
     assert batch["played_frames"] == 32 * STEPS
+    combined = 0.9 * batch["task_rewards"] + 0.1 * batch["disc_rewards"]
+    torch.testing.assert_close(batch["rewards"], combined)
+    assert batch["disc_rewards"].std() > 0.0
     assert agent.model.a2c_network.mu.out_features == LATENT_DIM
 
 

@@ -47,7 +47,6 @@ PARAMS: dict[str, Any] = {
         "env_name": "rlgpu",
         "device": "cpu",
         "device_name": "cpu",
-        "torch_compile": False,
         "num_actors": NUM_ENVS,
         "reward_shaper": {"scale_value": 1},
         "normalize_input": True,

@@ -16,7 +16,7 @@ def rows(*numbers: int) -> dict[str, torch.Tensor]:
 
 def content(buffer: ReplayBuffer) -> list[int]:
     """Sorted rows of a full buffer, from a pass that begins anew."""
-    buffer._reset_sample_order()
+    buffer._reset_sample_idx()
     return sorted(int(n) for n in buffer.sample(buffer.get_buffer_size())["x"][:, 0])
 
 

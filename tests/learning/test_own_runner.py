@@ -1,0 +1,131 @@
+"""Trainings in a Runner of the user's own, with files that do not mention torch.compile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from rl_games.algos_torch import model_builder
+from rl_games.torch_runner import Runner
+
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
+from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
+from isaacgymenvs_lite.registration import register
+from tests.learning.test_gen_amp import CONFIG, GEN_AMP
+from tests.learning.test_hrl import llc, overrides  # noqa: F401  a fixture
+
+ONE_EPOCH = "max_iterations=1"
+
+
+@pytest.fixture(autouse=True)
+def no_compiler(monkeypatch) -> None:
+    def refuse(*args: Any, **kwargs: Any) -> Any:
+        raise AssertionError("a model is being compiled")
+
+    monkeypatch.setattr(torch, "compile", refuse)
+
+
+def without_the_key(runner: Any) -> dict[str, Any]:
+    """Return what the runner has loaded, as a file that does not mention torch.compile."""
+    params = runner.default_config
+    params["config"].pop("torch_compile", None)
+    params["config"]["reward_shaper"] = {}
+    return {"params": params}
+
+
+@pytest.mark.parametrize("algo", ["amp_agent", "amp_continuous", "gen_amp", "hrl"])
+def test_agents_of_ours_do_not_compile(algo, make_runner, request):
+    more: tuple[str, ...] = (f"train.params.algo.name={algo}",)
+    if algo == "gen_amp":
+        more = GEN_AMP
+    elif algo == "hrl":
+        more = overrides(request.getfixturevalue("llc"))
+    loaded = without_the_key(make_runner(*more, ONE_EPOCH))
+    runner = Runner()
+    register(runner)
+    runner.load(loaded)
+    runner.run({"train": True})
+    assert runner.params["config"]["torch_compile"] is False
+
+
+@pytest.mark.parametrize("task", ["Cartpole", "AntSAC"])
+def test_agents_of_rl_games_do_not_compile_on_a_cpu(task, make_classic_runner):
+    small = {
+        "Cartpole": ("num_envs=8", f"{CONFIG}.minibatch_size=128"),
+        "AntSAC": ("num_envs=4", "train=AntSAC", f"{CONFIG}.replay_buffer_size=1000"),
+    }
+    loaded = without_the_key(make_classic_runner(f"task={task}", *small[task], ONE_EPOCH))
+    runner = Runner()
+    register(runner)
+    runner.load(loaded)
+    runner.run({"train": True})
+    assert runner.params["config"]["torch_compile"] is False
+
+
+def test_an_agent_that_is_registered_by_hand(make_runner):
+    loaded = without_the_key(make_runner("train.params.algo.name=amp_agent", ONE_EPOCH))
+    agents: list[AMPAgent] = []
+
+    def build(**kwargs: Any) -> AMPAgent:
+        agents.append(AMPAgent(**kwargs))
+        return agents[-1]
+
+    runner = Runner()
+    runner.algo_factory.register_builder("amp_agent", build)
+    model_builder.register_model("continuous_amp", ModelAMPContinuous)
+    model_builder.register_network("amp", AMPBuilder)
+    runner.load(loaded)
+    runner.run({"train": True})
+    assert agents[0].epoch_num == 1
+    # IsaacGymEnvs' reward, under whatever name: ln 2 times the scale for a logit of 0
+    reward = agents[0].discriminator.reward_from_logits(torch.zeros(1))
+    assert reward.item() == pytest.approx(0.693147 * agents[0]._disc_reward_scale, rel=1e-5)
+
+
+def test_a_resolved_train_file_trains(make_runner, tmp_path):
+    """As docs/getting_started.md has it: a file of IsaacGymEnvs' keys, and where the task is."""
+    make_runner()  # the task that `rlgpu` means here
+    loaded = load_train_file("HumanoidAMPPPO", num_envs=8)
+    network, config = loaded["params"]["network"], loaded["params"]["config"]
+    assert "torch_compile" not in config
+    network["mlp"]["units"] = network["disc"]["units"] = [16, 8]
+    config |= {
+        **{"device": "cpu", "device_name": "cpu", "train_dir": str(tmp_path), "max_epochs": 1},
+        **{"horizon_length": 4, "minibatch_size": 16, "amp_minibatch_size": 8, "mini_epochs": 1},
+        **{"amp_obs_demo_buffer_size": 32, "amp_replay_buffer_size": 64, "amp_batch_size": 16},
+        "seq_length": 1,
+    }
+    loaded["params"]["torch_threads"] = 1
+    runner = Runner()
+    register(runner)
+    runner.load(loaded)
+    runner.run({"train": True})
+    assert list(tmp_path.glob("*/nn/*.pth"))
+
+
+@pytest.mark.parametrize(
+    ("asked", "device", "can_compile", "expected"),
+    [
+        (None, "cpu", True, False),
+        (None, "cuda:0", True, True),
+        (True, "cpu", True, True),
+        (True, "cuda:0", True, True),
+        (False, "cuda:0", True, False),
+        ("max-autotune", "cuda:0", True, "max-autotune"),
+        ("default", "cpu", False, False),
+        (None, "cuda:0", False, False),
+        (True, "cuda:0", False, False),
+    ],
+)
+def test_who_compiles(asked, device, can_compile, expected):
+    assert torch_compile_setting(asked, device, can_compile=can_compile) == expected
+
+
+def test_a_user_s_wish_is_kept_where_it_can_be(make_classic_agent: Callable[..., Any]):
+    agent = make_classic_agent("task=Cartpole", "num_envs=8", f"+{CONFIG}.torch_compile=True")
+    assert agent.config["torch_compile"] is True
