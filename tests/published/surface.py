@@ -168,7 +168,6 @@ ABSENT: dict[str, str] = {
             ("Allegro", "Factory", "Franka", "IndustReal", "Shadow", "Tri", "resolve_")
         )
     },
-    "learning.amp_network_builder.DISC_LOGIT_INIT_SCALE": "it is 1.0 here, too",
     "tasks.anymal_terrain.Terrain": "tasks/terrain makes the ground",
     "tasks.anymal_terrain.quat_apply_yaw": "calc_heading_quat and quat_apply",
     "tasks.anymal_terrain.wrap_to_pi": "normalize_angle",
