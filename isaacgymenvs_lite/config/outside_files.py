@@ -106,7 +106,7 @@ class _OutsideSource(TolerantFileSource):
         self._folder = next(iter(self._named.values())).parent
 
     def load_config(self, config_path: str) -> ConfigResult:
-        return self.read(self._file(config_path))
+        return self.read(self._file(config_path), self._group)
 
     def is_group(self, config_path: str) -> bool:
         return config_path in ("", self._group)

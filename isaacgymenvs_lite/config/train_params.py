@@ -13,6 +13,7 @@ from isaacgymenvs_lite.config.isaac_lab import SECTION as ISAAC_LAB_SECTION
 from isaacgymenvs_lite.config.minibatch import fit_minibatch
 from isaacgymenvs_lite.config.network_settings import check_network, scale_units
 from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.config.sac_settings import OTHER_KEYS as SAC_OTHER_KEYS
 from isaacgymenvs_lite.config.sac_settings import SACSettings
 from isaacgymenvs_lite.errors import ConfigError, unknown
@@ -139,6 +140,8 @@ def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
         given = cfg.get(launch_key, "")
         if given not in ("", None):
             config[key] = given
+    if "name" in config:  # the folder has all of it, checkpoints the last part
+        config["name"] = read_run_name(config["name"], f"{_WHERE}.config.name").name
 
 
 def _check_params(params: dict[str, Any], names: KnownNames) -> None:
