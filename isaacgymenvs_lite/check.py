@@ -35,7 +35,11 @@ from isaacgymenvs_lite.config.published_names import (
     task_in_name,
 )
 from isaacgymenvs_lite.config.train_files import merge_defaults
-from isaacgymenvs_lite.config.train_params import checkpoint_in_file, prepare_train_params
+from isaacgymenvs_lite.config.train_params import (
+    check_env_name,
+    checkpoint_in_file,
+    prepare_train_params,
+)
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
@@ -147,6 +151,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
             num_states=task.num_states,
             names=registered_names(build_runner()),
         )
+        check_env_name(params)
     finally:
         task.close()
     if has_train:

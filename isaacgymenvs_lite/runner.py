@@ -25,6 +25,7 @@ from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.train_params import (
     KnownNames,
+    check_env_name,
     checkpoint_in_file,
     prepare_train_params,
 )
@@ -137,6 +138,7 @@ class Session:
             num_states=self._task.num_states,
             names=registered_names(runner),
         )
+        check_env_name(params)
         if self._checkpoint:  # the file that `last` or a name means, for agents that look into it
             params |= {"load_checkpoint": True, "load_path": self._checkpoint}
         if self._settings.latent:

@@ -142,23 +142,22 @@ def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
     """Check an entry of a defaults list: the name of a file in the same group or below it."""
     if is_root and is_logging_entry(entry):
         return
-    group, names = next(iter(entry.items())) if isinstance(entry, dict) and entry else ("", entry)
-    group = str(group).removeprefix("optional ")
-    names = names if isinstance(names, list) else [names]
-    parts = [part for part in (group, *names) if part not in ("", None)]
+    parts = [entry]
+    if isinstance(entry, dict) and len(entry) == 1:
+        group, names = next(iter(entry.items()))
+        names = names if isinstance(names, list) else [names]
+        parts = [
+            str(group).removeprefix("optional "),
+            *(name for name in names if name is not None),
+        ]
+    fits = all(isinstance(part, str) and _ENTRY.fullmatch(part) for part in parts)
     steps = [step for part in parts for step in str(part).split("/")]
-    if (
-        all(isinstance(part, str) and _ENTRY.fullmatch(part) for part in parts)
-        and ".." not in steps
-        and not (is_root and steps[:1] == [_HYDRA])
-        and len(entry if isinstance(entry, dict) else [entry]) == 1
-    ):
-        return
-    text = ": ".join(map(str, *entry.items())) if isinstance(entry, dict) and entry else entry
-    raise ConfigError(
-        f"{path}: the entry '{text}' of its defaults list leads out of its own group; expected the"
-        " name of a file beside it"
-    )
+    if not fits or ".." in steps or (is_root and steps[0] == _HYDRA):
+        text = str(entry).strip("{}")
+        raise ConfigError(
+            f"{path}: the entry '{text}' of its defaults list leads out of its own group; expected"
+            " the name of a file beside it"
+        )
 
 
 def is_logging_entry(entry: Any) -> bool:

@@ -8,7 +8,7 @@ themselves, whichever way a difference may have come.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any
@@ -63,7 +63,8 @@ class CheckedLoader(ConfigLoaderImpl):
                     "a configuration file from outside cfg/ changes the section 'hydra', which"
                     " decides what is run; remove that from the file (docs/foreign_files.md)"
                 )
-            _check_train_dir(cfg, [word.key_or_group for word in parsed])
+            if not any(_sets_train_dir(word) for word in parsed):
+                _check_train_dir(cfg)
         return cfg
 
     def _own_settings(self, overrides: list[str], *rest: Any) -> Any:
@@ -119,17 +120,21 @@ def _settings_of_hydra(cfg: DictConfig) -> Any:
     return settings
 
 
-def _check_train_dir(cfg: DictConfig, keys_of_user: Sequence[str]) -> None:
+def _sets_train_dir(word: Override) -> bool:
+    """Return whether the command line itself says where runs are written."""
+    is_above = f"{_TRAIN_DIR}.".startswith(f"{word.key_or_group}.")
+    return word.key_or_group == _TRAIN_DIR or (is_above and isinstance(word.value(), dict))
+
+
+def _check_train_dir(cfg: DictConfig) -> None:
     """Check that a train file from outside lets its runs stay below the working folder.
 
     Raises:
-        ConfigError: it does not, and the command line does not say otherwise.
+        ConfigError: it does not.
     """
     section, _, key = _TRAIN_DIR.rpartition(".")
     config = OmegaConf.select(cfg, section)
     if not isinstance(config, DictConfig) or key not in config:
-        return
-    if any(f"{_TRAIN_DIR}.".startswith(f"{given}.") for given in keys_of_user):
         return
     value = config._get_node(key)._value()
     path = PurePath(value) if isinstance(value, str) else None

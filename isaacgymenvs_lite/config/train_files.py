@@ -78,9 +78,7 @@ def _find(path: Path | str, group: str = "train") -> Path:
     )
 
 
-def merge_defaults(
-    file: Path, above: tuple[Path, ...] = (), group: str = "train"
-) -> DictConfig:
+def merge_defaults(file: Path, above: tuple[Path, ...] = (), group: str = "train") -> DictConfig:
     """Read `file` and merge the files of its defaults list, in the order given there.
 
     Args:
