@@ -19,7 +19,7 @@ from isaacgymenvs_lite.errors import ConfigError
 MAX_BYTES = 2**20
 """The longest published configuration file has 12 kB."""
 MAX_DEPTH = 64
-MAX_VALUES = 100_000
+MAX_VALUES = 20_000
 """Keys, values, lists and mappings, with each alias counted as what it stands for."""
 
 _MAX_INT = 2**63 - 1
@@ -95,10 +95,15 @@ class _Loader(get_yaml_loader()):
         super().__init__(text)
         self.repeated: list[str] = []
         self._max_values = max_values
-        self._depth = 0
+        self._depth = self._count = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self._depth += 1
+        self._count += 1
+        if (
+            self._count > self._max_values
+        ):  # PyYAML is slow: a long text must not be read to its end
+            raise _too_many(self._max_values)
         if self._depth > MAX_DEPTH:
             raise _LimitError(f"nested more than {MAX_DEPTH} levels deep; no settings need that")
         try:
@@ -166,9 +171,13 @@ def _check_size(node: yaml.Node, sizes: dict[int, int], max_values: int) -> int:
     for child in children:
         size += _check_size(child, sizes, max_values)
         if size > max_values:
-            raise _LimitError(f"more than {max_values:,} values, aliases included; expected fewer")
+            raise _too_many(max_values)
     sizes[id(node)] = size
     return size
+
+
+def _too_many(max_values: int) -> _LimitError:
+    return _LimitError(f"more than {max_values:,} values, aliases included; expected fewer")
 
 
 def _check_scalar(node: yaml.ScalarNode) -> None:

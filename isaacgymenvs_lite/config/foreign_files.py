@@ -111,9 +111,12 @@ def check_interpolation(text: str, where: str) -> None:
             f" ${{resolver:...}} and no other $"
         )
     try:
-        names = set(_resolver_names(parse(text)))
+        tree = parse(text)
+        names = set(_resolver_names(tree))
     except (GrammarParseError, RecursionError) as error:
         raise ConfigError(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
+    if _has_made_up_key(tree):
+        raise ConfigError(f"{where}: '{text}' makes up the path that it leads to; write it out")
     for name in sorted(names - set(RESOLVERS)):
         raise ConfigError(
             f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
@@ -180,6 +183,13 @@ def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
         if not same:
             return False
     return True
+
+
+def _has_made_up_key(tree: Any, inside: bool = False) -> bool:
+    """Return whether an interpolation's path is put together of others: ${a.${b}}."""
+    node = isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
+    children = getattr(tree, "children", None) or ()
+    return (node and inside) or any(_has_made_up_key(child, inside or node) for child in children)
 
 
 def _resolver_names(tree: Any) -> Iterator[str]:

@@ -22,6 +22,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.foreign_files import is_foreign
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError
@@ -50,11 +51,17 @@ class CheckedLoader(ConfigLoaderImpl):
         """Compose a configuration.
 
         Raises:
-            ConfigError: a file from outside has changed Hydra's section, or chosen where a
-                training writes.
+            ConfigError: defaults lists run in a circle, or a file from outside has changed Hydra's section, chosen where a training
+                writes, or has interpolations without end.
         """
         rest = (run_mode, from_shell, validate_sweep_overrides)
-        cfg = super().load_configuration(config_name, overrides, *rest)
+        try:
+            cfg = super().load_configuration(config_name, overrides, *rest)
+        except RecursionError:
+            raise ConfigError(
+                "the defaults lists of the configuration files run in a circle; a file may name"
+                " neither itself nor one of its own name in cfg/ (rename it)"
+            ) from None
         if any(_is_foreign_source(source) for source in cfg.hydra.runtime.config_sources):
             parsed = OverridesParser.create().parse_overrides(overrides)
             own = [str(word.input_line) for word in parsed if _is_about_hydra(word)]
@@ -63,6 +70,7 @@ class CheckedLoader(ConfigLoaderImpl):
                     "a configuration file from outside cfg/ changes the section 'hydra', which"
                     " decides what is run; remove that from the file (docs/foreign_files.md)"
                 )
+            check_expansion(cfg)
             if not any(_sets_train_dir(word) for word in parsed):
                 _check_train_dir(cfg)
         return cfg

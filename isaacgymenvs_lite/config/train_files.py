@@ -7,6 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, unknown
@@ -49,6 +50,7 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
         task = {"name": "", "env": {"numEnvs": num_envs}}
         own = {"num_envs": num_envs, "rl_device": rl_device, "task": task, "train": content}
         tree = OmegaConf.merge(root, own)
+    check_expansion(tree)
     content = plain(tree.train)
     if not isinstance(content, dict) or not isinstance(content.get("params"), dict):
         raise ConfigError(f"{file} is no train file: expected a mapping below the key 'params'")

@@ -28,7 +28,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-VARIABLE = "ISAACGYMENVS_LITE_CANARY"
+VARIABLE = "ISAACGYMENVS_LITE_TEST"
 
 CALLBACK = """\
 hydra:
@@ -42,8 +42,8 @@ hydra:
 HYDRA_SECTIONS = {
     "callback": CALLBACK,
     "callback by a library": CALLBACK.replace("builtins.open", "io.open"),
-    "launcher": "hydra: {launcher: {_target_: builtins.open, file: CANARY, mode: w}}\n",
-    "sweeper": "hydra: {sweeper: {_target_: builtins.open, file: CANARY, mode: w}}\n",
+    "launcher": "hydra: {launcher: {_target_: os.abort}}\n",
+    "sweeper": "hydra: {mode: MULTIRUN, sweeper: {_target_: os.abort}}\n",
     "log handler": (
         "hydra: {job_logging: {version: 1, handlers: {h: {'()': builtins.open, file: CANARY,"
         " mode: w}}, root: {handlers: [h]}}}\n"
@@ -59,6 +59,8 @@ HYDRA_SECTIONS = {
     "search path": "hydra: {searchpath: ['pkg://os']}\n",
 }
 TRAIN = "defaults: [CartpolePPO, _self_]\n"
+# A train file that trains as another, and says what Hydra does: each door above was open for it.
+GLOBAL = "# @package _global_\ndefaults: [CartpolePPO@_global_.train, _self_]\n"
 
 
 @pytest.fixture
@@ -130,7 +132,7 @@ def assert_refused(call: Callable[..., int], capsys, tmp_path: Path, *arguments:
 
 @pytest.mark.parametrize("door", HYDRA_SECTIONS)
 def test_a_train_file_has_no_say_in_what_hydra_does(door, call, write, capsys, tmp_path):
-    file = write("Mine.yaml", f"# @package _global_\n{TRAIN}{HYDRA_SECTIONS[door]}")
+    file = write("Mine.yaml", GLOBAL + HYDRA_SECTIONS[door])
     error = assert_refused(call, capsys, tmp_path, "task=Cartpole", f"train={file}")
     assert "'# @package _global_', which puts it into another section; expected 'train'" in error
 
@@ -217,6 +219,16 @@ def test_a_defaults_list_may_name_files_beside_it_and_below(write, tmp_path):
     assert (cfg.task.name, cfg.task.env.maxEffort) == ("Cartpole", 77)
 
 
+def test_a_circle_of_defaults_lists_is_one_line(write, tmp_path):
+    itself = write("CartpolePPO.yaml", TRAIN)
+    write("train/A.yaml", "defaults: [B, _self_]\n")
+    write("train/B.yaml", "defaults: [A, _self_]\n")
+    with pytest.raises(ConfigError, match="run in a circle"):
+        compose(["task=Cartpole", f"train={itself}"])
+    with pytest.raises(ConfigError, match="run in a circle"):
+        compose(["task=Cartpole", "train=A"], tmp_path / "stranger")
+
+
 def test_a_file_that_sets_hydra_without_a_header_is_refused_too(write):
     file = write("Mine.yaml", TRAIN + CALLBACK)
     with pytest.raises(ConfigError, match=r"Mine\.yaml sets 'hydra'"):
@@ -227,7 +239,7 @@ def test_a_file_that_sets_hydra_without_a_header_is_refused_too(write):
 
 
 def test_files_of_a_folder_are_strangers_too(call, write, capsys, tmp_path):
-    write("train/Mine.yaml", f"# @package _global_\n{TRAIN}{CALLBACK}")
+    write("train/Mine.yaml", GLOBAL + CALLBACK)
     folder = str(tmp_path / "stranger")
     assert_refused(call, capsys, tmp_path, "--config-dir", folder, "task=Cartpole", "train=Mine")
 
@@ -443,7 +455,7 @@ def test_only_what_lies_in_cfg_is_ours(tmp_path, monkeypatch):
 
 
 def test_nothing_is_run_from_the_real_command_line(write, canary, tmp_path):
-    file = write("Mine.yaml", f"# @package _global_\n{TRAIN}{CALLBACK}")
+    file = write("Mine.yaml", GLOBAL + CALLBACK)
     result = subprocess.run(
         [sys.executable, str(REPOSITORY / "train.py"), "task=Cartpole", f"train={file}"],
         cwd=tmp_path,
