@@ -24,6 +24,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
+from isaacgymenvs_lite.config.foreign_files import is_foreign
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.notes import physx_only_keys
@@ -56,7 +57,6 @@ _TASKS_OF_ALGORITHMS = {
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
 }
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
-_ALL_WORDS = re.compile(r"[A-Z]")  # MyRobot; ASE's own begin with a small letter: amp_humanoid
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
 
 
@@ -223,7 +223,8 @@ def _task_of(path: Path, content: DictConfig) -> str:
     """
     names = [file.stem for file in (cfg_dir() / "task").glob("*.yaml")]
     said, run = task_in_name(path.stem), _run_name(content)
-    of_its_own = run == said and said not in names and _ALL_WORDS.match(said)
+    capital = re.match(r"[A-Z]", said)  # MyRobot; ASE's files are called amp_humanoid
+    of_its_own = is_foreign(path) and capital and run == said and said not in names
     if not of_its_own and (task := longest_task(path.stem, names) or longest_task(run, names)):
         return task
     beside = path.parent.parent / "task" / f"{said}.yaml"
@@ -231,7 +232,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
         return str(beside)
     algorithm = OmegaConf.select(content, "params.algo.name")
     for task, algorithms in _TASKS_OF_ALGORITHMS.items():
-        if algorithm in algorithms and not _ALL_WORDS.match(said):
+        if algorithm in algorithms and not capital:
             return task
     raise ConfigError(
         f"{path.name} belongs to no task that is here; task=<name> says which one to check it with:"

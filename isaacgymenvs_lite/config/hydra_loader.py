@@ -51,8 +51,8 @@ class CheckedLoader(ConfigLoaderImpl):
         """Compose a configuration.
 
         Raises:
-            ConfigError: defaults lists run in a circle, or a file from outside has changed Hydra's section, chosen where a training
-                writes, or has interpolations without end.
+            ConfigError: defaults lists run in a circle, or a file from outside has changed Hydra's
+                section, chosen where a training writes, or has interpolations without end.
         """
         rest = (run_mode, from_shell, validate_sweep_overrides)
         try:
