@@ -69,7 +69,7 @@ def run_folders(train_dir: Path) -> Iterator[Path]:
 
     A folder with a config.yaml is one; nothing is looked for inside of it.
     """
-    for folder, below, files in os.walk(train_dir):
+    for folder, below, files in os.walk(train_dir, followlinks=True):
         if "config.yaml" in files and Path(folder) != train_dir:
             below.clear()
             yield Path(folder)
