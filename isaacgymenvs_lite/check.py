@@ -88,8 +88,8 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
         UserError: what train.py would refuse.
     """
     path = _find(file)
-    _refuse_missing_task(path, overrides)
     with _log_lines() as said:
+        _refuse_missing_task(path, overrides)
         kind, content = _kind(path)
         words = [f"{kind}={path}", *overrides]
         guessed = kind == "train" and not any(word.startswith("task=") for word in overrides)
@@ -225,7 +225,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
     said, run = task_in_name(path.stem), _run_name(content)
     capital = re.match(r"[A-Z]", said)  # MyRobot; ASE's files are called amp_humanoid
     of_its_own = is_foreign(path) and capital and run == said and said not in names
-    if not of_its_own and (task := longest_task(path.stem, names) or longest_task(run, names)):
+    if not of_its_own and (task := longest_task(path.stem, names)):
         return task
     beside = path.parent.parent / "task" / f"{said}.yaml"
     if beside.is_file():
@@ -234,6 +234,8 @@ def _task_of(path: Path, content: DictConfig) -> str:
     for task, algorithms in _TASKS_OF_ALGORITHMS.items():
         if algorithm in algorithms and not capital:
             return task
+    if run in names:
+        return run
     raise ConfigError(
         f"{path.name} belongs to no task that is here; task=<name> says which one to check it with:"
         f" {', '.join(sorted(names))}"

@@ -275,6 +275,15 @@ def test_train_files_of_our_tasks_under_other_names(name: str, run: str, tmp_pat
     assert "checked with task=Ant;" in describe(str(train_file(tmp_path, name, run)))[0]
 
 
+def test_ases_train_files_say_their_task_by_the_algorithm(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "ase_humanoid.yaml"
+    config = "{config: {name: Humanoid, ppo: True, ppo: True}}"
+    file.write_text(f"defaults: [HumanoidASEPPO, _self_]\nparams: {config}\n")
+    lines = describe(str(file))
+    assert "checked with task=HumanoidASE;" in lines[0]
+    assert sum("states 'ppo' more than once" in line for line in lines) == 1
+
+
 # As docs/own_task.md has it.
 SWING_UP = """\
 defaults:

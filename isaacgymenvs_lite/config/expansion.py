@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
 from omegaconf.grammar_parser import parse
 
@@ -19,7 +19,7 @@ MAX_VALUES = 1_000_000
 _KEY = re.compile(r"\[([^\]]*)\]|([^.\[\]]+)")
 
 
-def check_expansion(cfg: DictConfig) -> None:
+def check_expansion(cfg: DictConfig | ListConfig) -> None:
     """Check that resolving a tree ends, and takes a reasonable amount of memory.
 
     Raises:

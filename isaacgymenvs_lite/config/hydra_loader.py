@@ -93,13 +93,14 @@ class CheckedLoader(ConfigLoaderImpl):
 @contextmanager
 def checked_hydra() -> Iterator[None]:
     """Let Hydra's program read with `tolerant_hydra` and compose with `CheckedLoader`."""
-    former = hydra_program.ConfigLoaderImpl
-    hydra_program.ConfigLoaderImpl = CheckedLoader  # type: ignore[misc]
+    program: Any = hydra_program
+    former = program.ConfigLoaderImpl
+    program.ConfigLoaderImpl = CheckedLoader
     try:
         with tolerant_hydra():
             yield
     finally:
-        hydra_program.ConfigLoaderImpl = former  # type: ignore[misc]
+        program.ConfigLoaderImpl = former
 
 
 def _is_file_path(path: str) -> bool:
@@ -144,7 +145,8 @@ def _check_train_dir(cfg: DictConfig) -> None:
     config = OmegaConf.select(cfg, section)
     if not isinstance(config, DictConfig) or key not in config:
         return
-    value = config._get_node(key)._value()
+    node: Any = config._get_node(key)
+    value = node._value()
     path = PurePath(value) if isinstance(value, str) else None
     if path is None or path.is_absolute() or ".." in path.parts or "$" in path.as_posix():
         raise ConfigError(
