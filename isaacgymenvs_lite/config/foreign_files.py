@@ -23,6 +23,7 @@ from omegaconf.grammar_parser import parse
 from isaacgymenvs_lite.config.resolvers import RESOLVERS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.yaml_text import printable
 
 _HYDRA = "hydra"
 _TARGET = "_target_"
@@ -53,7 +54,7 @@ def check_foreign_file(content: dict[Any, Any], path: Path) -> None:
             interpolation that could look outside of the configuration.
     """
     if _HYDRA in content:
-        raise ConfigError(f"{path} sets '{_HYDRA}', which decides what is run; {_WHERE_TO}")
+        raise _refusal(f"{path} sets '{_HYDRA}', which decides what is run; {_WHERE_TO}")
     _check_values(content, str(path))
 
 
@@ -77,12 +78,12 @@ def check_composed_file(
     allowed = {None, "_group_", own, f"_global_.{own}"} if own else {None, "", "_global_"}
     if package not in allowed:
         expected = f"'{own}' or none" if own else "none"
-        raise ConfigError(
+        raise _refusal(
             f"{path} has the header '# @package {package}', which puts it into another section;"
             f" expected {expected}"
         )
     if group.split("/")[0] == _HYDRA:
-        raise ConfigError(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
+        raise _refusal(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
     settings = content
     if not own and _says_only(content.get(_HYDRA, {}), _HARMLESS):
         settings = {key: value for key, value in content.items() if key != _HYDRA}
@@ -106,7 +107,7 @@ def check_interpolation(text: str, where: str) -> None:
         or _LONE_DOLLAR.search(text)
         or _TARGET in text
     ):
-        raise ConfigError(
+        raise _refusal(
             f"{where}: {text[:60]!r} is no plain interpolation; expected ${{path.of.a.key}} or"
             f" ${{resolver:...}} and no other $"
         )
@@ -114,15 +115,19 @@ def check_interpolation(text: str, where: str) -> None:
         tree = parse(text)
         names = set(_resolver_names(tree))
     except (GrammarParseError, RecursionError) as error:
-        raise ConfigError(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
+        raise _refusal(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
     if _has_made_up_key(tree):
-        raise ConfigError(f"{where}: '{text}' makes up the path that it leads to; write it out")
+        raise _refusal(f"{where}: '{text}' makes up the path that it leads to; write it out")
     for name in sorted(names - set(RESOLVERS)):
-        raise ConfigError(
+        raise _refusal(
             f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
             f" expected a path in the configuration or one of {', '.join(sorted(RESOLVERS))};"
             f" {_WHERE_TO}"
         )
+
+
+def _refusal(message: str) -> ConfigError:
+    return ConfigError(printable(message))
 
 
 def _check_values(value: Any, where: str) -> None:
@@ -131,7 +136,7 @@ def _check_values(value: Any, where: str) -> None:
     elif isinstance(value, dict):
         for key, entry in value.items():
             if key == _TARGET:
-                raise ConfigError(
+                raise _refusal(
                     f"{where} has a key '{_TARGET}', which names something to be called; a"
                     " configuration file cannot name code here (docs/own_task.md)"
                 )
@@ -157,7 +162,7 @@ def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
     steps = [step for part in parts for step in str(part).split("/")]
     if not fits or ".." in steps or (is_root and steps[0] == _HYDRA):
         text = str(entry).strip("{}")
-        raise ConfigError(
+        raise _refusal(
             f"{path}: the entry '{text}' of its defaults list leads out of its own group; expected"
             " the name of a file beside it"
         )
@@ -187,9 +192,11 @@ def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
 
 def _has_made_up_key(tree: Any, inside: bool = False) -> bool:
     """Return whether an interpolation's path is put together of others: ${a.${b}}."""
-    node = isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
+    if inside and isinstance(tree, OmegaConfGrammarParser.InterpolationContext):
+        return True
+    inside = inside or isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
     children = getattr(tree, "children", None) or ()
-    return (node and inside) or any(_has_made_up_key(child, inside or node) for child in children)
+    return any(_has_made_up_key(child, inside) for child in children)
 
 
 def _resolver_names(tree: Any) -> Iterator[str]:

@@ -347,6 +347,9 @@ def test_no_file_names_something_to_be_called(text, write):
         "${python_version:}",
         "${eval:'1'}",
         "${${a}:SECRET}",
+        "${a.${b}}",
+        "${a.${if:True,b,c}}",
+        "${....${a}}",
         "${oc.${b}:SECRET}",
         "${if:True,${oc.env:SECRET},x}",
         '${if:True,"${oc.env:SECRET}",x}',
@@ -395,6 +398,20 @@ def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):
 )
 def test_published_interpolations_are_welcome(value):
     check_interpolation(value, "file")
+
+
+def test_a_refusal_is_one_line_whatever_the_file_holds(write):
+    for text in (
+        'params: {"a\\nerror: b\\e[2J": {c: "${x:\\n}"}}\n',
+        '"a\\nb": {_target_: x}\n',
+        'defaults: ["a\\nb"]\n',
+        "a: !%0Ab c\n",
+        "# @package \x1b[2J\n",
+    ):
+        file = write("Mine.yaml", text)
+        with pytest.raises(ConfigError) as refused:
+            compose(["task=Cartpole", f"train={file}"])
+        assert str(refused.value).isprintable(), text
 
 
 def test_the_users_own_words_may_read_the_environment(monkeypatch):
