@@ -15,6 +15,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from benchmarks.machine import describe_machine
+from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.run_folder import RunFolder
 
@@ -66,7 +67,7 @@ class Run:
         """
         name = folder.resolve().name
         if (folder / "config.yaml").is_file():
-            cfg = OmegaConf.load(folder / "config.yaml")
+            cfg = read_yaml(folder / "config.yaml")
             return cls(re.sub(r"_seed\d+$", "", name), int(OmegaConf.select(cfg, "seed")), folder)
         raise CheckpointError(f"{folder}: no run folder; expected one with config.yaml and nn/")
 

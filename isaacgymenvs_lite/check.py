@@ -3,15 +3,18 @@
     python -m isaacgymenvs_lite.check FILE.yaml [task=<name>] [key=value ...]
 
 FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
-task whose name it begins with, or with the one that `task=` names. Told are the algorithm, the
-network, samples and length, the keys that have no effect here, and what would be changed to fit.
-What is wrong is told in one line, as train.py would, with exit code 2.
+task whose name it begins with, or with the one that `task=` names. The command names the algorithm,
+the network, samples and length, the keys that have no effect here, and what would be changed to
+fit. What is wrong is one line, as of train.py, with exit code 2; so are files of published tasks
+that are not here, and train files of an unknown task. Of a task file whose class is not here, all
+but `task.env` is checked.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,12 +23,25 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
+from isaacgymenvs_lite.config.foreign_files import is_foreign
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.notes import physx_only_keys
+from isaacgymenvs_lite.config.published_names import (
+    longest_task,
+    missing_choice,
+    missing_task,
+    missing_task_of_file,
+    task_in_name,
+)
 from isaacgymenvs_lite.config.train_files import merge_defaults
-from isaacgymenvs_lite.config.train_params import checkpoint_in_file, prepare_train_params
+from isaacgymenvs_lite.config.train_params import (
+    check_env_name,
+    checkpoint_in_file,
+    prepare_train_params,
+)
+from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 
@@ -35,12 +51,13 @@ _UNREAD_CONFIG = (
     *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),
     *("lr_threshold", "use_others_experience", "num_seed_steps", "max_env_steps"),
 )
-# Where the name of a train file begins with no task's: by its algorithm, or the last.
+# Where the name of a train file says nothing of a task, as those of ASE's: by its algorithm.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
 }
-_DEFAULT_TASK = "Ant"
+_DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
+_GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,23 +89,49 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
     """
     path = _find(file)
     with _log_lines() as said:
+        _refuse_missing_task(path, overrides)
         kind, content = _kind(path)
         words = [f"{kind}={path}", *overrides]
         guessed = kind == "train" and not any(word.startswith("task=") for word in overrides)
         if guessed:
             words.insert(0, f"task={_task_of(path, content)}")
+        has_train = kind == "train" or any(word.startswith("train=") for word in overrides)
+        if not has_train:
+            train = _train_file_of(path, str(content.get("name") or ""))
+            words.append(f"train={train or ANY_TRAIN_FILE}")
+            has_train = train is not None
         cfg = compose(words)
         check_config(cfg)
         apply_wrapper_limits(cfg)
         lines = [_title(path, kind, cfg, guessed)]
-        lines += _describe_composed(cfg, kind)
+        known = kind == "train" or _has_class(cfg)
+        lines += _describe_composed(cfg, kind, has_train) if known else _describe_unknown(cfg)
     for line in dict.fromkeys(said):
         lines.append(f"note: {line}")
-    lines.append("nothing is wrong with it")
+    if known:
+        lines.append("nothing is wrong with it")
     return lines
 
 
-def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
+def _has_class(cfg: DictConfig) -> bool:
+    from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
+
+    return is_task(str(cfg.task.name))
+
+
+def _describe_unknown(cfg: DictConfig) -> list[str]:
+    """Return what can be said of a task file without the class of the task."""
+    lines = [
+        f"the class of '{cfg.task.name}' is not here, so that the keys of task.env are not checked;"
+        " install the package that has it, or register it in a script (docs/own_task.md)"
+    ]
+    if unread := physx_only_keys(cfg):
+        lines.append(f"no effect here: {', '.join(unread)}")
+    lines.append("nothing is wrong with the rest of it")
+    return lines
+
+
+def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]:
     # torch, MuJoCo and rl_games: once the configuration is known to compose
     from isaacgymenvs_lite.checkpoints import resolve_checkpoint
     from isaacgymenvs_lite.making import make_from_config
@@ -108,9 +151,11 @@ def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
             num_states=task.num_states,
             names=registered_names(build_runner()),
         )
+        check_env_name(params)
     finally:
         task.close()
-    lines += _train_lines(params)
+    if has_train:
+        lines += _train_lines(params)
     if path := checkpoint_in_file(cfg):
         lines.append(f"goes on from {resolve_checkpoint(path, 'runs', str(cfg.task.name))}")
     unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
@@ -127,14 +172,36 @@ def _find(file: str) -> Path:
     for path in named:
         if given.name == file and path.is_file():
             return path
+    for group in ("train", "task"):
+        if published := missing_choice(group, given.stem):
+            raise ConfigError(f"{file}: no such file; {published}")
     raise ConfigError(
         f"{file}: no such file, and no name of a file in {cfg_dir() / 'train'} or"
         f" {cfg_dir() / 'task'}"
     )
 
 
+def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
+    """Refuse the file of a published task that is not here, before more of it is read.
+
+    Raises:
+        ConfigError: it is one, and no `task=` says what to check it with.
+    """
+    if any(word.startswith("task=") for word in overrides):
+        return
+    content = read_yaml(path)
+    name = str(content.get("name") or "") if "params" not in content else ""
+    missing = missing_task(name) if name else None
+    if missing is None and (not name or name == path.stem):
+        task = missing_task_of_file(path.stem) or missing_task_of_file(_run_name(content))
+        missing = missing_task(task) if task else None
+    if missing:
+        raise ConfigError(f"{path.name} is not checked: {missing}")
+
+
 def _kind(path: Path) -> tuple[str, DictConfig]:
-    content = merge_defaults(path)
+    groups = dict.fromkeys(group for key, group in _GROUPS.items() if key in read_yaml(path))
+    content = merge_defaults(path, group=next(iter(groups), "train"))
     if "params" in content:
         return "train", content
     if "env" in content:
@@ -146,16 +213,52 @@ def _kind(path: Path) -> tuple[str, DictConfig]:
 
 
 def _task_of(path: Path, content: DictConfig) -> str:
-    """Return the task whose name the train file's begins with (the longest), or one that fits."""
+    """Return the task of a train file, or the path of its task file.
+
+    Its name and the name of its runs say which: MyRobotPPO.yaml, whose runs are called MyRobot, has
+    nothing to do with a task Robot or My.
+
+    Raises:
+        ConfigError: it is a task that is not here.
+    """
     names = [file.stem for file in (cfg_dir() / "task").glob("*.yaml")]
-    fitting = [name for name in names if path.stem.startswith(name)]
-    if fitting:
-        return max(fitting, key=len)
+    said, run = task_in_name(path.stem), _run_name(content)
+    capital = re.match(r"[A-Z]", said)  # MyRobot; ASE's files are called amp_humanoid
+    of_its_own = is_foreign(path) and capital and run == said and said not in names
+    if not of_its_own and (task := longest_task(path.stem, names)):
+        return task
+    beside = path.parent.parent / "task" / f"{said}.yaml"
+    if beside.is_file():
+        return str(beside)
     algorithm = OmegaConf.select(content, "params.algo.name")
     for task, algorithms in _TASKS_OF_ALGORITHMS.items():
-        if algorithm in algorithms:
+        if algorithm in algorithms and not capital:
             return task
-    return _DEFAULT_TASK
+    if run in names:
+        return run
+    raise ConfigError(
+        f"{path.name} belongs to no task that is here; task=<name> says which one to check it with:"
+        f" {', '.join(sorted(names))}"
+    )
+
+
+def _train_file_of(path: Path, name: str) -> str | None:
+    """Return the train file that goes with a task file, None if there is none."""
+    for stem in (path.stem, name):
+        if (cfg_dir() / "train" / f"{stem}PPO.yaml").is_file():
+            return f"{stem}PPO"
+    beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
+    return str(beside) if beside.is_file() else None
+
+
+def _run_name(content: DictConfig) -> str:
+    """Return the name that the runs of a train file have by default, '' if it says none."""
+    params = content.get("params")
+    config = params.get("config") if isinstance(params, DictConfig) else None
+    node = config._get_node("name") if isinstance(config, DictConfig) else None
+    text = str(node._value()) if node is not None else ""
+    found = _DEFAULT_NAME.match(text)
+    return found[1] if found else text
 
 
 def _title(path: Path, kind: str, cfg: DictConfig, guessed: bool) -> str:

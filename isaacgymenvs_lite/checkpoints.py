@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.output_files import written_in_one_step
 from isaacgymenvs_lite.policies.shipped import shipped_policies
+from isaacgymenvs_lite.run_folder import run_folders
 
 log = logging.getLogger(__name__)
 
@@ -212,7 +213,7 @@ def resolve_checkpoint(
 def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     wanted = {"task.name": task_name, "train.params.network.name": network_name}
     wanted = {key: value for key, value in wanted.items() if value}
-    runs = [run for run in train_dir.glob("*") if _settings_of_run(run, wanted) == wanted]
+    runs = [run for run in run_folders(train_dir) if _settings_of_run(run, wanted) == wanted]
     files = [file for run in runs for file in run.glob("nn/*.pth")]
     if not files:
         task = f"task={task_name}" if task_name else "any task"
@@ -227,10 +228,11 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
+
+    from isaacgymenvs_lite.config.yaml_files import read_yaml
 
     try:
-        cfg = OmegaConf.load(run / "config.yaml")
+        cfg = read_yaml(run / "config.yaml")
         return {key: OmegaConf.select(cfg, key) for key in keys}
-    except (OSError, ValueError, YAMLError, OmegaConfBaseException):
+    except (ConfigError, OmegaConfBaseException):
         return None  # no run folder of ours, or a damaged one: the others count

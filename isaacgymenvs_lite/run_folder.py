@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from isaacgymenvs_lite.config.run_names import MAX_LEVELS
 from isaacgymenvs_lite.errors import ConfigError
 
 
@@ -19,6 +22,7 @@ class RunFolder:
     """
 
     def __init__(self, train_dir: Path, run_name: str) -> None:
+        self._train_dir = train_dir
         self.path = train_dir / run_name
         self.checkpoints = self.path / "nn"
         self._was_there = True
@@ -27,8 +31,14 @@ class RunFolder:
         """Make the folders and write the composed tree, its interpolations unresolved.
 
         Raises:
-            ConfigError: the folder cannot be written.
+            ConfigError: the folder cannot be written, or is part of another run.
         """
+        for folder in self.path.relative_to(self._train_dir).parents:
+            if folder.parts and (self._train_dir / folder / "config.yaml").exists():
+                raise ConfigError(
+                    f"{self.path} lies in the folder of another run, {self._train_dir / folder};"
+                    " choose another experiment=NAME"
+                )
         self._was_there = self.path.exists()
         try:
             self.checkpoints.mkdir(parents=True, exist_ok=True)
@@ -52,6 +62,19 @@ class RunFolder:
         """Return the checkpoint that was written last."""
         files = self.checkpoints.glob("*.pth")
         return max(files, key=lambda file: file.stat().st_mtime, default=None)
+
+
+def run_folders(train_dir: Path) -> Iterator[Path]:
+    """Yield the run folders below `train_dir`, those in folders of their own included.
+
+    A folder with a config.yaml is one; nothing is looked for inside of it.
+    """
+    for folder, below, files in os.walk(train_dir, followlinks=True):
+        if "config.yaml" in files and Path(folder) != train_dir:
+            below.clear()
+            yield Path(folder)
+        elif len(Path(folder).relative_to(train_dir).parts) >= MAX_LEVELS:
+            below.clear()
 
 
 def run_of_checkpoint(checkpoint: str) -> Path | None:

@@ -21,9 +21,11 @@ from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.notes import startup_notes
+from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.train_params import (
     KnownNames,
+    check_env_name,
     checkpoint_in_file,
     prepare_train_params,
 )
@@ -79,9 +81,13 @@ class Session:
         self._settings = settings
         self._watching = Watching(settings)
         self._seed = seed
-        self._name = settings.experiment or str(cfg.train.params.config.name)
+        name = run_name_of(cfg)
+        self._name = name.name  # of the checkpoints
         train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
-        self._run_name = settings.full_experiment_name or _new_run_name(train_dir, self._name)
+        if exact := settings.full_experiment_name:
+            self._run_name = str(read_run_name(exact, "full_experiment_name"))
+        else:
+            self._run_name = _new_run_name(train_dir, str(name))
         self._folder = RunFolder(train_dir, self._run_name)
         self._checkpoint = checkpoints.resolve_checkpoint(
             settings.checkpoint or checkpoint_in_file(cfg),
@@ -130,6 +136,7 @@ class Session:
             num_states=self._task.num_states,
             names=registered_names(runner),
         )
+        check_env_name(params)
         if self._checkpoint:  # the file that `last` or a name means, for agents that look into it
             params |= {"load_checkpoint": True, "load_path": self._checkpoint}
         if self._settings.latent:
@@ -173,7 +180,7 @@ class Session:
         if not self._checkpoint:
             log.warning("test=True without checkpoint=: playing an untrained policy")
         folder = run_of_checkpoint(self._checkpoint) or self._folder.path
-        prefix = f"play{self._run_name.removeprefix(self._name)}"
+        prefix = f"play{Path(self._run_name).name.removeprefix(self._name)}"
         self._watching.start(self._task, folder, _end_play, prefix)
         with contextlib.suppress(WindowClosedError):
             self._launch({"train": False, "play": True}, AlgoObserver())

@@ -16,8 +16,9 @@ from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from isaacgymenvs_lite.config.compose import CONFIG_NAME, HYDRA_VERSION_BASE, make_loader
+from isaacgymenvs_lite.config.compose import HYDRA_VERSION_BASE, make_loader
 from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME, checked_hydra
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.outside_files import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
@@ -77,7 +78,7 @@ def _run_hydra() -> None:
     decorate = hydra.main(
         config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
     )
-    with tolerant_hydra(), outside_files(sys.argv[1:]) as arguments:
+    with checked_hydra(), outside_files(sys.argv[1:]) as arguments:
         sys.argv[1:] = arguments
         try:
             decorate(job)()
@@ -117,7 +118,12 @@ def _check_options(arguments: Sequence[str]) -> None:
     """
     parser = get_args_parser()
     parser.allow_abbrev = False
-    _, others = parser.parse_known_args(list(arguments))
+    options, others = parser.parse_known_args(list(arguments))
+    if options.experimental_rerun is not None:
+        raise ConfigError(
+            "--experimental-rerun reads a pickle, which can run code; give the words of the command"
+            " line once more (config.yaml in the run folder has them)"
+        )
     if others:
         name = others[0].lstrip("-").split("=")[0]
         raise ConfigError(

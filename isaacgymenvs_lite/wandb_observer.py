@@ -74,7 +74,7 @@ class WandbObserver(AlgoObserver):
             entity=settings.wandb_entity or None,
             group=settings.wandb_group or None,
             tags=settings.wandb_tags,
-            id=f"uid_{self._run_name}",
+            id=f"uid_{self._run_name}".replace("/", "_"),
             name=self._display_name(),
             resume="allow",
             sync_tensorboard=True,

@@ -10,6 +10,8 @@ import pytest
 from isaacgymenvs_lite.check import describe, main
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.tasks import isaacgym_task_map
+from isaacgymenvs_lite.tasks.cartpole import Cartpole
 
 TRAIN_FILES = sorted(path.stem for path in (cfg_dir() / "train").glob("*.yaml"))
 # Files that others are made of, with no name and length of their own.
@@ -198,5 +200,153 @@ def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
     assert lines[-1] == "nothing is wrong with it"
     with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
         describe(
-            str(file), ["task.env.asymmetric_observations=True", "train.params.config.seq_len=5"]
+            str(file),
+            [
+                *("task=Ant", "task.env.asymmetric_observations=True"),
+                "train.params.config.seq_len=5",
+            ],
         )
+
+
+# --- whose task a file is of ---------------------------------------------------------------------
+
+
+def train_file(folder: Path, name: str, run: str = "") -> Path:
+    """Write a train file that is Ant's but for the name of its runs."""
+    file = folder / f"{name}.yaml"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    config = f"{{config: {{name: '${{resolve_default:{run},${{....experiment}}}}'}}}}"
+    file.write_text(f"defaults: [AntPPO, _self_]\nparams: {config if run else '{}'}\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("name", "run", "task"),
+    [
+        ("FrankaCabinetPPO", "FrankaCabinet", "FrankaCabinet"),
+        ("FrankaCabinetPPO", "", "FrankaCabinet"),
+        ("ShadowHandPPOAsymmLSTM", "ShadowHandAsymmLSTM", "ShadowHand"),
+        ("mine", "IndustRealTaskPegsInsert", "IndustRealTaskPegsInsert"),
+    ],
+)
+def test_train_files_of_published_tasks_are_not_checked_with_another(
+    name: str, run: str, task: str, tmp_path: Path
+) -> None:
+    file = train_file(tmp_path, name, run)
+    said = f"{name}.yaml is not checked: {task} is a published task .* not here yet"
+    with pytest.raises(ConfigError, match=said):
+        describe(str(file))
+    # Whoever wants it checked with another says so.
+    assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
+
+
+def test_a_published_name_without_a_file() -> None:
+    with pytest.raises(ConfigError, match=r"no such file; .*Trifinger is a published task"):
+        describe("TrifingerPPO")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name: FrankaCubeStack\nenv: {numEnvs: 3}\nsim: {}\n",
+        "defaults: [_self_, {env: reorientation}]\nname: AllegroKuka\nenv: {numEnvs: 3}\n",
+        "name: Trifinger\nenv: {numEnvs: 3}\nsim: {dt: .nan}\n",
+    ],
+)
+def test_task_files_of_published_tasks(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "any.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=r"any.yaml is not checked: \w+ is a published task"):
+        describe(str(file))
+
+
+@pytest.mark.parametrize(
+    ("name", "run"), [("MyRobotPPO", "MyRobot"), ("AntMazePPO", "AntMaze"), ("MyRobotSAC", "x")]
+)
+def test_train_files_of_a_forks_own_tasks(name: str, run: str, tmp_path: Path) -> None:
+    file = train_file(tmp_path, name, run)
+    with pytest.raises(ConfigError, match=f"{name}.yaml belongs to no task that is here; task="):
+        describe(str(file))
+    assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
+
+
+@pytest.mark.parametrize(("name", "run"), [("AntMine", ""), ("AntPPO_v2", "x"), ("walker", "")])
+def test_train_files_of_our_tasks_under_other_names(name: str, run: str, tmp_path: Path) -> None:
+    assert "checked with task=Ant;" in describe(str(train_file(tmp_path, name, run)))[0]
+
+
+def test_ases_train_files_say_their_task_by_the_algorithm(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "ase_humanoid.yaml"
+    config = "{config: {name: Humanoid, ppo: True, ppo: True}}"
+    file.write_text(f"defaults: [HumanoidASEPPO, _self_]\nparams: {config}\n")
+    lines = describe(str(file))
+    assert "checked with task=HumanoidASE;" in lines[0]
+    assert sum("states 'ppo' more than once" in line for line in lines) == 1
+
+
+# As docs/own_task.md has it.
+SWING_UP = """\
+defaults:
+  - Classic
+  - _self_
+
+name: SwingUp
+
+env:
+  numEnvs: ${resolve_default:512,${...num_envs}}
+  episodeLength: 300
+"""
+
+
+def test_a_task_file_of_ones_own_that_is_made_of_ours(tmp_path: Path, capsys) -> None:
+    file = tmp_path / "cfg" / "task" / "SwingUp.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text(SWING_UP)
+    assert main([str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "SwingUp.yaml: a task file, of the task SwingUp"
+    assert "the class of 'SwingUp' is not here, so that the keys of task.env are not" in lines[1]
+    assert lines[-1] == "nothing is wrong with the rest of it"
+
+
+def test_with_its_class_all_of_it_is_checked(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(isaacgym_task_map, "SwingUp", Cartpole)
+    file = tmp_path / "cfg" / "task" / "SwingUp.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text(SWING_UP)
+    lines = describe(str(file))
+    assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
+    assert not any(line.startswith("algorithm") for line in lines)  # it has no train file yet
+    assert lines[-1] == "nothing is wrong with it"
+    # A train file is checked with the task file that belongs to it.
+    train = train_file(tmp_path / "cfg" / "train", "SwingUpPPO", "SwingUp")
+    assert "checked with task=SwingUp;" in describe(str(train))[0]
+    assert any(line.startswith("algorithm: a2c") for line in describe(str(file)))
+    file.write_text(SWING_UP.replace("episodeLength: 300", "maxEfort: 300"))
+    with pytest.raises(ConfigError, match="maxEfort"):
+        describe(str(file))
+
+
+def test_a_strangers_file_runs_nothing(tmp_path: Path, capsys) -> None:
+    canary = tmp_path / "canary"
+    file = tmp_path / "AntPPO.yaml"
+    call = f"{{_target_: builtins.open, file: {canary}, mode: w}}"
+    for text, said in (
+        (f"# @package _global_\nhydra: {{callbacks: {{x: {call}}}}}\n", "sets 'hydra'"),
+        ("# @package _global_\ndefaults: [AntSAC, _self_]\nparams: {}\n", "header"),
+        (f"params: {{network: {call}}}\n", "has a key '_target_'"),
+        ("params: {config: {name: '${oc.env:HOME}'}}\n", "resolver 'oc.env'"),
+        ("defaults: [Other@_global_, _self_]\nparams: {}\n", "Other"),
+    ):
+        file.write_text(text)
+        with pytest.raises(SystemExit) as ended:
+            main([str(file)])
+        error = capsys.readouterr().err
+        assert (ended.value.code, error.count("\n")) == (2, 1)
+        assert said in error
+    assert not canary.exists()
+
+
+def test_environments_of_rl_games_are_refused() -> None:
+    with pytest.raises(ConfigError, match="env_name=openai_gym: expected rlgpu"):
+        describe("AntPPO", ["train.params.config.env_name=openai_gym"])

@@ -230,6 +230,27 @@ def test_last_is_of_the_same_kind_of_network(runs, tmp_path):
     assert found.endswith("low.pth")
 
 
+def test_last_looks_into_folders_of_runs(runs, tmp_path):
+    runs("old", "Ant", {"Ant.pth": 300.0})
+    new = runs("amp/first/walk1", "Ant", {"walk1.pth": 200.0})
+    runs("amp/other", "HumanoidAMP", {"other.pth": 100.0})
+    # Inside of a run folder is no other: what it has of its own kind are copies.
+    runs("old/backup", "Ant", {"Ant.pth": 50.0})
+    runs("1/2/3/4/5/6", "Ant", {"deep.pth": 10.0})
+    found = checkpoints.resolve_checkpoint("last", tmp_path / "runs", "Ant")
+    assert found == str(new / "nn" / "walk1.pth")
+
+
+def test_last_reads_configurations_of_strangers_safely(runs, tmp_path, monkeypatch):
+    monkeypatch.setenv("SECRET", "Ant")
+    hostile = ["task: {name: '${oc.env:SECRET}'}\n", "a: " + "[" * 3000, "a: &a [*a]\n"]
+    for i, text in enumerate(hostile):
+        (runs(f"hostile{i}", None, {"a.pth": 1.0}) / "config.yaml").write_text(text)
+    good = runs("good", "Ant", {"Ant.pth": 300.0})
+    found = checkpoints.resolve_checkpoint("last", tmp_path / "runs", "Ant")
+    assert found == str(good / "nn" / "Ant.pth")
+
+
 def test_last_overlooks_what_is_no_checkpoint(runs, tmp_path):
     run = runs("run", "Ant", {"Ant.pth": 300.0, ".Ant.pth.17.partial": 10.0, "notes.txt": 10.0})
     (tmp_path / "runs" / "file").write_text("not a run")

@@ -236,6 +236,38 @@ def test_last_finds_the_run_of_before(in_tmp, walk_clip):
     assert loaded["epoch"] == 3
 
 
+def test_a_run_in_a_folder_of_its_own(in_tmp, walk_clip, caplog):
+    run(tiny(walk_clip, "max_iterations=1", "experiment=amp/walk1"))
+    (folder,) = (in_tmp / "runs" / "amp").iterdir()
+    assert re.fullmatch(r"walk1(_\d\d){1}(-\d\d){3}", folder.name)
+    assert {path.name for path in folder.iterdir()} == {"config.yaml", "nn", "summaries"}
+    names = {path.name for path in (folder / "nn").iterdir()}
+    assert "walk1.pth" in names
+    assert any(name.startswith("last_walk1_ep_1_rew_") for name in names)
+    assert list(folder.glob("summaries/events.*"))
+    # It is played and goes on from there.
+    games = f"+{CONFIG}.player.games_num=4"
+    with caplog.at_level(logging.INFO):
+        run(tiny(walk_clip, "test=True", "checkpoint=last", games))
+    assert "played 4 episodes" in caplog.text
+    exact = "+full_experiment_name=amp/more/walk2"
+    run(tiny(walk_clip, "checkpoint=last", exact, "experiment=amp/walk1"))
+    loaded = checkpoints.load_checkpoint(in_tmp / "runs/amp/more/walk2/nn/walk1.pth")
+    assert loaded["epoch"] == 2
+    assert {path.name for path in in_tmp.iterdir()} == {"runs"}
+    with pytest.raises(ConfigError, match=r"lies in the folder of another run, .*walk2"):
+        run(tiny(walk_clip, "+full_experiment_name=amp/more/walk2/nn"))
+
+
+@pytest.mark.parametrize(
+    "name", ["experiment=../../x", "+full_experiment_name=../x", f"{CONFIG}.name=/x"]
+)
+def test_no_run_leaves_the_folder_of_the_runs(name, in_tmp, walk_clip):
+    with pytest.raises(ConfigError, match="leads out of the folder of the runs"):
+        run(tiny(walk_clip, name))
+    assert list(in_tmp.iterdir()) == []
+
+
 def test_a_play_reports_and_writes_nothing(in_tmp, walk_clip, checkpoint, caplog):
     with caplog.at_level(logging.INFO):
         run(
@@ -316,7 +348,7 @@ def test_a_mistake_leaves_nothing_of_its_run_behind(in_tmp, walk_clip):
 
 
 @pytest.mark.usefixtures("no_training")
-@pytest.mark.parametrize("name", ["results", "."])
+@pytest.mark.parametrize("name", ["results", "amp/results"])
 def test_a_mistake_does_not_touch_what_was_there_before(name, in_tmp, walk_clip):
     """+full_experiment_name= may name a folder that has files of the user in it."""
     kept = in_tmp / "runs" / name / "summaries" / "earlier"

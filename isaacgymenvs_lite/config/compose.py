@@ -15,19 +15,19 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
 from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME, CheckedLoader
 from isaacgymenvs_lite.config.outside_files import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
-CONFIG_NAME = "config"
-
 # 1.3, not 1.1 as IsaacGymEnvs asked for: the two differ in what cfg/config.yaml states anyway (stay
 # in the working directory, `_self_` in the defaults list), and 1.1 warns at every start.
 HYDRA_VERSION_BASE = "1.3"
 
-_ANY_TRAIN_FILE = "CartpolePPO"
+ANY_TRAIN_FILE = "CartpolePPO"
+"""What stands for the train file of a tree of which only the task is read."""
 
 
 def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> DictConfig:
@@ -75,7 +75,7 @@ def compose_task(
     """
     words = [
         f"{group}={name}"
-        for group, name in (("task", task), ("train", _ANY_TRAIN_FILE))
+        for group, name in (("task", task), ("train", ANY_TRAIN_FILE))
         if not any(word.startswith(f"{group}=") for word in overrides)
     ]
     return compose([*words, *overrides], config_dir)
@@ -100,7 +100,7 @@ def make_loader(
         search_path.prepend(
             provider="config_dir", path=f"file://{folder}", anchor=SearchPathQuery("schema", None)
         )
-    return ConfigLoaderImpl(config_search_path=search_path)
+    return CheckedLoader(config_search_path=search_path)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.published_names import missing_choice
 from isaacgymenvs_lite.config.yaml_files import one_line
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import nearest
@@ -87,6 +88,8 @@ def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> Co
     group, _, name = path.rpartition("/")
     if error.options is None or not group:
         return ConfigError(one_line(Exception(str(error).split("\nConfig search path")[0])))
+    if (published := missing_choice(group, name)) is not None:
+        return ConfigError(f"{published}; choices: {', '.join(sorted(error.options))}")
     if group != "train":
         next_step = f"your own files go into cfg/{group} or below a --config-dir"
         return ConfigError(unknown(group, name, error.options, next_step))

@@ -11,6 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.explain import explain_interpolation
+from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.optional_packages import require
 from isaacgymenvs_lite.schema import missing_key, read_section, setting
@@ -101,9 +102,9 @@ class _EnvSize:
 def check_config(cfg: DictConfig) -> LaunchSettings:
     """Check a composed tree before anything heavy is imported or made.
 
-    Types, limits and choices of the root's keys, features that this version lacks, devices, and
-    that every interpolation of the tree resolves. torch is imported only if a device may be a GPU,
-    after everything that needs no torch.
+    Types, limits and choices of the root's keys, features that this version lacks, devices, names
+    of runs, and that every interpolation of the tree resolves. torch is imported only if a device
+    may be a GPU, after everything that needs no torch.
 
     Raises:
         ConfigError: a key is missing, unknown or has a wrong value, or asks for a lacking feature.
@@ -127,6 +128,9 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     check_device_name(settings.sim_device, "sim_device")
     rl_device = None if postponed else check_device(settings.rl_device, "rl_device")
     tree = _resolve_tree(cfg)
+    run_name_of(cfg)
+    if settings.full_experiment_name:
+        read_run_name(settings.full_experiment_name, "full_experiment_name")
     env = tree["task"]["env"] or {}
     read_section(_EnvSize, env, where="task.env", ignored=set(env) - {"numEnvs"})
     return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))

@@ -140,7 +140,7 @@ class _OutsideSource(TolerantFileSource):
 
     def load_config(self, config_path: str) -> ConfigResult:
         file = self._file(config_path)
-        result = self.read(file)
+        result = self.read(file, config_path.rpartition("/")[0])
         task = checkouts.task_of_ase_file(file) if self._group == "task" else None
         content = result.config
         if task is not None and isinstance(content, DictConfig) and "name" not in content:
@@ -151,7 +151,8 @@ class _OutsideSource(TolerantFileSource):
         return result
 
     def is_group(self, config_path: str) -> bool:
-        return config_path in ("", self._group)
+        below = self._below(config_path)
+        return config_path == "" or (below is not None and below.is_dir())
 
     def is_config(self, config_path: str) -> bool:
         return self._file(config_path).is_file()
@@ -162,7 +163,13 @@ class _OutsideSource(TolerantFileSource):
 
     def _file(self, config_path: str) -> Path:
         group, _, name = config_path.rpartition("/")
-        if group != self._group:
+        folder = self._below(group)
+        if folder is None:
             return self._folder / "no such file"
-        name = name.removesuffix(".yaml")
-        return self._named.get(name, self._folder / f"{name}.yaml")
+        file = folder / f"{name.removesuffix('.yaml')}.yaml"
+        return self._named.get(file.stem, file) if folder == self._folder else file
+
+    def _below(self, group: str) -> Path | None:
+        """Return the folder of a group, this one's or one below it; None for any other."""
+        inside = group == self._group or group.startswith(f"{self._group}/")
+        return self._folder / group[len(self._group) + 1 :] if inside else None

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -43,14 +44,17 @@ def default_rl_device() -> str:
     return "cuda:0" if torch.cuda.is_available() else "cpu"
 
 
+RESOLVERS: dict[str, Callable[..., Any]] = {
+    "eq": equal,
+    "contains": contains,
+    "if": choose,
+    "resolve_default": resolve_default,
+    "default_rl_device": default_rl_device,
+}
+"""By name. None of them looks outside of the configuration: any file may use them."""
+
+
 def register_resolvers() -> None:
     """Make the functions known to OmegaConf, also if another package has registered the names."""
-    resolvers = {
-        "eq": equal,
-        "contains": contains,
-        "if": choose,
-        "resolve_default": resolve_default,
-        "default_rl_device": default_rl_device,
-    }
-    for name, function in resolvers.items():
+    for name, function in RESOLVERS.items():
         OmegaConf.register_new_resolver(name, function, replace=True)

@@ -8,6 +8,9 @@ from typing import Any
 
 from isaacgymenvs_lite.schema import setting
 
+ENV_NAME = "rlgpu"
+"""What train files call the environment: the task that is made for them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
@@ -15,7 +18,7 @@ class RunSettings:
 
     name: str = setting()
     """Experiment and checkpoint name."""
-    env_name: str = setting("rlgpu")
+    env_name: str = setting(ENV_NAME)
     train_dir: str = setting("runs")
     """Folder of the run folders."""
     max_epochs: int = setting(-1, minimum=-1)

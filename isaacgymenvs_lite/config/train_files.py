@@ -7,6 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, unknown
@@ -49,24 +50,25 @@ def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
         task = {"name": "", "env": {"numEnvs": num_envs}}
         own = {"num_envs": num_envs, "rl_device": rl_device, "task": task, "train": content}
         tree = OmegaConf.merge(root, own)
+    check_expansion(tree)
     content = plain(tree.train)
     if not isinstance(content, dict) or not isinstance(content.get("params"), dict):
         raise ConfigError(f"{file} is no train file: expected a mapping below the key 'params'")
     return content
 
 
-def _find(path: Path | str) -> Path:
-    """Return the train file that `path` names."""
+def _find(path: Path | str, group: str = "train") -> Path:
+    """Return the train file that `path` names, or the file of another group."""
     file = Path(path).expanduser()
     if file.is_file():
         return file
-    folder = cfg_dir() / "train"
+    folder = cfg_dir() / group
     if file.name == str(path):
         named = folder / f"{file.stem}.yaml"
         if named.is_file():
             return named
         names = [other.stem for other in folder.glob("*.yaml")]
-        raise ConfigError(unknown("train file", str(path), names, "or give the path of a file"))
+        raise ConfigError(unknown(f"{group} file", str(path), names, "or give the path of a file"))
     in_project = cfg_dir().parent / file
     in_package = folder / file.name
     if in_project.is_file():
@@ -74,16 +76,17 @@ def _find(path: Path | str) -> Path:
     if file.parts[:-1] in _PUBLISHED_FOLDERS and in_package.is_file():
         return in_package
     raise ConfigError(
-        f"the train file '{path}' does not exist (looked in {Path.cwd()}, {cfg_dir().parent})"
+        f"the {group} file '{path}' does not exist (looked in {Path.cwd()}, {cfg_dir().parent})"
     )
 
 
-def merge_defaults(file: Path, above: tuple[Path, ...] = ()) -> DictConfig:
+def merge_defaults(file: Path, above: tuple[Path, ...] = (), group: str = "train") -> DictConfig:
     """Read `file` and merge the files of its defaults list, in the order given there.
 
     Args:
-        file: a train file, or a task file whose list names files beside it only.
+        file: a train or task file.
         above: the files whose lists led here.
+        group: folder of cfg/ with the files that a list may name beside those next to `file`.
 
     Raises:
         ConfigError: the list names itself in a circle, or an entry is not the name of a file.
@@ -102,7 +105,6 @@ def merge_defaults(file: Path, above: tuple[Path, ...] = ()) -> DictConfig:
             merged.merge_with(content)
             continue
         beside = file.with_name(f"{entry}.yaml")
-        merged.merge_with(
-            merge_defaults(beside if beside.is_file() else _find(entry), (*above, file))
-        )
+        named = beside if beside.is_file() else _find(entry, group)
+        merged.merge_with(merge_defaults(named, (*above, file), group))
     return merged

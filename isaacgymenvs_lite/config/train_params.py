@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -13,9 +14,11 @@ from isaacgymenvs_lite.config.isaac_lab import SECTION as ISAAC_LAB_SECTION
 from isaacgymenvs_lite.config.minibatch import fit_minibatch
 from isaacgymenvs_lite.config.network_settings import check_network, scale_units
 from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.config.run_names import read_run_name
+from isaacgymenvs_lite.config.run_settings import ENV_NAME
 from isaacgymenvs_lite.config.sac_settings import OTHER_KEYS as SAC_OTHER_KEYS
 from isaacgymenvs_lite.config.sac_settings import SACSettings
-from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
 from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
 
 _log = logging.getLogger(__name__)
@@ -29,6 +32,17 @@ _PARAMS_KEYS = frozenset(
         *("torch_threads", ISAAC_LAB_SECTION),
     )
 )
+# A word in a name -> algorithm, model and network of its family; the first that is found counts.
+_FAMILIES = {
+    "hrl": ("hrl", "hrl", "hrl"),
+    "ase": ("ase", "ase", "ase"),
+    "gen": ("gen_amp", "continuous_gen_amp", "gen_amp"),
+    "amp": ("amp_continuous", "continuous_amp", "amp"),
+    "sac": ("sac", "soft_actor_critic", "soft_actor_critic"),
+    "ppo": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
+    "a2c": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
+}
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+")
 _PLAYER_DEFAULTS = {
     "deterministic": True,
     "render": False,
@@ -136,28 +150,65 @@ def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
         given = cfg.get(launch_key, "")
         if given not in ("", None):
             config[key] = given
+    if "name" in config:  # the folder has all of it, checkpoints the last part
+        config["name"] = read_run_name(config["name"], f"{_WHERE}.config.name").name
 
 
 def _check_params(params: dict[str, Any], names: KnownNames) -> None:
     """Check the sections algo, model and network."""
     check_unknown_keys(params, _PARAMS_KEYS, _WHERE)
-    for section, choices in (
-        ("algo", names.algos),
-        ("model", names.models),
-        ("network", names.networks),
-    ):
+    sections = {"algo": names.algos, "model": names.models, "network": names.networks}
+    for section, choices in sections.items():
         where = f"{_WHERE}.{section}"
         value = params.get(section)
         if not isinstance(value, dict) or "name" not in value:
             keys = value if isinstance(value, dict) else {}
             hint = f"choices: {', '.join(sorted(choices))}" if choices else "expected a name"
             raise missing_key("name", keys, ["name"], where, hint)
-        if choices and value["name"] not in choices:
-            raise ConfigError(f"{where}.name: " + unknown(section, str(value["name"]), choices))
+    _check_names(params, sections)
     _check_continuous(params)
     check_network(params["network"], f"{_WHERE}.network")
     if not isinstance(params.get("config"), dict):
         raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
+
+
+def _check_names(params: dict[str, Any], sections: Mapping[str, Collection[str]]) -> None:
+    """Refuse names that nothing is registered under, all of them in one message.
+
+    Forks have subclasses of the published agents, models and networks under names of their own.
+    """
+    given = {section: str(params[section]["name"]) for section in sections}
+    wrong = [name for name in sections if sections[name] and given[name] not in sections[name]]
+    family = _family_of(given, sections)
+    if not wrong:
+        return
+    if len(wrong) == 1:
+        (section,) = wrong
+        message = unknown(section, given[section], sections[section])
+        if family is not None and not suggest(given[section], sections[section]):
+            message += f"; the published one: {_WHERE}.{section}.name={family[section]}"
+        raise ConfigError(f"{_WHERE}.{section}.name: {message}")
+    listed = ", ".join(f"{section} '{given[section]}'" for section in wrong)
+    if family is None:
+        choices = (f"{section}: {', '.join(sorted(sections[section]))}" for section in wrong)
+        raise ConfigError(f"{_WHERE}: unknown {listed}; choices: {'; '.join(choices)}")
+    overrides = " ".join(f"{_WHERE}.{section}.name={family[section]}" for section in wrong)
+    raise ConfigError(
+        f"{_WHERE}: unknown {listed}, a fork's own names, it seems; for the published classes add"
+        f" {overrides}"
+    )
+
+
+def _family_of(
+    given: Mapping[str, str], sections: Mapping[str, Collection[str]]
+) -> dict[str, str] | None:
+    """Return the names of the published family that names are most like; None if like none."""
+    words = {word.lower() for name in given.values() for word in _WORD.findall(name)}
+    for mark, names in _FAMILIES.items():
+        family = dict(zip(sections, names, strict=True))
+        if mark in words and all(family[key] in sections[key] for key in sections):
+            return family
+    return None
 
 
 def _check_continuous(params: dict[str, Any]) -> None:
@@ -175,6 +226,22 @@ def _check_continuous(params: dict[str, Any]) -> None:
                 " expected algo a2c_continuous, model continuous_a2c_logstd and"
                 " network.space.continuous"
             )
+
+
+def check_env_name(params: Mapping[str, Any]) -> None:
+    """Refuse environments of rl_games' own: a train file trains the task that `task=` names.
+
+    Among them is one that makes whatever Gymnasium can import by the name in `env_config`.
+
+    Raises:
+        ConfigError: the file asks for one.
+    """
+    name = params["config"].get("env_name", ENV_NAME)
+    if name != ENV_NAME:
+        raise ConfigError(
+            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which stands for the task of"
+            " task="
+        )
 
 
 def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:

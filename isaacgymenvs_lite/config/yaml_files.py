@@ -13,46 +13,58 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
-from omegaconf._utils import get_yaml_loader
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.foreign_files import (
+    check_composed_file,
+    check_foreign_file,
+    is_foreign,
+    is_logging_entry,
+)
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 _log = logging.getLogger(__name__)
+_HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 _warned_files: set[Path] = set()
 
 
 def read_yaml(path: Path) -> DictConfig:
     """Read one YAML file as OmegaConf does, except that the last of equal keys wins.
 
+    A file outside of cfg/ is somebody else's: see `foreign_files`.
+
     Raises:
-        ConfigError: the file is missing, is no YAML, or holds no mapping.
+        ConfigError: the file is missing, is no YAML, holds no mapping, or what it may not.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read the configuration file {path}: {error}") from error
-    duplicates: list[str] = []
-    try:
-        content = yaml.load(text, Loader=_last_key_wins(duplicates))
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path} is not valid YAML: {one_line(error)}") from error
-    if content is None:
-        content = {}
+    content = _read(path, read_text(path))
+    if is_foreign(path):
+        check_foreign_file(content, path)
+    return _as_config(content, path)
+
+
+def _read(path: Path, text: str) -> dict[Any, Any]:
+    """Return the mapping that a file's text holds, with one warning for keys stated twice."""
+    read = parse_yaml(text, str(path))
+    content = {} if read.content is None else read.content
     if not isinstance(content, dict):
         kind = type(content).__name__
         raise ConfigError(f"{path} holds a {kind}, expected a mapping of keys to values")
-    if duplicates and path not in _warned_files:
+    if read.repeated and path not in _warned_files:
         _warned_files.add(path)
         _log.warning(
-            "%s states %s more than once: the last one counts", path, ", ".join(duplicates)
+            "%s states %s more than once: the last one counts", path, ", ".join(read.repeated)
         )
+    return content
+
+
+def _as_config(content: dict[Any, Any], path: Path) -> DictConfig:
     try:
         return OmegaConf.create(content)
     except OmegaConfBaseException as error:
@@ -87,14 +99,21 @@ class TolerantFileSource(FileConfigSource):
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Read a file below the folder."""
-        return self.read(Path(self.path, self._normalize_file_name(config_path)).resolve())
+        path = Path(self.path, self._normalize_file_name(config_path)).resolve()
+        return self.read(path, config_path.rpartition("/")[0])
 
-    def read(self, path: Path) -> ConfigResult:
-        """Read one file."""
-        config = read_yaml(path)
+    def read(self, path: Path, group: str) -> ConfigResult:
+        """Read one file of a group, '' for a root file."""
+        text = read_text(path)
+        content = _read(path, text)
+        header = self._header(text, path)
+        if is_foreign(path):
+            check_composed_file(content, path, group, header["package"])
+            header["package"] = None  # which means the group
+            if not group:
+                _take_our_hydra(content)
+        config = _as_config(content, path)
         _add_launch_key(config)
-        with path.open(encoding="utf-8") as file:
-            header = ConfigSource._get_header_dict(file.read(512))
         return ConfigResult(
             config=config,
             path=f"{self.scheme()}://{self.path}",
@@ -102,28 +121,24 @@ class TolerantFileSource(FileConfigSource):
             header=header,
         )
 
+    @staticmethod
+    def _header(text: str, path: Path) -> dict[str, str | None]:
+        try:
+            return ConfigSource._get_header_dict(text[:_HEADER_LENGTH])
+        except ValueError as error:
+            raise ConfigError(f"{path}: {one_line(error)}") from error
+
+
+def _take_our_hydra(content: dict[Any, Any]) -> None:
+    """Give a root file from outside what cfg/config.yaml says of Hydra, in place."""
+    ours = parse_yaml(read_text(cfg_dir() / "config.yaml"), "config.yaml").content
+    logging_entries = [entry for entry in ours["defaults"] if is_logging_entry(entry)]
+    own = [entry for entry in content.get("defaults", []) if not is_logging_entry(entry)]
+    content |= {"hydra": ours["hydra"], "defaults": [*own, *logging_entries]}
+
 
 def _add_launch_key(config: DictConfig) -> None:
     agent = OmegaConf.select(config, "params.config")
     is_whole = "defaults" not in config
     if is_whole and isinstance(agent, DictConfig) and "llc_config" in agent:
         agent.setdefault("llc_checkpoint", "")
-
-
-def _last_key_wins(duplicates: list[str]) -> Any:
-    """Return OmegaConf's YAML loader class, changed to list repeated keys and to keep the last."""
-
-    class Loader(get_yaml_loader()):
-        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
-            last: dict[Any, Any] = {}
-            for index, (key_node, _) in enumerate(node.value):
-                if isinstance(key_node, yaml.ScalarNode) and key_node.tag.endswith(":str"):
-                    if key_node.value in last:
-                        duplicates.append(f"'{key_node.value}'")
-                    last[key_node.value] = index
-                else:
-                    last[index] = index
-            node.value = [node.value[index] for index in sorted(last.values())]
-            return super().construct_mapping(node, deep=deep)
-
-    return Loader

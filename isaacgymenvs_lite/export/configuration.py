@@ -11,8 +11,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from isaacgymenvs_lite.checkpoints import load_checkpoint, resolve_checkpoint
-from isaacgymenvs_lite.config.compose import CONFIG_NAME, compose, make_loader
+from isaacgymenvs_lite.config.compose import compose, make_loader
 from isaacgymenvs_lite.config.explain import ComposeError, explain
+from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.policies.launch import as_override, complete_arguments
 from isaacgymenvs_lite.policies.run_config import read_run_config, run_config_file

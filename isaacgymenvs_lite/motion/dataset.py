@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from isaacgymenvs_lite.errors import MotionFileError, suggest
-from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError, suggest
+from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 _ENTRY_KEYS = ("file", "weight")
+# A list of 100,000 clips.
+_MAX_BYTES, _MAX_VALUES = 2**24, 600_000
 _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
 
 
@@ -32,11 +32,10 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
             or missing keys or a weight that is not a number >= 0, or all weights are 0.
     """
     try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise MotionFileError(
-            f"{path}: is no readable YAML text ({one_line(error)}); {_EXAMPLE}"
-        ) from error
+        text = read_text(Path(path), _MAX_BYTES)
+        data = parse_yaml(text, "it", _MAX_VALUES).content
+    except ConfigError as error:
+        raise MotionFileError(f"{path}: is no readable YAML text ({error}); {_EXAMPLE}") from error
     motions = data.get("motions") if isinstance(data, dict) else None
     if not isinstance(motions, list) or not motions:
         found = list(data) if isinstance(data, dict) else type(data).__name__

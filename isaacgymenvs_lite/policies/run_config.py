@@ -11,6 +11,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
@@ -48,6 +49,7 @@ def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     """
     register_resolvers()
     stored = read_yaml(file)
+    check_expansion(stored)
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
     return next((tree for tree in trees if has_units_of(tree, model)), trees[0])
 

@@ -16,6 +16,7 @@ from isaacgymenvs_lite.report.charts import Chart, main_charts, other_charts
 from isaacgymenvs_lite.report.drawing import draw
 from isaacgymenvs_lite.report.scalars import event_files, read_scalars
 from isaacgymenvs_lite.report.summary import summarize
+from isaacgymenvs_lite.yaml_text import MAX_BYTES
 
 MAX_EMBEDDED_BYTES = 8 * 2**20
 """A longer video is linked: a page shall open at once."""
@@ -95,7 +96,8 @@ def _check_run(run: Path) -> None:
 
 def _config_text(run: Path) -> str:
     try:
-        return (run / "config.yaml").read_text(encoding="utf-8", errors="replace")
+        with (run / "config.yaml").open("rb") as file:
+            return file.read(MAX_BYTES).decode("utf-8", errors="replace")
     except OSError:
         return ""  # rl_games' own runs have none
 

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.charts import LENGTH_TAGS, REWARD_TAGS
 from isaacgymenvs_lite.report.drawing import short
 from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, first_of
+from isaacgymenvs_lite.yaml_text import parse_yaml
 
 # Name -> tags, and how the newest value is written.
 _NEWEST = {
@@ -54,8 +55,8 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
 
 def _tree(config: str) -> Any:
     try:
-        return yaml.safe_load(config)
-    except yaml.YAMLError:
+        return parse_yaml(config, "config.yaml").content
+    except ConfigError:
         return None  # the page shows the text as it is
 
 

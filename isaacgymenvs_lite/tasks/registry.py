@@ -6,6 +6,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
+from isaacgymenvs_lite.config.published_names import missing_task
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.gymnasium_ids import ENTRY_POINTS, register_task_id
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -38,6 +39,13 @@ def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
     register_task_id(name)
 
 
+def is_task(name: str) -> bool:
+    """Return whether there is a task of this name; nothing is imported for it."""
+    return name in isaacgym_task_map or name in {
+        point.name for point in entry_points(group=ENTRY_POINTS)
+    }
+
+
 def find_task(name: str) -> TaskMaker:
     """Return what makes the task; entry points are imported when they are asked for.
 
@@ -55,6 +63,8 @@ def find_task(name: str) -> TaskMaker:
         "your own: isaacgymenvs_lite.register_task, or an entry point of an installed package"
         " (docs/own_task.md)"
     )
+    if (published := missing_task(name)) is not None:
+        raise ConfigError(f"task.name: {published}; {hint}")
     raise ConfigError(unknown("task.name", name, {*isaacgym_task_map, *offered}, hint))
 
 

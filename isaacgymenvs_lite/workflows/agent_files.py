@@ -18,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from torch import nn
 from yaml import YAMLError
 
+from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
@@ -57,6 +58,7 @@ def load_agent_file(
             OmegaConf.update(content, key, OmegaConf.from_dotlist([f"v={value}"]).v)
         except (OmegaConfBaseException, YAMLError) as error:
             raise ConfigError(f"{word}: {one_line(error)}") from error
+    check_expansion(content)
     return plain(content)
 
 

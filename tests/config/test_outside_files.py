@@ -48,6 +48,18 @@ def test_a_defaults_list_finds_neighbours_first_and_the_project_next(published: 
     assert (config.minibatch_size, config.e_clip) == (8192, 0.3)
 
 
+def test_a_defaults_list_finds_files_in_a_folder_below(tmp_path: Path) -> None:
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "short.yaml").write_text("episodeLength: 77\n")
+    file = tmp_path / "Mine.yaml"
+    file.write_text("defaults: [Ant, _self_, {env: short}]\n")
+    for words in ([f"task={file}"], [f"task={file}", "task/env=short"]):
+        cfg = compose([*words, "train=AntPPO"])
+        assert (cfg.task.name, cfg.task.env.episodeLength) == ("Ant", 77)
+    with pytest.raises(ConfigError, match="task/env"):
+        compose([f"task={file}", "task/env=long", "train=AntPPO"])
+
+
 def test_a_task_file_is_taken_from_its_path(tmp_path: Path) -> None:
     file = tmp_path / "short-ant.v2.yaml"  # no name in Hydra's grammar
     file.write_text("defaults: [Ant, _self_]\nenv:\n  episodeLength: 77\n")

@@ -49,6 +49,17 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_a_run_in_a_folder_of_its_own_is_exported(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(compose([*CARTPOLE, "max_iterations=1", "num_envs=2", "experiment=small/poles"]))
+    (file,) = tmp_path.glob("runs/small/poles_*/nn/poles.pth")
+    cfg = configuration_of("last", ["task=Cartpole"], "runs")
+    assert cfg.checkpoint == str(max(file.parent.iterdir(), key=lambda f: f.stat().st_mtime))
+    assert cfg.task.env.maxEffort == 100
+    assert main(["checkpoint=last", "task=Cartpole", "out=poles.onnx"]) == 0
+    assert (tmp_path / "poles.onnx").is_file()
+
+
 @pytest.fixture
 def checkpoint(project: Path) -> Path:
     (file,) = project.glob("runs/*/nn/Cartpole.pth")

@@ -13,15 +13,14 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-import yaml
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.reading import one_line
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
+from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 _AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
 # Bodies whose attitude is taken from the joint's frame; that of others follows from the places of
@@ -110,9 +109,9 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
             f"{', '.join(shipped)}"
         )
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: is no readable YAML text ({one_line(error)})") from error
+        content = parse_yaml(read_text(path), "it").content
+    except ConfigError as error:
+        raise ConfigError(f"{path}: is no readable YAML text ({error})") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: expected the keys up, unit_m and bodies")
     settings = read_section(_MappingSettings, content, where=str(path), complete=True)

@@ -1,0 +1,207 @@
+"""What a YAML file from outside the project's own cfg/ may hold.
+
+Hydra's own section of a configuration is as powerful as a program: callbacks, launchers, sweepers
+and log handlers are Python names that it imports and calls, `job.env_set` sets variables, and
+`run.dir` says where to write. All of that belongs to cfg/config.yaml and to the command line. A
+file that somebody else wrote describes a task or an agent and nothing more, so everything that
+leads from there to Hydra's section, or to a name that is imported, or to a secret of this machine,
+is refused when the file is read. docs/foreign_files.md has the list for users.
+"""
+
+from __future__ import annotations
+
+import os.path
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from omegaconf.errors import GrammarParseError
+from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
+from omegaconf.grammar_parser import parse
+
+from isaacgymenvs_lite.config.resolvers import RESOLVERS
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.yaml_text import printable
+
+_HYDRA = "hydra"
+_TARGET = "_target_"
+_WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
+# The section `hydra` of a root file of IsaacGymEnvs. It says what ours says.
+_HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
+_HARMLESS_LOGGING = ("hydra/job_logging", "hydra/hydra_logging")
+_NO_LOGGING = ("none", "disabled")
+# Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
+_ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
+# No value may hold a dollar sign of its own: put together with a brace, it would be an
+# interpolation that nobody has checked, as soon as a resolved tree becomes a configuration again.
+_LONE_DOLLAR = re.compile(r"\$(?!\{)|\\\$")
+_MAX_INTERPOLATION_LENGTH = 2000
+_MAX_INTERPOLATIONS = 32
+
+
+def is_foreign(path: Path) -> bool:
+    """Return whether a file lies outside of the project's own cfg/."""
+    return not Path(os.path.abspath(path)).is_relative_to(cfg_dir())
+
+
+def check_foreign_file(content: dict[Any, Any], path: Path) -> None:
+    """Check what a file of somebody else holds, wherever it is read.
+
+    Raises:
+        ConfigError: it sets something of Hydra, names something to be called, or has an
+            interpolation that could look outside of the configuration.
+    """
+    if _HYDRA in content:
+        raise _refusal(f"{path} sets '{_HYDRA}', which decides what is run; {_WHERE_TO}")
+    _check_values(content, str(path))
+
+
+def check_composed_file(
+    content: dict[Any, Any], path: Path, group: str, package: str | None
+) -> None:
+    """Check a file of somebody else that Hydra merges into a configuration.
+
+    A root file may say what IsaacGymEnvs' says of Hydra.
+
+    Args:
+        content: of the file.
+        path: the file.
+        group: folder of the file as Hydra sees it, 'train' or 'task/env'; '' for a root file.
+        package: of its header `# @package`; None without one.
+
+    Raises:
+        ConfigError: as `check_foreign_file`, or it would be merged elsewhere than in its group.
+    """
+    own = group.replace("/", ".")
+    allowed = {None, "_group_", own, f"_global_.{own}"} if own else {None, "", "_global_"}
+    if package not in allowed:
+        expected = f"'{own}' or none" if own else "none"
+        raise _refusal(
+            f"{path} has the header '# @package {package}', which puts it into another section;"
+            f" expected {expected}"
+        )
+    if group.split("/")[0] == _HYDRA:
+        raise _refusal(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
+    settings = content
+    if not own and _says_only(content.get(_HYDRA, {}), _HARMLESS):
+        settings = {key: value for key, value in content.items() if key != _HYDRA}
+    check_foreign_file(settings, path)
+    defaults = content.get("defaults", [])
+    for entry in defaults if isinstance(defaults, list) else [defaults]:
+        _check_entry(entry, path, is_root=not own)
+
+
+def check_interpolation(text: str, where: str) -> None:
+    """Check that a text leads to other settings only, through functions that do nothing else.
+
+    Raises:
+        ConfigError: it uses another resolver, such as `oc.env`, or one whose name it makes up.
+    """
+    if "$" not in text:
+        return
+    if (
+        len(text) > _MAX_INTERPOLATION_LENGTH
+        or text.count("$") > _MAX_INTERPOLATIONS
+        or _LONE_DOLLAR.search(text)
+        or _TARGET in text
+    ):
+        raise _refusal(
+            f"{where}: {text[:60]!r} is no plain interpolation; expected ${{path.of.a.key}} or"
+            f" ${{resolver:...}} and no other $"
+        )
+    try:
+        tree = parse(text)
+        names = set(_resolver_names(tree))
+    except (GrammarParseError, RecursionError) as error:
+        raise _refusal(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
+    if _has_made_up_key(tree):
+        raise _refusal(f"{where}: '{text}' makes up the path that it leads to; write it out")
+    for name in sorted(names - set(RESOLVERS)):
+        raise _refusal(
+            f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
+            f" expected a path in the configuration or one of {', '.join(sorted(RESOLVERS))};"
+            f" {_WHERE_TO}"
+        )
+
+
+def _refusal(message: str) -> ConfigError:
+    return ConfigError(printable(message))
+
+
+def _check_values(value: Any, where: str) -> None:
+    if isinstance(value, str):
+        check_interpolation(value, where)
+    elif isinstance(value, dict):
+        for key, entry in value.items():
+            if key == _TARGET:
+                raise _refusal(
+                    f"{where} has a key '{_TARGET}', which names something to be called; a"
+                    " configuration file cannot name code here (docs/own_task.md)"
+                )
+            _check_values(entry, f"{where}: {key}" if ": " not in where else f"{where}.{key}")
+    elif isinstance(value, list):
+        for entry in value:
+            _check_values(entry, where)
+
+
+def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
+    """Check an entry of a defaults list: the name of a file in the same group or below it."""
+    if is_root and is_logging_entry(entry):
+        return
+    parts = [entry]
+    if isinstance(entry, dict) and len(entry) == 1:
+        group, names = next(iter(entry.items()))
+        names = names if isinstance(names, list) else [names]
+        parts = [
+            str(group).removeprefix("optional "),
+            *(name for name in names if name is not None),
+        ]
+    fits = all(isinstance(part, str) and _ENTRY.fullmatch(part) for part in parts)
+    steps = [step for part in parts for step in str(part).split("/")]
+    if not fits or ".." in steps or (is_root and steps[0] == _HYDRA):
+        text = str(entry).strip("{}")
+        raise _refusal(
+            f"{path}: the entry '{text}' of its defaults list leads out of its own group; expected"
+            " the name of a file beside it"
+        )
+
+
+def is_logging_entry(entry: Any) -> bool:
+    """Return whether an entry switches a log of Hydra off, as IsaacGymEnvs' root file does."""
+    if not isinstance(entry, dict) or len(entry) != 1:
+        return False
+    key, value = next(iter(entry.items()))
+    return str(key).removeprefix("override ") in _HARMLESS_LOGGING and value in _NO_LOGGING
+
+
+def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
+    """Return whether a section has no other keys and values than `allowed`."""
+    if not isinstance(section, dict):
+        return False
+    for key, value in section.items():
+        if key not in allowed:
+            return False
+        expected = allowed[key]
+        same = _says_only(value, expected) if isinstance(expected, dict) else value == expected
+        if not same:
+            return False
+    return True
+
+
+def _has_made_up_key(tree: Any, inside: bool = False) -> bool:
+    """Return whether an interpolation's path is put together of others: ${a.${b}}."""
+    if inside and isinstance(tree, OmegaConfGrammarParser.InterpolationContext):
+        return True
+    inside = inside or isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
+    children = getattr(tree, "children", None) or ()
+    return any(_has_made_up_key(child, inside) for child in children)
+
+
+def _resolver_names(tree: Any) -> Iterator[str]:
+    """Yield the names of the resolvers in a parsed text; one that is put together, as written."""
+    if isinstance(tree, OmegaConfGrammarParser.ResolverNameContext):
+        yield tree.getText()
+    for child in getattr(tree, "children", None) or ():
+        yield from _resolver_names(child)

@@ -1,0 +1,62 @@
+"""Names of runs: of the folder below `runs/`, and of the checkpoints in it."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.errors import ConfigError
+
+_NAME_IN_FILE = "train.params.config.name"
+MAX_LEVELS = 5
+"""Folders in a name: `amp/walk1` has two."""
+# A file system takes 255 bytes; the folder gets a date, a checkpoint an epoch and a reward.
+_MAX_BYTES = 160
+
+
+def run_name_of(cfg: DictConfig) -> PurePosixPath:
+    """Return the name of a composed tree's runs: `experiment`, or that of its train file.
+
+    Raises:
+        ConfigError: it cannot be one.
+    """
+    for key in ("experiment", _NAME_IN_FILE):
+        given = OmegaConf.select(cfg, key)
+        if given not in (None, ""):
+            return read_run_name(given, key)
+    raise ConfigError(f"the key '{_NAME_IN_FILE}' is missing; give experiment=NAME")
+
+
+def read_run_name(given: Any, key: str) -> PurePosixPath:
+    """Return a run's name as a path below the folder of the runs: its last part names checkpoints.
+
+    Args:
+        given: as on the command line or in a train file: `walk1`, `amp/walk1`.
+        key: setting that it is the value of, for messages.
+
+    Raises:
+        ConfigError: it is empty, leads out of the folder, or cannot be the name of a file.
+    """
+    text = str(given)
+    path = PurePosixPath(text.strip())
+    levels = [part.strip() for part in path.parts]
+    problem = ""
+    if not levels:
+        problem = "is empty"
+    elif path.is_absolute() or ".." in levels or levels[0].startswith("~") or "\\" in text:
+        problem = "leads out of the folder of the runs"
+    elif not text.isprintable() or "" in levels:
+        problem = "holds characters that no name of a file should have"
+    elif len(levels) > MAX_LEVELS:
+        problem = f"has {len(levels)} levels of folders, at most {MAX_LEVELS} are possible"
+    elif max(len(part.encode(errors="replace")) for part in levels) > _MAX_BYTES:
+        problem = f"is longer than {_MAX_BYTES} bytes"
+    if problem:
+        short = text if len(text) <= 40 else f"{text[:40]}..."
+        raise ConfigError(
+            f"{key}={short!r} {problem}; expected a name such as walk1, or amp/walk1 for a run in a"
+            " folder of its own"
+        )
+    return PurePosixPath(*levels)

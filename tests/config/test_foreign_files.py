@@ -1,0 +1,488 @@
+"""What a YAML file of somebody else may do: nothing but describe a task or an agent.
+
+Every door has a canary: a file that the door would write, or a variable that it would set. The
+files are read as a user names them, in this process through `compose` and through train.py's own
+`main`, whose runner is replaced by a stand-in that must not be reached.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite import train
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.foreign_files import check_interpolation, is_foreign
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import cfg_dir
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+VARIABLE = "ISAACGYMENVS_LITE_TEST"
+
+CALLBACK = """\
+hydra:
+  callbacks:
+    x:
+      _target_: builtins.open
+      file: CANARY
+      mode: w
+"""
+# What each makes Hydra do, if it is let: open CANARY for writing, or set the variable.
+HYDRA_SECTIONS = {
+    "callback": CALLBACK,
+    "callback by a library": CALLBACK.replace("builtins.open", "io.open"),
+    "launcher": "hydra: {launcher: {_target_: os.abort}}\n",
+    "sweeper": "hydra: {mode: MULTIRUN, sweeper: {_target_: os.abort}}\n",
+    "log handler": (
+        "hydra: {job_logging: {version: 1, handlers: {h: {'()': builtins.open, file: CANARY,"
+        " mode: w}}, root: {handlers: [h]}}}\n"
+    ),
+    "log handler of Hydra": (
+        "hydra: {hydra_logging: {version: 1, handlers: {h: {class: logging.FileHandler,"
+        " filename: CANARY}}, root: {handlers: [h]}}}\n"
+    ),
+    "environment": f"hydra: {{job: {{env_set: {{{VARIABLE}: set}}}}}}\n",
+    "copied environment": f"hydra: {{job: {{env_copy: [{VARIABLE}]}}}}\n",
+    "folder": "hydra: {run: {dir: CANARY}}\n",
+    "folder of outputs": "hydra: {output_subdir: CANARY}\n",
+    "search path": "hydra: {searchpath: ['pkg://os']}\n",
+}
+TRAIN = "defaults: [CartpolePPO, _self_]\n"
+# A train file that trains as another, and says what Hydra does: each door above was open for it.
+GLOBAL = "# @package _global_\ndefaults: [CartpolePPO@_global_.train, _self_]\n"
+
+
+@pytest.fixture
+def canary(tmp_path, monkeypatch) -> Path:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    return tmp_path / "canary"
+
+
+@pytest.fixture
+def write(tmp_path, canary) -> Callable[[str, str], Path]:
+    """Write a file of a stranger's folder; CANARY stands for the canary's path."""
+
+    def write_file(name: str, text: str) -> Path:
+        path = tmp_path / "stranger" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text.replace("CANARY", str(canary)))
+        return path
+
+    return write_file
+
+
+Write = Callable[[str, str], Path]
+
+
+@pytest.fixture
+def call(monkeypatch, tmp_path) -> Callable[..., int]:
+    """Run train.py's command line in an empty folder, without a runner; returns its exit code."""
+
+    def run(cfg: object) -> None:
+        del cfg
+        (tmp_path / "trained").touch()
+
+    stand_in = types.ModuleType("isaacgymenvs_lite.runner")
+    stand_in.run = run  # type: ignore[attr-defined]
+    (tmp_path / "working").mkdir()
+    monkeypatch.chdir(tmp_path / "working")
+    monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+    monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+
+    def call_main(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+        try:
+            train.main()
+        except SystemExit as error:
+            return int(error.code or 0)
+        return 0
+
+    return call_main
+
+
+def assert_refused(call: Callable[..., int], capsys, tmp_path: Path, *arguments: str) -> str:
+    """Assert that a command line is refused in one line and that nothing was run for it."""
+    assert call(*arguments) == train.EXIT_USER_ERROR
+    output = capsys.readouterr()
+    assert output.err.startswith("error: ")
+    assert output.err.count("\n") == 1
+    assert output.out == ""
+    assert VARIABLE not in os.environ
+    assert {path.name for path in tmp_path.iterdir()} <= {"stranger", "working"}
+    assert list((tmp_path / "working").iterdir()) == []
+    return output.err
+
+
+# --- Hydra's section -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("door", HYDRA_SECTIONS)
+def test_a_train_file_has_no_say_in_what_hydra_does(door, call, write, capsys, tmp_path):
+    file = write("Mine.yaml", GLOBAL + HYDRA_SECTIONS[door])
+    error = assert_refused(call, capsys, tmp_path, "task=Cartpole", f"train={file}")
+    assert "'# @package _global_', which puts it into another section; expected 'train'" in error
+
+
+@pytest.mark.parametrize("door", HYDRA_SECTIONS)
+def test_a_root_file_has_no_say_in_it_either(door, call, write, capsys, tmp_path):
+    root = (cfg_dir() / "config.yaml").read_text().partition("hydra:\n")[0]
+    folder = write("cfg/config.yaml", root + HYDRA_SECTIONS[door]).parent
+    (folder / "task").symlink_to(cfg_dir() / "task")
+    error = assert_refused(call, capsys, tmp_path, "--config-path", str(folder))
+    assert "config.yaml sets 'hydra', which decides what is run" in error
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        *(
+            "_global_",
+            "hydra",
+            "hydra.callbacks",
+            "_global_.hydra",
+            "_here_",
+            "task",
+            "train.hydra",
+        ),
+        *("train.params", "_name_", "_global_.train.x", "..", "_global_._global_"),
+    ],
+)
+@pytest.mark.parametrize("group", ["train", "task"])
+def test_a_header_names_the_files_own_group_or_nothing(header, group, write):
+    if header == group:
+        return
+    base = {"train": "CartpolePPO", "task": "Cartpole"}[group]
+    file = write("Mine.yaml", f"# @package {header}\ndefaults: [{base}, _self_]\n")
+    with pytest.raises(ConfigError, match=rf"header '# @package {header}'"):
+        compose(["task=Cartpole", "train=CartpolePPO", f"{group}={file}"])
+
+
+@pytest.mark.parametrize("header", ["train", "_group_", "_global_.train"])
+def test_the_header_of_the_own_group_is_welcome(header, write):
+    file = write("Mine.yaml", f"# @package {header}\n{TRAIN}params: {{config: {{gamma: 0.5}}}}\n")
+    cfg = compose(["task=Cartpole", f"train={file}"])
+    assert cfg.train.params.config.gamma == 0.5
+    assert set(cfg) == set(compose(["task=Cartpole"]))
+
+
+@pytest.mark.parametrize("text", ["# @package\n", "# @package a b\n"])
+def test_a_header_that_cannot_be_read_is_one_line(text, write):
+    file = write("Mine.yaml", text + TRAIN)
+    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(KEY VALUE|Too many)"):
+        compose(["task=Cartpole", f"train={file}"])
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        *("Other@_global_", "Other@hydra.callbacks", "/train/Other@_global_", "/config"),
+        *("../config", "/hydra/config", "pkg://os", "a/../../Other", "${oc.env:HOME}", "~/Other"),
+        *("'${eval:1}'", "Other@_here_", "[]", "3", "{Other@_global_: x}", "{/task: Ant}"),
+        "{/hydra/launcher@_global_: basic}",
+        "{override hydra/launcher: basic}",
+        "{override /hydra/job_logging: disabled}",
+        "{override /task: Ant}",
+        "{hydra/callbacks@_global_.hydra.callbacks: x}",
+        "{optional ../hydra: x}",
+        "{sub: [../x]}",
+        "{sub: {a: b}}",
+        "{a: b, override hydra/launcher: basic}",
+        "{optional override hydra/launcher: basic}",
+    ],
+)
+def test_a_defaults_list_stays_in_its_own_group(entry, write):
+    write("Other.yaml", CALLBACK)
+    file = write("Mine.yaml", f"defaults:\n  - CartpolePPO\n  - _self_\n  - {entry}\n")
+    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(defaults list leads out of|resolver)"):
+        compose(["task=Cartpole", f"train={file}"])
+
+
+def test_a_defaults_list_may_name_files_beside_it_and_below(write, tmp_path):
+    write("task/env/fast.yaml", "# @package task.env\nmaxEffort: 77\n")
+    write("task/Base.yaml", "defaults: [Cartpole, _self_]\n")
+    write("task/Mine.yaml", "defaults: [Base, _self_, {env: fast}, {optional sim: none}]\n")
+    cfg = compose(["task=Mine", "train=CartpolePPO"], tmp_path / "stranger")
+    assert (cfg.task.name, cfg.task.env.maxEffort) == ("Cartpole", 77)
+
+
+def test_a_circle_of_defaults_lists_is_one_line(write, tmp_path):
+    itself = write("CartpolePPO.yaml", TRAIN)
+    write("train/A.yaml", "defaults: [B, _self_]\n")
+    write("train/B.yaml", "defaults: [A, _self_]\n")
+    with pytest.raises(ConfigError, match="run in a circle"):
+        compose(["task=Cartpole", f"train={itself}"])
+    with pytest.raises(ConfigError, match="run in a circle"):
+        compose(["task=Cartpole", "train=A"], tmp_path / "stranger")
+
+
+def test_a_file_that_sets_hydra_without_a_header_is_refused_too(write):
+    file = write("Mine.yaml", TRAIN + CALLBACK)
+    with pytest.raises(ConfigError, match=r"Mine\.yaml sets 'hydra'"):
+        compose(["task=Cartpole", f"train={file}"])
+
+
+# --- folders and root files ----------------------------------------------------------------------
+
+
+def test_files_of_a_folder_are_strangers_too(call, write, capsys, tmp_path):
+    write("train/Mine.yaml", GLOBAL + CALLBACK)
+    folder = str(tmp_path / "stranger")
+    assert_refused(call, capsys, tmp_path, "--config-dir", folder, "task=Cartpole", "train=Mine")
+
+
+def test_a_group_of_hydra_in_a_folder_is_refused(call, write, capsys, tmp_path):
+    write("hydra/callbacks/x.yaml", "x: {_target_: builtins.open, file: CANARY, mode: w}\n")
+    words = ["--config-dir", str(tmp_path / "stranger"), "+hydra/callbacks=x"]
+    assert "x.yaml is a file of the group" in assert_refused(call, capsys, tmp_path, *words)
+
+
+def test_another_root_file_in_a_folder_is_refused(call, write, capsys, tmp_path):
+    write("other.yaml", f"defaults: [config, _self_]\n{CALLBACK}")
+    words = ["--config-dir", str(tmp_path / "stranger"), "--config-name", "other"]
+    assert "other.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *words)
+
+
+# As IsaacGymEnvs' root file ends.
+PUBLISHED_ROOT = """\
+defaults:
+  - task: Ant
+  - train: ${task}PPO
+  - pbt: no_pbt
+  - override hydra/job_logging: disabled
+  - _self_
+hydra:
+  output_subdir: null
+  run:
+    dir: .
+"""
+
+
+def test_a_published_root_file_is_welcome(call, write, tmp_path):
+    ours = (cfg_dir() / "config.yaml").read_text()
+    keys = ours.partition("# What to run")[2].partition("# Hydra writes")[0]
+    folder = write("cfg/config.yaml", keys + PUBLISHED_ROOT).parent
+    for group in ("task", "train", "pbt"):
+        (folder / group).symlink_to(cfg_dir() / group)
+    assert call("--config-path", str(folder), "task=Cartpole") == 0
+    assert (tmp_path / "trained").exists()
+    assert list((tmp_path / "working").iterdir()) == []  # no log, no outputs/
+
+
+def test_pickles_of_hydra_are_not_read(call, write, capsys, tmp_path):
+    pickle = write("job.pickle", "cbuiltins\nopen\n(VCANARY\nVw\ntR.")
+    error = assert_refused(call, capsys, tmp_path, "--experimental-rerun", str(pickle))
+    assert "--experimental-rerun reads a pickle" in error
+
+
+def test_the_users_own_words_may_set_hydra(call, tmp_path, write):
+    file = write("Mine.yaml", TRAIN)
+    words = ["task=Cartpole", f"train={file}", f"+hydra.job.env_set.{VARIABLE}=set"]
+    assert call(*words, f"hydra.run.dir={tmp_path / 'mine'}") == 0
+    assert (tmp_path / "trained").exists()
+    assert (tmp_path / "mine").is_dir()
+
+
+def test_a_difference_in_hydras_section_is_noticed_whichever_way_it_came(write, monkeypatch):
+    """The second line of defence, with the first one out of the way."""
+    from isaacgymenvs_lite.config import yaml_files
+
+    monkeypatch.setattr(yaml_files, "check_composed_file", lambda *_: None)
+    launcher = write(
+        "train/Mine.yaml",
+        "defaults: [{override /hydra/launcher@_global_.hydra.launcher: x}, _self_]\n",
+    ).parent
+    write("hydra/launcher/x.yaml", "_target_: builtins.open\n")
+    with pytest.raises(ConfigError, match="changes the section 'hydra'"):
+        compose(["task=Cartpole", "train=Mine"], launcher.parent)
+    write("task/Any.yaml", CALLBACK)
+    write("train/Other.yaml", "defaults: [/task/Any@_global_, CartpolePPO, _self_]\n")
+    with pytest.raises(ConfigError, match="changes the section 'hydra'"):
+        compose(["task=Cartpole", "train=Other"], launcher.parent)
+
+
+# --- names of code, secrets ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "params: {network: {_target_: builtins.open, file: CANARY, mode: w}}\n",
+        "params: {a: [1, {b: [{_target_: os.system}]}]}\n",
+        "params: {a: &x {_target_: os.system}, b: *x}\n",
+    ],
+)
+def test_no_file_names_something_to_be_called(text, write):
+    file = write("Mine.yaml", TRAIN + text)
+    for read in (lambda: compose(["task=Cartpole", f"train={file}"]), lambda: read_yaml(file)):
+        with pytest.raises(ConfigError, match="has a key '_target_', which names something"):
+            read()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "${oc.env:SECRET}",
+        "x ${oc.env:SECRET,default} y",
+        "${oc.decode:'1'}",
+        "${oc.create:{a: 1}}",
+        "${oc.select:seed}",
+        "${oc.dict.keys:train}",
+        "${oc.deprecated:seed}",
+        "${hydra:runtime.cwd}",
+        "${now:%Y}",
+        "${python_version:}",
+        "${eval:'1'}",
+        "${${a}:SECRET}",
+        "${a.${b}}",
+        "${a.${if:True,b,c}}",
+        "${....${a}}",
+        "${oc.${b}:SECRET}",
+        "${if:True,${oc.env:SECRET},x}",
+        '${if:True,"${oc.env:SECRET}",x}',
+        "${if:True,[{a: ${oc.env:SECRET}}],x}",
+        r"\${oc.env:SECRET}",
+        r'${if:True,["\${oc.env:SECRET}"],x}',
+        "$${if:True,'',''}{oc.env:SECRET}",
+        """${if:True,["$${if:True,'',''}{oc.env:SECRET}"],x}""",
+        "$",
+        "costs $5",
+        "${if:True,{_target_: os.system},x}",
+        "${" * 40 + "a" + "}" * 40,
+        f"${{if:True,{'x' * 3000},y}}",
+        "${unfinished",
+    ],
+)
+def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):
+    monkeypatch.setenv("SECRET", "s3cret")
+    OmegaConf.register_new_resolver("eval", eval, replace=True)  # as many programs have it
+    try:
+        with pytest.raises(ConfigError) as refused:
+            check_interpolation(value, "file")
+        assert "s3cret" not in str(refused.value)
+        file = write("Mine.yaml", TRAIN)
+        content = {"defaults": ["CartpolePPO", "_self_"], "params": {"config": {"note": "PLACE"}}}
+        text = OmegaConf.to_yaml(content).replace("PLACE", "'" + value.replace("'", "''") + "'")
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=r"Mine\.yaml: params\.config\.note"):
+            compose(["task=Cartpole", f"train={file}"])
+    finally:
+        OmegaConf.clear_resolver("eval")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "${....task.env.numEnvs}",
+        "${resolve_default:Ant,${....experiment}}",
+        '${if:${contains:"cuda",${....sim_device}},True,False}',
+        '${eq:${...pipeline},"gpu"}',
+        "${if:${eq:${a},b},[512, 256],[1024, 512]}",
+        "runs_${seed}_${num_envs}",
+        "${default_rl_device:}",
+        "plain",
+    ],
+)
+def test_published_interpolations_are_welcome(value):
+    check_interpolation(value, "file")
+
+
+def test_a_refusal_is_one_line_whatever_the_file_holds(write):
+    for text in (
+        'params: {"a\\nerror: b\\e[2J": {c: "${x:\\n}"}}\n',
+        '"a\\nb": {_target_: x}\n',
+        'defaults: ["a\\nb"]\n',
+        "a: !%0Ab c\n",
+        "# @package \x1b[2J\n",
+    ):
+        file = write("Mine.yaml", text)
+        with pytest.raises(ConfigError) as refused:
+            compose(["task=Cartpole", f"train={file}"])
+        assert str(refused.value).isprintable(), text
+
+
+def test_the_users_own_words_may_read_the_environment(monkeypatch):
+    monkeypatch.setenv("GROUP", "mine")
+    assert compose(["task=Cartpole", "wandb_group=${oc.env:GROUP}"]).wandb_group == "mine"
+
+
+def test_files_that_are_read_alone_are_checked_as_well(write, monkeypatch):
+    """The low level's train file of a hierarchy, and the config.yaml of a run."""
+    monkeypatch.setenv("SECRET", "s3cret")
+    file = write("llc.yaml", "params: {config: {name: '${oc.env:SECRET}'}}\n")
+    with pytest.raises(ConfigError, match=r"resolver 'oc\.env'"):
+        load_train_file(file)
+    run = write("run/config.yaml", "task: {name: x}\nhydra: {job: {env_set: {A: b}}}\n")
+    with pytest.raises(ConfigError, match="sets 'hydra'"):
+        load_train_file(run)
+
+
+# --- where files are written ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("folder", ["CANARY", "../canary", "a/../../b", "${....experiment}", "[a]"])
+def test_a_train_file_does_not_choose_a_folder_elsewhere(folder, write):
+    file = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: '{folder}'}}}}\n")
+    if folder == "[a]":
+        file.write_text(f"{TRAIN}params: {{config: {{train_dir: [a]}}}}\n")
+    words = ["task=Cartpole", f"train={file}", "experiment=/elsewhere"]
+    with pytest.raises(ConfigError, match="outside of the working folder; if that is what you"):
+        compose(words)
+
+
+def test_it_may_choose_one_below_and_the_user_any(write, tmp_path):
+    below = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: runs/mine}}}}\n")
+    config = compose(["task=Cartpole", f"train={below}"]).train.params.config
+    assert config.train_dir == "runs/mine"
+    other = write("Other.yaml", f"{TRAIN}params: {{config: {{train_dir: /elsewhere}}}}\n")
+    chosen = f"train.params.config.train_dir={tmp_path}"
+    for file in (below, other):
+        config = compose(["task=Cartpole", f"train={file}", chosen]).train.params.config
+        assert config.train_dir == str(tmp_path)
+
+
+# --- whose files these are ------------------------------------------------------------------------
+
+
+def test_only_what_lies_in_cfg_is_ours(tmp_path, monkeypatch):
+    ours = cfg_dir() / "train" / "AntPPO.yaml"
+    assert not is_foreign(ours)
+    assert not is_foreign(cfg_dir())
+    assert is_foreign(cfg_dir() / ".." / "x.yaml")
+    assert is_foreign(Path(f"{cfg_dir()}_other/x.yaml"))
+    assert is_foreign(tmp_path / "x.yaml")
+    monkeypatch.chdir(cfg_dir() / "train")
+    assert not is_foreign(Path("AntPPO.yaml"))
+
+
+# --- the command line in a process of its own -----------------------------------------------------
+
+
+def test_nothing_is_run_from_the_real_command_line(write, canary, tmp_path):
+    file = write("Mine.yaml", GLOBAL + CALLBACK)
+    result = subprocess.run(
+        [sys.executable, str(REPOSITORY / "train.py"), "task=Cartpole", f"train={file}"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == train.EXIT_USER_ERROR
+    assert result.stderr.startswith(f"error: {file} has the header '# @package _global_'")
+    assert result.stderr.count("\n") == 1
+    assert not canary.exists()
