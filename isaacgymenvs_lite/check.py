@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.notes import physx_only_keys
+from isaacgymenvs_lite.config.notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.train_params import checkpoint_in_file, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError, UserError
@@ -116,6 +116,8 @@ def _describe_composed(cfg: DictConfig, kind: str) -> list[str]:
     unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
     if unread:
         lines.append(f"no effect here: {', '.join(unread)}")
+    if note := cpu_defaults_note(cfg):
+        lines.append(note)
     return lines
 
 

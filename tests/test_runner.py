@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -246,6 +247,7 @@ def test_a_play_reports_and_writes_nothing(in_tmp, walk_clip, checkpoint, caplog
     (line,) = [message for message in caplog.messages if message.startswith("played ")]
     for words in ("8 episodes", "reward", "episode length", "style reward", "pose error"):
         assert words in line
+    assert f"checkpoint: {checkpoint}" in caplog.messages
     assert list(in_tmp.iterdir()) == []
 
 
@@ -487,3 +489,8 @@ def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     epoch = checkpoints.load_checkpoint(last)["epoch"]
     assert f"_ep_{epoch}_" in last.name
     assert epoch < 100000
+    # What the line says goes on where this one ended.
+    (going_on,) = re.findall(r"^go on with it: (.*)$", rest, re.MULTILINE)
+    typed = shlex.split(going_on)
+    assert {*arguments, "checkpoint=last"} < set(typed)
+    assert f"\nepoch {epoch}/100000, " in f"\n{shown}{rest}"
