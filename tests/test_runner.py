@@ -173,6 +173,16 @@ def test_an_exact_name_of_the_run_folder(in_tmp, walk_clip):
     assert (in_tmp / "runs" / "mine" / "nn" / "Walker.pth").is_file()
 
 
+def test_the_humanoid_that_may_touch_the_ground_with_its_hands(in_tmp, walk_clip):
+    words = [f"task.env.motion_file={walk_clip}", "task.task.randomize=True", *TINY[1:]]
+    run(compose(["task=HumanoidAMPHands", *words]))
+    (folder,) = (in_tmp / "runs").iterdir()
+    assert folder.name.startswith("HumanoidAMPHands_")
+    cfg = OmegaConf.load(folder / "config.yaml")
+    assert cfg.task.env.contactBodies[2:] == ["right_hand", "left_hand"]
+    assert cfg.train.params.config.disc_grad_penalty == 0.2  # as published for it
+
+
 def test_another_folder_of_runs(in_tmp, walk_clip):
     run(tiny(walk_clip, "max_iterations=1", f"+{CONFIG}.train_dir=results"))
     assert not (in_tmp / "runs").exists()
