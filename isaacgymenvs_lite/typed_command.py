@@ -54,7 +54,7 @@ class TypedCommand:
 
     def check(self, task: str) -> str:
         """Return the command that describes the run's files, for a shell; `task` as `play`."""
-        named = dict(word.split("=", 1) for word in self._task_words(task))
+        named = {_key(word): word.partition("=")[2] for word in self._task_words(task)}
         task, train = named["task"], named.get("train")
         words = [task] if train is None else [train, f"task={task}"]
         words += [word for word in self.words if _key(word) == "rl_device"]
