@@ -27,7 +27,7 @@ from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
 from isaacgymenvs_lite.config.foreign_files import is_foreign
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.notes import physx_only_keys
+from isaacgymenvs_lite.config.notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.published_names import (
     longest_task,
     missing_choice,
@@ -161,6 +161,8 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
     unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
     if unread:
         lines.append(f"no effect here: {', '.join(unread)}")
+    if note := cpu_defaults_note(cfg):
+        lines.append(note)
     return lines
 
 

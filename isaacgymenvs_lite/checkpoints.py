@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.output_files import written_in_one_step
@@ -178,6 +179,21 @@ def _modernize(state: dict[str, Any]) -> dict[str, Any]:
 # --- finding -----------------------------------------------------------------------------------
 
 
+def checkpoint_of_tree(cfg: DictConfig, checkpoint: str, train_dir: str | Path) -> str:
+    """Return the path that `checkpoint` means to a composed tree, to train, play or export.
+
+    Args:
+        cfg: the tree; `last` is the newest checkpoint of its task and of its kind of network.
+        checkpoint: as `resolve_checkpoint`.
+        train_dir: folder of the run folders.
+
+    Raises:
+        CheckpointError: there is no such file.
+    """
+    network = OmegaConf.select(cfg, "train.params.network.name")
+    return resolve_checkpoint(checkpoint, train_dir, str(cfg.task.name), str(network or ""))
+
+
 def resolve_checkpoint(
     checkpoint: str, train_dir: str | Path, task_name: str, network_name: str = ""
 ) -> str:
@@ -218,15 +234,23 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     if not files:
         task = f"task={task_name}" if task_name else "any task"
         command = f"python train.py task={task_name or 'HumanoidAMP'}"
+        others = _tasks_of_checkpoints(train_dir) - {task_name}
+        hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
+        network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
-            f"checkpoint=last: no checkpoint of {task} below {train_dir.absolute()};"
+            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
             f" train one first: {command}"
         )
     return max(files, key=lambda file: file.stat().st_mtime).absolute()
 
 
+def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
+    runs = [run for run in run_folders(train_dir) if any(run.glob("nn/*.pth"))]
+    names = [_settings_of_run(run, ["task.name"]) for run in runs]
+    return {str(found["task.name"]) for found in names if found and found["task.name"]}
+
+
 def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
-    from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
     from isaacgymenvs_lite.config.yaml_files import read_yaml

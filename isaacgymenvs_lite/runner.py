@@ -45,6 +45,7 @@ from isaacgymenvs_lite.registration import build_runner, known_names, register_e
 from isaacgymenvs_lite.run_folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.stopping import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.typed_command import TypedCommand
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.watching.start import Watching
 from isaacgymenvs_lite.watching.window import WindowClosedError
@@ -58,26 +59,38 @@ _IMITATION_EPISODES = 16
 _RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction")
 
 
-def run(cfg: DictConfig) -> None:
+def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
     """Train (`test=False`) or play (`test=True`) as a composed tree says.
+
+    Args:
+        cfg: the tree.
+        command: the command line that it was composed from, if it was; for hints.
 
     Raises:
         UserError: anything that the user can mend; nothing was trained then.
     """
     settings = check_config(cfg)
     apply_wrapper_limits(cfg)
-    for note in startup_notes(cfg):
+    command = command or TypedCommand()
+    for note in startup_notes(cfg, command.check(str(cfg.task.name))):
         log.info("%s", note)
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
-    Session(cfg, settings, seed).run()
+    Session(cfg, settings, seed, command).run()
 
 
 class Session:
     """One training or one play: what belongs to it and must be closed after it."""
 
-    def __init__(self, cfg: DictConfig, settings: LaunchSettings, seed: int) -> None:
+    def __init__(
+        self,
+        cfg: DictConfig,
+        settings: LaunchSettings,
+        seed: int,
+        command: TypedCommand | None = None,
+    ) -> None:
         self._cfg = cfg
+        self._command = command or TypedCommand()
         self._settings = settings
         self._watching = Watching(settings)
         self._seed = seed
@@ -89,12 +102,8 @@ class Session:
         else:
             self._run_name = _new_run_name(train_dir, str(name))
         self._folder = RunFolder(train_dir, self._run_name)
-        self._checkpoint = checkpoints.resolve_checkpoint(
-            settings.checkpoint or checkpoint_in_file(cfg),
-            train_dir,
-            str(cfg.task.name),
-            str(OmegaConf.select(cfg, "train.params.network.name") or ""),
-        )
+        asked = settings.checkpoint or checkpoint_in_file(cfg)
+        self._checkpoint = checkpoints.checkpoint_of_tree(cfg, asked, train_dir)
         self._stop = StopRequest()
         self._envs: list[VecTask] = []
         self._agent_holder = _AgentHolder()
@@ -106,6 +115,8 @@ class Session:
             UserError: anything that the user can mend; nothing was trained then.
         """
         threads = torch.get_num_threads()
+        if self._checkpoint:
+            log.info("checkpoint: %s", self._checkpoint)
         try:
             # Made before the agent, so that its mistakes show before a run folder exists.
             self._task = self._make_env(int(self._cfg.task.env.numEnvs))
@@ -253,8 +264,12 @@ class Session:
     def _report_end(self) -> None:
         """Say where the newest checkpoint is and how to see what it can do."""
         newest = self._folder.newest_checkpoint()
-        if newest is not None:
-            log.info("saved %s; play it: test=True checkpoint=last num_envs=16", newest)
+        if newest is None:
+            return
+        task = str(self._cfg.task.name)
+        log.info("saved %s; play it: %s", newest, self._command.play(task))
+        if self._stop.requested:
+            log.info("go on with it: %s", self._command.resume(task))
 
     def _save_under_plain_name(self) -> None:
         """Make sure that nn/<name>.pth exists.

@@ -6,6 +6,7 @@ composed and checked before torch, MuJoCo and rl_games are imported.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 import sys
@@ -13,6 +14,8 @@ from collections.abc import Sequence
 
 import hydra
 from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
@@ -26,6 +29,7 @@ from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.policies.launch import complete_arguments
+from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -64,6 +68,7 @@ def _run_hydra() -> None:
         ConfigError: the configuration cannot be composed.
     """
     _check_options(sys.argv[1:])
+    command = TypedCommand.of_this_process()
     sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy that is played
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
@@ -73,7 +78,7 @@ def _run_hydra() -> None:
     def job(cfg: DictConfig) -> None:
         nonlocal started
         started = True
-        _run_job(cfg)
+        _run_job(cfg, _command_of_job(command))
 
     decorate = hydra.main(
         config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
@@ -88,7 +93,15 @@ def _run_hydra() -> None:
             raise _explain(error) from error
 
 
-def _run_job(cfg: DictConfig) -> None:
+def _command_of_job(command: TypedCommand) -> TypedCommand:
+    """Return the command line that stands for one job, of a sweep or not."""
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        return command
+    words = words_of_job(command.words, HydraConfig.get().overrides.task)
+    return dataclasses.replace(command, words=tuple(words))
+
+
+def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
     """Check the composed tree, then train or play.
 
     A user's mistake exits here, because Hydra would print a line of its own before passing it on.
@@ -97,7 +110,7 @@ def _run_job(cfg: DictConfig) -> None:
         check_config(cfg)
         from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
 
-        run(cfg)
+        run(cfg, command)
     except UserError as error:
         _fail(error)
 

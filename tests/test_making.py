@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from omegaconf import DictConfig, OmegaConf
@@ -75,8 +76,8 @@ def tree(file: Path, *overrides: str, train: str = "HumanoidAMPPPO") -> DictConf
     return compose([f"task={file}", f"train={train}", "num_envs=1", "num_threads=1", *overrides])
 
 
-def clip_of(cfg: DictConfig) -> str:
-    task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+def clip_of(cfg: Any) -> str:
+    task: Any = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
     task.reset()
     task.close()
     return str(task.env_cfg.motion_file)

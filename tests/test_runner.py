@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -172,6 +173,16 @@ def test_an_exact_name_of_the_run_folder(in_tmp, walk_clip):
     assert (in_tmp / "runs" / "mine" / "nn" / "Walker.pth").is_file()
 
 
+def test_the_humanoid_that_may_touch_the_ground_with_its_hands(in_tmp, walk_clip):
+    words = [f"task.env.motion_file={walk_clip}", "task.task.randomize=True", *TINY[1:]]
+    run(compose(["task=HumanoidAMPHands", *words]))
+    (folder,) = (in_tmp / "runs").iterdir()
+    assert folder.name.startswith("HumanoidAMPHands_")
+    cfg = OmegaConf.load(folder / "config.yaml")
+    assert cfg.task.env.contactBodies[2:] == ["right_hand", "left_hand"]
+    assert cfg.train.params.config.disc_grad_penalty == 0.2  # as published for it
+
+
 def test_another_folder_of_runs(in_tmp, walk_clip):
     run(tiny(walk_clip, "max_iterations=1", f"+{CONFIG}.train_dir=results"))
     assert not (in_tmp / "runs").exists()
@@ -278,6 +289,7 @@ def test_a_play_reports_and_writes_nothing(in_tmp, walk_clip, checkpoint, caplog
     (line,) = [message for message in caplog.messages if message.startswith("played ")]
     for words in ("8 episodes", "reward", "episode length", "style reward", "pose error"):
         assert words in line
+    assert f"checkpoint: {checkpoint}" in caplog.messages
     assert list(in_tmp.iterdir()) == []
 
 
@@ -519,3 +531,8 @@ def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     epoch = checkpoints.load_checkpoint(last)["epoch"]
     assert f"_ep_{epoch}_" in last.name
     assert epoch < 100000
+    # What the line says goes on where this one ended.
+    (going_on,) = re.findall(r"^go on with it: (.*)$", rest, re.MULTILINE)
+    typed = shlex.split(going_on)
+    assert {*arguments, "checkpoint=last"} < set(typed)
+    assert f"\nepoch {epoch}/100000, " in f"\n{shown}{rest}"

@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 
 from isaacgymenvs_lite import train
 from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.typed_command import TypedCommand
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -27,10 +28,12 @@ class Runner(types.ModuleType):
     def __init__(self) -> None:
         super().__init__("isaacgymenvs_lite.runner")
         self.runs: list[DictConfig] = []
+        self.commands: list[TypedCommand] = []
         self.error: BaseException | None = None
 
-    def run(self, cfg: DictConfig) -> None:
+    def run(self, cfg: DictConfig, command: TypedCommand) -> None:
         self.runs.append(cfg)
+        self.commands.append(command)
         logging.getLogger("isaacgymenvs_lite.some").info("running")
         logging.getLogger("isaacgymenvs_lite.some").warning("careful")
         if self.error is not None:
@@ -75,6 +78,18 @@ def test_runs_with_the_composed_tree(call: Call, runner, capsys):
     (cfg,) = runner.runs
     assert (cfg.task.env.numEnvs, cfg.seed, cfg.task_name) == (7, 3, "HumanoidAMP")
     assert "hydra" not in cfg
+
+
+def test_the_runner_is_given_what_was_typed(call: Call, runner, tmp_path):
+    """Not what it is made into: names of files are paths, a shipped policy is its name."""
+    file = tmp_path / "own-ant.yaml"
+    file.write_text("defaults: [Ant, _self_]\n")
+    words = [f"task={file}", "train=AntPPO", "seed=3"]
+    assert call(*words) == 0
+    assert runner.commands[-1].words == tuple(words)
+    assert call("-m", *words[:2], "seed=1,2") == 0
+    assert [command.words[-1] for command in runner.commands[1:]] == ["seed=1", "seed=2"]
+    assert all(set(words[:2]) <= set(command.words) for command in runner.commands)
 
 
 def test_log_shows_messages_and_the_level_of_warnings(call: Call, runner, capsys):

@@ -60,13 +60,20 @@ _CPU_SETTINGS = {
 }
 
 
-def startup_notes(cfg: DictConfig) -> list[str]:
-    """Return the lines that a start logs about `cfg`; none for the defaults on a GPU."""
+def startup_notes(cfg: DictConfig, check_command: str) -> list[str]:
+    """Return the lines that a start logs about `cfg`; none for the defaults on a GPU.
+
+    Args:
+        cfg: the composed tree.
+        check_command: what a user types to get `cpu_defaults_note`.
+    """
     notes = []
     if without_effect := physx_only_keys(cfg):
         notes.append(f"no effect here, PhysX or viewer only: {', '.join(without_effect)}")
-    if not cfg.test and (note := cpu_defaults_note(cfg)):
-        notes.append(note)
+    if not cfg.test and (settings := _cpu_defaults(cfg)):
+        notes.append(
+            f"{len(settings)} defaults are for learning on a CPU, listed by: {check_command}"
+        )
     return notes
 
 
@@ -90,8 +97,14 @@ def physx_only_keys(cfg: DictConfig) -> list[str]:
 
 def cpu_defaults_note(cfg: DictConfig) -> str | None:
     """Return one line that names the settings that depend on learning on a CPU, or None."""
+    settings = _cpu_defaults(cfg)
+    return f"defaults for learning on a CPU (on a GPU): {', '.join(settings)}" if settings else None
+
+
+def _cpu_defaults(cfg: DictConfig) -> list[str]:
+    """Return `<setting> <value here> (<value on a GPU>)` of each; empty on a GPU."""
     if "cuda" in str(cfg.rl_device):
-        return None
+        return []
     on_gpu = copy.deepcopy(cfg)
     with flag_override(on_gpu, "readonly", False):
         on_gpu.rl_device = "cuda:0"
@@ -100,9 +113,7 @@ def cpu_defaults_note(cfg: DictConfig) -> str | None:
         here, there = OmegaConf.select(cfg, path), OmegaConf.select(on_gpu, path)
         if here != there:
             settings.append(f"{name} {_short(here)} ({_short(there)})")
-    if not settings:
-        return None
-    return f"defaults for learning on a CPU (on a GPU): {', '.join(settings)}"
+    return settings
 
 
 def _short(value: Any) -> str:

@@ -10,7 +10,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from isaacgymenvs_lite.checkpoints import load_checkpoint, resolve_checkpoint
+from isaacgymenvs_lite.checkpoints import checkpoint_of_tree, load_checkpoint, resolve_checkpoint
 from isaacgymenvs_lite.config.compose import compose, make_loader
 from isaacgymenvs_lite.config.explain import ComposeError, explain
 from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME
@@ -49,7 +49,8 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
     there. `train=`, or the `task=` of another task, stand for a configuration of their own.
 
     Args:
-        checkpoint: a path, `last` or the name of a shipped policy.
+        checkpoint: a path, `last` as train.py takes it (the newest of the task that the overrides
+            name, or of the default one), or the name of a shipped policy.
         overrides: of the configuration, as on the command line of train.py.
         runs: folder of the runs that `last` looks at.
 
@@ -62,16 +63,21 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
             f" {', '.join(shipped_policies())}"
         )
     typed = dict(word.split("=", 1) for word in overrides if "=" in word)
-    task = typed.get("task", "")
-    path = resolve_checkpoint(checkpoint, runs, task)
+    is_shipped = checkpoint in shipped_policies()
+    # What train.py would play with these words: which task, and what `last` means.
+    asked = compose(overrides) if checkpoint == "last" or "task" in typed else None
+    if asked is None or is_shipped:
+        path = resolve_checkpoint(checkpoint, runs, "")
+    else:
+        path = checkpoint_of_tree(asked, checkpoint, runs)
     file = run_config_file(Path(path))
-    if checkpoint not in shipped_policies() and file.is_file() and "train" not in typed:
+    if not is_shipped and file.is_file() and "train" not in typed:
         model = load_checkpoint(path).get("model", {})
         cfg = OmegaConf.create(read_run_config(file, model))
-        if task in ("", cfg.task.name):
+        if asked is None or asked.task.name == cfg.task.name:
             log.info("task and train settings: %s", file)
             return _plain(_changed(cfg, overrides), path)
-    named = checkpoint if checkpoint in shipped_policies() else as_override(path)
+    named = checkpoint if is_shipped else as_override(path)
     words = complete_arguments(["test=True", f"checkpoint={named}", *overrides])
     return _plain(compose(words), path)
 

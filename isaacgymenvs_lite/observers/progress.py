@@ -25,6 +25,8 @@ _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfi
 class ProgressObserver(AlgoObserver):
     """A progress bar on a terminal, a line every few seconds elsewhere; and the stop at Ctrl-C.
 
+    Elsewhere the first and the last epoch have their lines, however short the training is.
+
     Args:
         stop: asked for by the user; the epoch that hears of it is made the last one.
         figures: what is shown; stands before this observer.
@@ -45,6 +47,8 @@ class ProgressObserver(AlgoObserver):
         self._imitation = imitation
         self._line_interval_s = line_interval_s
         self._bar: tqdm | None = None
+        self._unwritten_epoch: int | None = None
+        self._total = 0
 
     def after_init(self, algo: Any) -> None:
         """Take the agent."""
@@ -58,6 +62,7 @@ class ProgressObserver(AlgoObserver):
         """Show how far the training is; end it if a stop was asked for."""
         del frame, total_time
         algo = self._algo
+        self._total = algo.max_epochs  # before a stop makes this epoch the last one
         now = time.monotonic()
         fps = algo.curr_frames / max(now - self._last_epoch_s, 1e-9)
         self._frames_per_s.update(torch.tensor([fps]))
@@ -68,6 +73,8 @@ class ProgressObserver(AlgoObserver):
             self._update_bar(epoch_num)
         elif self._first_line or now - self._last_line_s >= self._line_interval_s:
             self._write_line(epoch_num, now)
+        else:
+            self._unwritten_epoch = epoch_num
         if self._stop.requested:
             # rl_games ends at max_epochs by saving a last checkpoint: just what is wanted.
             algo.max_epochs = epoch_num
@@ -114,23 +121,26 @@ class ProgressObserver(AlgoObserver):
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update(epoch_num - self._bar.n)
 
-    def _write_line(self, epoch_num: int, now: float) -> None:
+    def _write_line(self, epoch_num: int, now: float, has_ended: bool = False) -> None:
         self._first_line = False
+        self._unwritten_epoch = None
         self._last_line_s = now
-        total = self._algo.max_epochs
-        parts = [f"epoch {epoch_num}"]
-        if total > 0:
+        total = self._total
+        parts = [f"epoch {epoch_num}/{total}" if total > 0 else f"epoch {epoch_num}"]
+        if total > 0 and not has_ended:
             made = epoch_num - (self._first_epoch or epoch_num) + 1
             left_s = (total - epoch_num) * (now - self._start_s) / made
-            parts = [f"epoch {epoch_num}/{total}", f"ETA {_clock(left_s)}"]
+            parts.append(f"ETA {_clock(left_s)}")
         shown = {"fps": self._fps(), **self._epoch_values(), **self._measured_values()}
         parts += [f"{name} {value}" for name, value in shown.items()]
         log.info("%s", ", ".join(parts))
 
     def close(self) -> None:
-        """Leave the terminal in order."""
+        """Leave the terminal in order; write a line of the last epoch if there is none yet."""
         if self._bar is not None:
             self._bar.close()
+        if self._unwritten_epoch is not None:
+            self._write_line(self._unwritten_epoch, self._last_epoch_s, has_ended=True)
 
 
 def _clock(seconds: float) -> str:

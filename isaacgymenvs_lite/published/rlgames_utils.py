@@ -56,7 +56,7 @@ def get_rlgames_env_creator(
         sim_device: where the physics runs.
         rl_device: where `step` returns its tensors.
         graphics_device_id: of the renderer.
-        headless: no viewer.
+        headless: without a window.
         multi_gpu: seed each process of its own.
         post_create_hook: called after a task was made.
         virtual_screen_capture: as `make`.

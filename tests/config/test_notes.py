@@ -81,13 +81,18 @@ def test_sizes_that_the_user_gave_are_not_named(config_dir):
     ],
 )
 def test_startup_notes(override, expected):
-    assert startup_notes(compose(["rl_device=cuda:0"])) == []
-    notes = startup_notes(compose(["rl_device=cuda:0", override]))
+    assert startup_notes(compose(["rl_device=cuda:0"]), "check it") == []
+    notes = startup_notes(compose(["rl_device=cuda:0", override]), "check it")
     assert len(notes) == 1
     assert notes[0].startswith(expected)
 
 
+def test_the_list_of_cpu_defaults_is_for_those_who_ask():
+    notes = startup_notes(compose(["rl_device=cpu"]), "check it")
+    assert notes == ["11 defaults are for learning on a CPU, listed by: check it"]
+
+
 def test_notes_change_nothing():
     cfg = compose(["rl_device=cpu"])
-    startup_notes(cfg)
+    startup_notes(cfg, "check it")
     assert cfg == compose(["rl_device=cpu"])

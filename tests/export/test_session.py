@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.export import session
 from isaacgymenvs_lite.export.__main__ import main
@@ -23,7 +24,7 @@ from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
 from isaacgymenvs_lite.export.session import ExportSession, ExportSettings, export_policy
 from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
 from isaacgymenvs_lite.making import seed_everything
-from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.runner import Session, run
 
 CARTPOLE = (
     "task=Cartpole",
@@ -115,8 +116,9 @@ def test_the_file_earns_what_the_player_earns(
     suffix = {"onnx": "onnx", "torchscript": "pt"}[format_name]
     file = tmp_path / f"policy.{suffix}"
     with caplog.at_level(logging.INFO):
-        words = ["checkpoint=last", f"format={format_name}", f"out={file}"]
+        words = ["checkpoint=last", "task=Cartpole", f"format={format_name}", f"out={file}"]
         assert main(words) == 0
+    assert f"checkpoint: {checkpoint}\n" in caplog.text
     assert f"task and train settings: {checkpoint.parents[1] / 'config.yaml'}" in caplog.text
     assert f"policy.{suffix}: obs -> action" in caplog.text
     policy = load_policy(file)
@@ -191,8 +193,12 @@ def test_settings_of_the_run_and_what_was_typed(checkpoint, project, monkeypatch
         (["checkpoint=absent.pth"], "no file"),
         (["checkpoint=last", "task=Ant"], "no checkpoint of task=Ant"),
         (["checkpoint=last", "task.env.maxEfort=1"], "task.env.maxEfort"),
-        (["checkpoint=last", "out=x.pt"], "ends in .onnx"),
-        (["checkpoint=last", "out=taken/x.pt", "format=torchscript"], "taken/x.pt: cannot be"),
+        (["checkpoint=last"], "no checkpoint of task=HumanoidAMP .*; there are some of task=Cart"),
+        (["checkpoint=last", "task=Cartpole", "out=x.pt"], "ends in .onnx"),
+        (
+            ["checkpoint=last", "task=Cartpole", "out=taken/x.pt", "format=torchscript"],
+            "taken/x.pt: cannot be",
+        ),
         (["checkpoint=last", "format=caffe"], "expected one of onnx, torchscript"),
     ],
 )
@@ -207,6 +213,22 @@ def test_a_mistake_is_one_line(words, message, project, monkeypatch, capsys) -> 
     assert re.search(f"^error: .*{message}", line), line
 
 
+def test_last_is_the_same_file_for_all(project, checkpoint, monkeypatch) -> None:
+    """Going on with a training, playing and exporting, by the same words."""
+    monkeypatch.chdir(project)
+    own = project / "own"
+    own.mkdir(exist_ok=True)
+    file = own / "mine.yaml"
+    file.write_text("defaults: [Cartpole, _self_]\n")
+    for task in ("Cartpole", str(file)):
+        words = [f"task={task}", "train=CartpolePPO", "checkpoint=last", *CARTPOLE[1:]]
+        for changes in ([], ["test=True"]):
+            cfg = compose([*words, *changes])
+            assert Session(cfg, check_config(cfg), 1)._checkpoint == str(checkpoint)
+        cfg = configuration_of("last", words[:2], "runs")
+        assert cfg.checkpoint == str(checkpoint)
+
+
 def test_last_without_any_run(tmp_path) -> None:
-    with pytest.raises(CheckpointError, match="no checkpoint of any task below"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint of task=HumanoidAMP .*below"):
         configuration_of("last", (), str(tmp_path))

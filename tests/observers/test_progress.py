@@ -170,3 +170,31 @@ def test_a_bar_without_a_last_epoch(progress, agent, clock, monkeypatch, capsys)
     tell(progress, clock, 1, 1.0)
     progress.close()
     assert "1/?" in capsys.readouterr().err
+
+
+def test_a_short_training_ends_with_its_last_epoch(progress, clock, caplog):
+    with caplog.at_level(logging.INFO):
+        for epoch in range(18, 21):
+            tell(progress, clock, epoch, 1.0)
+        assert [message.split(",")[0] for message in caplog.messages] == ["epoch 18/20"]
+        clock.now_s += 100.0  # what it takes to end does not count
+        progress.close()
+        progress.close()
+    assert caplog.messages[1:] == ["epoch 20/20, fps 1,000, style reward 0.46, disc accuracy 80%"]
+
+
+def test_a_training_that_is_stopped_ends_with_its_last_epoch(progress, clock, caplog):
+    with caplog.at_level(logging.INFO):
+        for epoch in (3, 4):
+            progress._stop.requested = epoch == 4
+            tell(progress, clock, epoch, 1.0)
+        progress.close()
+    assert progress._algo.max_epochs == 4
+    assert caplog.messages[-1].startswith("epoch 4/20, fps")
+
+
+def test_the_last_epoch_is_not_written_twice(progress, clock, caplog):
+    with caplog.at_level(logging.INFO):
+        tell(progress, clock, 20, 1.0)
+        progress.close()
+    assert len(caplog.messages) == 1

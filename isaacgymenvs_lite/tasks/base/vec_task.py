@@ -44,7 +44,7 @@ class Env(ABC):  # noqa: B024  a task is abstract through VecTask
         rl_device: torch device of the tensors that `step` and `reset` return.
         sim_device: `cpu` or `cuda:<index>`, where the physics runs.
         graphics_device_id: index of the rendering device, -1 for none.
-        headless: no viewer.
+        headless: without a window.
 
     Raises:
         ConfigError: a missing or impossible size.

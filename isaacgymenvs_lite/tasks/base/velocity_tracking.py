@@ -126,7 +126,7 @@ class VelocityTrackingConfig(ClassicConfig):
         default_factory=UrdfAssetConfig, metadata={"key": "urdfAsset"}
     )
     viewer: dict[str, Any] = setting({})
-    """No effect: there is no viewer."""
+    """No effect: where the camera of Isaac Gym's viewer starts."""
 
 
 class BaseMotion(NamedTuple):

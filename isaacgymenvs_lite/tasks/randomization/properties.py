@@ -29,10 +29,12 @@ class Property(ABC):
     Attributes:
         original: (k,) values in the model.
         changes_constants: whether MuJoCo derives other fields from it.
+        left_out: the parts of the robot that it is not of, for the log; '' if there are none.
     """
 
     original: Doubles
     changes_constants = False
+    left_out = ""
 
     @abstractmethod
     def write(self, env_ids: Ids, values: Doubles) -> None:
@@ -122,43 +124,57 @@ class Friction(Property):
 
 
 class Gain(Property):
-    """Stiffness (column 1) or damping (column 2) of degrees of freedom, by drives or joints."""
+    """Stiffness (column 1) or damping (column 2) of degrees of freedom, by drives or joints.
+
+    A ball joint has a drive for each of its axes, or is left out: its one spring has no axes.
+    """
 
     def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
         model = simulation.model
-        dofs = np.asarray(layout.scalar_dofs) + layout.dof_vel_adr
-        joints = model.dof_jntid[dofs]
-        drives = _drives_of(model, joints)
-        self._drives = drives
+        drives = _drives_of(model, layout)
+        dofs = np.union1d(layout.scalar_dofs, np.flatnonzero(drives >= 0))
+        self.left_out = "ball joints" if len(dofs) < layout.num_dofs else ""
+        self._drives = drives[dofs]
         self._column = column
         self._gains = simulation.expand("actuator_gainprm") if column == 1 else None
         self._biases = simulation.expand("actuator_biasprm")
-        passive = ("jnt_stiffness", joints) if column == 1 else ("dof_damping", dofs)
+        rows = dofs + layout.dof_vel_adr
+        passive = ("jnt_stiffness", model.dof_jntid[rows]) if column == 1 else ("dof_damping", rows)
         self._joint = FieldProperty(simulation, *passive)
         self.original = self._joint.original.copy()
-        driven = drives >= 0
-        self.original[driven] = -model.actuator_biasprm[drives[driven], column]
+        self._driven = driven = self._drives >= 0
+        self._driven_by = by = self._drives[driven]
+        self.original[driven] = -model.actuator_biasprm[by, column]
+        # Drives that are kept from being servos, see `humanoid_model`: gain and bias differ.
+        self._near = (column == 1) & (
+            model.actuator_biasprm[by, 1] != -model.actuator_gainprm[by, 0]
+        )
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
         """See `Property.write`."""
         values = np.maximum(values, 0.0)
-        driven = self._drives >= 0
-        kept = np.where(driven, self._joint.original, values)
-        self._joint.write(env_ids, kept)
-        places = np.ix_(env_ids, self._drives[driven])
-        self._biases[(*places, self._column)] = -values[:, driven]
+        self._joint.write(env_ids, np.where(self._driven, self._joint.original, values))
+        places = np.ix_(env_ids, self._driven_by)
+        gains = values[:, self._driven]
+        biases = np.where(self._near, np.nextafter(-gains, 0.0), -gains)
+        self._biases[(*places, self._column)] = biases
         if self._gains is not None:
-            self._gains[(*places, 0)] = values[:, driven]
+            self._gains[(*places, 0)] = gains
 
 
-def _drives_of(model: mujoco.MjModel, joints: Ids) -> Ids:
-    """Return (k,) the position drive on each joint, -1 without one."""
+def _drives_of(model: mujoco.MjModel, layout: ModelLayout) -> Ids:
+    """Return (D,) the position drive of each degree of freedom, -1 without one."""
     affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     servo = affine & (model.actuator_biasprm[:, 1] != 0.0)
     on_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    drives = np.full(len(joints), -1, dtype=np.int64)
+    drives = np.full(layout.num_dofs, -1, dtype=np.int64)
     for actuator in np.flatnonzero(servo & on_joint):
-        drives[joints == model.actuator_trnid[actuator, 0]] = actuator
+        joint = model.actuator_trnid[actuator, 0]
+        dof = model.jnt_dofadr[joint] - layout.dof_vel_adr
+        if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL):
+            dof += int(np.abs(model.actuator_gear[actuator, :3]).argmax())
+        if 0 <= dof < layout.num_dofs:  # not one of an object
+            drives[dof] = actuator
     return drives
 
 
@@ -166,8 +182,6 @@ def make_property(
     simulation: SimulationBackend, layout: ModelLayout, group: str, attribute: str
 ) -> Property | None:
     """Return the robot's property, None if MuJoCo has no counterpart.
-
-    Degrees of freedom are those of hinges and slides.
 
     Args:
         simulation: whose environments shall differ.
@@ -179,9 +193,7 @@ def make_property(
     bodies = np.arange(1, 1 + len(layout.body_names))
     bodies = bodies[model.body_mass[bodies] > 0.0]
     geoms = np.flatnonzero((model.geom_bodyid >= 1) & (model.geom_bodyid <= len(layout.body_names)))
-    dofs = np.asarray(layout.scalar_dofs) + layout.dof_vel_adr
-    joints = model.dof_jntid[dofs]
-    limited = joints[model.jnt_limited[joints] != 0]
+    dofs = np.arange(layout.num_dofs) + layout.dof_vel_adr
     columns = {"friction": 0, "torsion_friction": 1, "rolling_friction": 2}
     if group == "rigid_body_properties":
         mass = Mass(simulation, bodies)
@@ -190,7 +202,7 @@ def make_property(
         return Friction(simulation, geoms, columns[attribute])
     if group == "dof_properties":
         if attribute in ("lower", "upper"):
-            return FieldProperty(simulation, "jnt_range", limited, int(attribute == "upper"))
+            return Limits(simulation, layout, int(attribute == "upper"))
         if attribute in ("stiffness", "damping"):
             return Gain(simulation, layout, 1 if attribute == "stiffness" else 2)
         if attribute in ("friction", "armature"):
@@ -199,6 +211,20 @@ def make_property(
         if attribute == "effort" and (model.actuator_forcelimited != 0).any():
             return Effort(simulation)
     return None
+
+
+class Limits(FieldProperty):
+    """Lower (column 0) or upper (1) limits of hinges (rad) and slides (m).
+
+    Ball joints are left out: MuJoCo limits their angle, but no axis of theirs.
+    """
+
+    def __init__(self, simulation: SimulationBackend, layout: ModelLayout, column: int) -> None:
+        model = simulation.model
+        joints = model.dof_jntid[np.asarray(layout.scalar_dofs) + layout.dof_vel_adr]
+        limited = joints[model.jnt_limited[joints] != 0]
+        super().__init__(simulation, "jnt_range", limited, column)
+        self.left_out = "ball joints" if layout.ball_dofs.size else ""
 
 
 class Effort(Property):

@@ -56,8 +56,8 @@ class DomainRandomizer:
             if found is None:
                 unsupported.append(path)
                 continue
-            if group == "dof_properties" and layout.ball_dofs.size > 0:
-                unsupported.append(f"{path} of ball joints")
+            if found.left_out:
+                unsupported.append(f"{path} of {found.left_out}")
             self._properties.append((settings, found))
         if unsupported:
             log.warning(

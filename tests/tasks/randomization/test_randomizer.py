@@ -131,6 +131,7 @@ def _slowed_by_friction(make_task, coefficient: float) -> float:
 
 def test_friction_is_the_mean_of_both_shapes_and_felt(make_task) -> None:
     # Coulomb's law, as far as the feet meet the ground: they bounce.
+    torch.manual_seed(0)
     ratio = _slowed_by_friction(make_task, 0.2) / _slowed_by_friction(make_task, 1.0)
     assert ratio == pytest.approx(0.6, rel=0.15)
 
@@ -196,13 +197,92 @@ def test_an_actor_that_does_not_exist_is_named(make_task) -> None:
         make_task("task=Ant", "task.task.randomize=True", entry)
 
 
-def test_drives_of_ball_joints_are_named_as_left_out(make_task, walk_clip, caplog) -> None:
+@pytest.mark.parametrize("name", ["HumanoidAMP", "HumanoidASE", "HumanoidAMPHands"])
+def test_the_published_settings_of_the_imitating_humanoids(
+    name: str, make_task, walk_clip, caplog
+) -> None:
+    """What their file says, without its schedule: all of the humanoid differs, drives included."""
     caplog.set_level(logging.WARNING)
-    params = "++task.task.randomization_params.actor_params.humanoid"
-    make_task(
+    params = "task.task.randomization_params"
+    humanoid = f"{params}.actor_params.humanoid"
+    scheduled = (
+        f"{params}.sim_params.gravity",
+        f"{humanoid}.rigid_body_properties.mass",
+        *(f"{humanoid}.rigid_shape_properties.{key}" for key in ("friction", "restitution")),
+        *(f"{humanoid}.dof_properties.{key}" for key in ("damping", "stiffness", "lower", "upper")),
+    )
+    task = make_task(
+        f"task={name}",
+        "train=HumanoidASEPPO" if name == "HumanoidASE" else "train=HumanoidAMPPPO",
+        f"task.env.motion_file={walk_clip}",
+        "task.task.randomize=True",
+        *(f"~{entry}.schedule" for entry in scheduled),
+        num_envs=N,
+    )
+    model = task.simulation.model
+    masses = _field(task, "body_mass")[:, 1:] / model.body_mass[1:]
+    gains = _field(task, "actuator_gainprm")[..., 0] / model.actuator_gainprm[:, 0]
+    dampings = _field(task, "actuator_biasprm")[..., 2] / model.actuator_biasprm[:, 2]
+    for values in (masses, gains, dampings):
+        # Each number of each environment by itself.
+        assert values.shape[1] == values[0].size > 14
+        assert len(np.unique(values.round(9))) == values.size
+        assert 0.5 <= values.min() < 0.52
+        assert 1.48 < values.max() <= 1.5
+    friction = _field(task, "geom_friction")[..., 0][:, model.geom_bodyid > 0]
+    assert 0.85 <= friction.min() < 0.9  # the mean with the ground's
+    limits = _field(task, "jnt_range")[:, [model.joint("right_knee").id], 1]
+    assert limits.std() == pytest.approx(0.01, rel=0.4)
+    assert (_field(task, "opt.gravity")[0] != model.opt.gravity).all()
+    said = [record.message for record in caplog.records if "no counterpart" in record.message]
+    assert len(said) == 1
+    for left_out in ("shape_properties.restitution", "dof_properties.lower of ball joints"):
+        assert left_out in said[0]
+    assert "stiffness" not in said[0]
+
+
+def test_humanoids_that_start_alike_go_apart(make_task, walk_clip) -> None:
+    """Physics and observations differ between environments; without randomisation they do not."""
+    words = ["task=HumanoidAMP", f"task.env.motion_file={walk_clip}", "task.env.stateInit=Start"]
+    observed = {}
+    for randomize in (False, True):
+        task = make_task(*words, f"task.task.randomize={randomize}", num_envs=8)
+        task.reset()
+        observed[randomize] = task.step(task.zero_actions())[0]["obs"]
+        apart = (task.simulation.dof_pos - task.simulation.dof_pos[0]).abs().max().item()
+        assert (apart > 0) == randomize  # by the noise on the actions
+    assert (observed[False] == observed[False][0]).all()
+    # What the discriminator sees is the motion, without the noise.
+    noise = observed[True] - task.extras["amp_obs"][:, : task.num_obs]
+    assert noise.std().item() == pytest.approx(0.002, rel=0.15)
+
+
+def test_randomised_drives_of_ball_joints_turn_to_far_targets(make_task, walk_clip) -> None:
+    """Past half a turn MuJoCo's own servos would turn back, see `_keep_servo_errors`."""
+    task = make_task(
         "task=HumanoidAMP",
         f"task.env.motion_file={walk_clip}",
         "task.task.randomize=True",
-        f"{params}.dof_properties={{stiffness: {_entry(0.5, 1.5)}}}",
+        "task.task.randomization_params.frequency=1",
     )
-    assert "humanoid.dof_properties.stiffness of ball joints; not randomised" in caplog.text
+    gains, biases = (_field(task, f"actuator_{name}prm") for name in ("gain", "bias"))
+    assert (gains[..., 0] != -biases[..., 1]).all()
+    assert gains[..., 0] == pytest.approx(-biases[..., 1])
+
+
+def test_the_schedule_of_the_published_settings_sets_in(make_task, walk_clip) -> None:
+    task = make_task(
+        "task=HumanoidAMP",
+        f"task.env.motion_file={walk_clip}",
+        "task.task.randomize=True",
+        num_envs=N,
+    )
+    task.reset()
+    damping = _field(task, "actuator_biasprm")[..., 2]
+    assert damping == pytest.approx(np.tile(task.simulation.model.actuator_biasprm[:, 2], (N, 1)))
+    task.control_steps = 750  # two simulator calls each: half of the way
+    task.randomize_buf[:] = 600
+    task.reset()
+    factors = damping / task.simulation.model.actuator_biasprm[:, 2]
+    assert 0.75 <= factors.min() < 0.77
+    assert 1.23 < factors.max() <= 1.25

@@ -1,0 +1,127 @@
+"""The command that started a run, and those that a user may want to type next."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+_TRAIN = "isaacgymenvs_lite.train"
+_CHECK = "isaacgymenvs_lite.check"
+_NUM_PLAYED = 16
+# Of the root, what a policy depends on beside all of task and train.
+_KEPT_KEYS = ("rl_device", "task_checkout")
+# What a command that goes on with a run says itself.
+_SAID_ANEW = ("task", "train", "checkpoint", "test")
+# Options of Hydra with a value that say where files are.
+_KEPT_OPTIONS = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-cn")
+
+
+@dataclass(frozen=True)
+class TypedCommand:
+    """A command line of train.py.
+
+    Attributes:
+        program: what stands before the settings, such as `python train.py`.
+        words: the rest, as typed; empty if a program composed the configuration itself.
+    """
+
+    program: tuple[str, ...] = ("python", "-m", _TRAIN)
+    words: tuple[str, ...] = ()
+
+    @classmethod
+    def of_this_process(cls) -> TypedCommand:
+        """Return the command line in `sys.argv`."""
+        return cls(_program(), tuple(sys.argv[1:]))
+
+    def play(self, task: str) -> str:
+        """Return the command that plays the run's newest checkpoint, for a shell.
+
+        Args:
+            task: name of the task, for a command line without `task=`.
+        """
+        played = ["test=True", "checkpoint=last", f"num_envs={_NUM_PLAYED}"]
+        return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
+
+    def resume(self, task: str) -> str:
+        """Return the command that goes on with the run, for a shell; `task` as `play`."""
+        groups = self._task_words(task)
+        rest = [word for word in self.words if _key(word) not in _SAID_ANEW]
+        return shlex.join([*self.program, *groups, *rest, "checkpoint=last"])
+
+    def check(self, task: str) -> str:
+        """Return the command that describes the run's files, for a shell; `task` as `play`."""
+        named = {_key(word): word.partition("=")[2] for word in self._task_words(task)}
+        task, train = named["task"], named.get("train")
+        words = [task] if train is None else [train, f"task={task}"]
+        words += [word for word in self.words if _key(word) == "rl_device"]
+        return shlex.join([_python(), "-m", _CHECK, *words])
+
+    def _task_words(self, default: str) -> list[str]:
+        """Return `task=`, and `train=` unless it is the task's default."""
+        typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
+        task = typed.get("task", f"task={default}")
+        train = typed.get("train")
+        is_default = train in (None, f"train={task.partition('=')[2]}PPO")
+        return [task] if is_default or train is None else [task, train]
+
+    def _details(self) -> list[str]:
+        """Return the words that change what the policy is, or where files and runs are."""
+        settings = [
+            word
+            for word in self.words
+            if _key(word).startswith(("task.", "train.")) or _key(word) in _KEPT_KEYS
+        ]
+        return [*_kept_options(self.words), *settings]
+
+
+def _key(word: str) -> str:
+    """Return the key that an override is of, `task.env.x` for `+task.env.x=1`."""
+    return word.partition("=")[0].lstrip("+~")
+
+
+def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
+    """Return the words of one job of a sweep (`--multirun`).
+
+    Args:
+        typed: the words of the command line, sweeps included.
+        job: Hydra's overrides of the job, in which names stand for files.
+    """
+    options = _kept_options(typed)
+    files = {_key(word): word for word in typed if word.endswith((".yaml", ".yml"))}
+    settings = [word for word in job if not word.startswith("++task_checkout=")]
+    return [*options, *(files.get(_key(word), word) for word in settings)]
+
+
+def _kept_options(words: Sequence[str]) -> list[str]:
+    """Return the options that say where files are, each with its value."""
+    kept, rest = list[str](), iter(words)
+    for word in rest:
+        option, _, value = word.partition("=")
+        if option in _KEPT_OPTIONS:
+            kept += [word] if value else [word, next(rest, "")]
+    return kept
+
+
+def _program() -> tuple[str, ...]:
+    """Return how this process was started, without its settings."""
+    script, spec = sys.argv[0], getattr(sys.modules["__main__"], "__spec__", None)
+    if spec is not None:
+        return (_python(), "-m", spec.name.removesuffix(".__main__"))
+    if script.endswith(".py"):
+        return (_python(), script)
+    found = shutil.which(Path(script).name)
+    if found is None or not Path(script).is_file():  # python -c, or a program of one's own
+        return (_python(), "-m", _TRAIN)
+    return (Path(script).name if Path(found) == Path(script) else script,)
+
+
+def _python() -> str:
+    """Return what a shell finds this interpreter by: its virtual environment may not be active."""
+    own, found = Path(sys.executable), shutil.which("python")
+    if found is not None and Path(found).parent == own.parent:
+        return "python"
+    return str(own.relative_to(Path.cwd())) if own.is_relative_to(Path.cwd()) else str(own)

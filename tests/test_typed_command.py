@@ -1,0 +1,138 @@
+"""The commands that a run prints for what may come next."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite import typed_command
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PLAYED = "test=True checkpoint=last num_envs=16"
+
+
+def command(*words: str) -> TypedCommand:
+    return TypedCommand(("python", "train.py"), words)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "task=Default"),
+        (["num_envs=64", "max_iterations=3", "experiment=x"], "task=Default"),
+        (["task=Ant", "seed=3"], "task=Ant"),
+        (["task=Ant", "train=AntPPO"], "task=Ant"),
+        (["train=AntSAC", "task=Ant"], "task=Ant train=AntSAC"),
+        # What the network and the run's folder depend on stays, what this start was for goes.
+        (
+            ["train.params.network.mlp.units=[8,8]", "task=Ant", "checkpoint=a.pth", "test=False"],
+            "task=Ant 'train.params.network.mlp.units=[8,8]'",
+        ),
+        (
+            ["task=Ant", "+train.params.config.train_dir=my runs", "rl_device=cpu"],
+            "task=Ant '+train.params.config.train_dir=my runs' rl_device=cpu",
+        ),
+        (["task=/a fork/Ant.yaml"], "'task=/a fork/Ant.yaml'"),
+        (
+            ["--config-dir", "mine", "task=Own", "train=AntPPO"],
+            "task=Own train=AntPPO --config-dir mine",
+        ),
+        (["--config-dir=mine", "task=Own"], "task=Own --config-dir=mine"),
+    ],
+)
+def test_playing(words: list[str], expected: str) -> None:
+    assert command(*words).play("Default") == f"python train.py {expected} {PLAYED}"
+
+
+def test_going_on() -> None:
+    typed = command("num_envs=64", "task=Ant", "checkpoint=runs/a/nn/a.pth", "max_iterations=9")
+    expected = "python train.py task=Ant num_envs=64 max_iterations=9 checkpoint=last"
+    assert typed.resume("Default") == expected
+
+
+def test_checking() -> None:
+    python = typed_command._python()
+    start = f"{python} -m isaacgymenvs_lite.check"
+    assert command("num_envs=3").check("Default") == f"{start} Default"
+    assert command("task=Ant", "train=AntSAC").check("x") == f"{start} AntSAC task=Ant"
+
+
+def test_a_job_of_a_sweep() -> None:
+    """Hydra's names of files are the typed paths again, and values are the job's."""
+    typed = ["-m", "--config-dir", "mine", "task=/a/b-c.yaml", "train=AntPPO", "seed=1,2"]
+    job = ["task=b-c", "++task_checkout='/a'", "train=AntPPO", "seed=1"]
+    expected = ["--config-dir", "mine", "task=/a/b-c.yaml", "train=AntPPO", "seed=1"]
+    assert words_of_job(typed, job) == expected
+
+
+def test_the_interpreter_that_a_shell_finds(monkeypatch, tmp_path: Path) -> None:
+    environment = tmp_path / "venv" / "bin"
+    environment.mkdir(parents=True)
+    for name in ("python", "python3"):
+        (environment / name).write_text("#!/bin/sh\n")
+        (environment / name).chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(environment / "python3"))
+    monkeypatch.setenv("PATH", str(environment))
+    assert typed_command._python() == "python"
+    # not active: by its path, from the working folder if it is below that
+    monkeypatch.setenv("PATH", "/usr/bin")
+    monkeypatch.chdir(tmp_path)
+    assert typed_command._python() == "venv/bin/python3"
+    monkeypatch.chdir("/")
+    monkeypatch.setattr(sys, "executable", str(environment / "python3"))
+    assert typed_command._python() in (
+        str(environment / "python3"),
+        str(environment / "python3")[1:],
+    )
+
+
+def _run(line: str, folder: Path) -> str:
+    result = subprocess.run(
+        line,
+        shell=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout + result.stderr
+
+
+def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
+    """Of files by their paths, with blanks in them, and with a network of its own."""
+    folder = tmp_path / "my fork"
+    folder.mkdir()
+    shutil.copy(cfg_dir() / "task" / "Cartpole.yaml", folder / "Own Cartpole.yaml")
+    shutil.copy(cfg_dir() / "train" / "CartpolePPO.yaml", folder / "Own train.yaml")
+    words = "num_envs=16 num_threads=1 rl_device=cpu max_iterations=2 experiment=first"
+    said = _run(
+        f"'{sys.executable}' -m isaacgymenvs_lite.train 'task=my fork/Own Cartpole.yaml'"
+        f" 'train=my fork/Own train.yaml' {words} train.params.network.mlp.units=[8]",
+        tmp_path,
+    )
+    (saved, play) = re.search(r"^saved (\S+); play it: (.*)$", said, re.M).groups()  # type: ignore[union-attr]
+    assert "epoch 2/2" in said
+    said = _run(play, tmp_path)
+    assert f"checkpoint: {tmp_path / saved}\n" in said
+    assert "played " in said
+
+
+def test_the_list_that_a_start_refers_to(tmp_path: Path) -> None:
+    words = "task=HumanoidAMP rl_device=cpu num_envs=4 num_threads=1 max_iterations=1"
+    lighter = "train.params.config.horizon_length=4 train.params.config.imitation_frequency=0"
+    said = _run(f"'{sys.executable}' -m isaacgymenvs_lite.train {words} {lighter}", tmp_path)
+    (line,) = (line for line in said.splitlines() if "for learning on a CPU" in line)
+    assert len(line) < 200
+    listed = _run(line.split("listed by: ")[1], tmp_path)
+    assert "defaults for learning on a CPU (on a GPU): numEnvs 1024 (4096), " in listed
