@@ -17,6 +17,7 @@ from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
 from isaacgymenvs_lite.watching.window import Window
 
 
@@ -65,6 +66,7 @@ def make_task(
     if not headless:
         # As in Isaac Gym, the program ends with its window.
         env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
+    limit_torch_threads(env, threads_for_envs(env.num_envs), settings.num_threads)
     return env
 
 
