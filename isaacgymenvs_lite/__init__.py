@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from isaacgymenvs_lite import gymnasium_ids, openmp
+from isaacgymenvs_lite import gymnasium_ids
 from isaacgymenvs_lite._version import __version__
+from isaacgymenvs_lite.utils import openmp
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 
-from isaacgymenvs_lite.openmp import threads_spin
+from isaacgymenvs_lite.utils.openmp import threads_spin
 
 log = logging.getLogger(__name__)
 

@@ -3,9 +3,12 @@ from __future__ import annotations
 import gc
 import os
 
+import gymnasium
 import pytest
 import torch
 
+import isaacgymenvs_lite
+from isaacgymenvs_lite.registration import register_env
 from isaacgymenvs_lite.utils import threads
 from isaacgymenvs_lite.utils.threads import (
     limit_torch_threads,
@@ -16,6 +19,7 @@ from isaacgymenvs_lite.utils.threads import (
     threads_for_products,
     trainer_sets_threads,
 )
+from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 
 @pytest.fixture
@@ -144,3 +148,21 @@ def test_torch_imported_first_is_told_where_threads_stay(four_cpus, monkeypatch,
     monkeypatch.setattr(threads, "threads_spin", lambda: True)
     limit_torch_threads(Task(), 16)
     assert "import isaacgymenvs_lite first, or set OMP_WAIT_POLICY=PASSIVE" in caplog.text
+
+
+def test_whoever_makes_a_small_task_gets_one_thread_but_rl_games(four_cpus):
+    def make(**kwargs):
+        return isaacgymenvs_lite.make(task="Cartpole", num_envs=4, **kwargs)
+
+    task = make()
+    assert torch.get_num_threads() == 1
+    task.close()
+    assert torch.get_num_threads() == 4
+    envs = gymnasium.make_vec("IsaacGymEnvsLite/Cartpole-v0", num_envs=4)
+    assert torch.get_num_threads() == 1
+    envs.close()
+    register_env(make)
+    env = RLGPUEnv("rlgpu", 4)  # rl_games has a key of its own
+    register_env()
+    assert torch.get_num_threads() == 4
+    env.close()

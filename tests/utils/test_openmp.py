@@ -37,10 +37,10 @@ def test_the_package_sets_the_policy_before_torch_is_there():
     ids=["policy", "spin count"],
 )
 def test_what_the_user_says_stays(variables: dict[str, str], policy: str):
-    code = f"import isaacgymenvs_lite, isaacgymenvs_lite.openmp as o; print(o.threads_spin()); {POLICY}"
+    code = f"import isaacgymenvs_lite.utils.openmp as o; print(o.threads_spin()); {POLICY}"
     assert said(code, **variables) == f"False\n{policy}"
 
 
 def test_after_torch_nothing_is_set_and_it_is_known():
-    code = f"import torch, isaacgymenvs_lite.openmp as o; print(o.threads_spin()); {POLICY}"
+    code = f"import torch, isaacgymenvs_lite.utils.openmp as o; print(o.threads_spin()); {POLICY}"
     assert said(code) == "True\nNone"
