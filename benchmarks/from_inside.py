@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -93,14 +93,21 @@ def train_from_inside(cfg: DictConfig, agent_class: Any, epoch: Callable[[Any], 
         Session(cfg, check_config(cfg), seed=0).run()
 
 
-def last_number_of(module: str, *arguments: str) -> float:
+def last_number_of(
+    module: str, *arguments: str, environment: Mapping[str, str] | None = None
+) -> float:
     """Return the number that `python -m module arguments` prints last, in a process of its own.
+
+    Args:
+        module: with a `main`.
+        arguments: words of its command line.
+        environment: all of its variables; None: those of this process.
 
     Raises:
         RuntimeError: it failed; with the end of what it said.
     """
     command = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
     return float(done.stdout.split()[-1])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from isaacgymenvs_lite import gymnasium_ids
 from isaacgymenvs_lite._version import __version__
+from isaacgymenvs_lite.utils import openmp
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", "make", "register_task"]
 
+openmp.let_threads_sleep()  # before anything here imports torch
 gymnasium_ids.register_tasks()
 
 
@@ -33,6 +35,9 @@ def make(
     cfg: DictConfig | None = None,
 ) -> VecTask:
     """Make a task; arguments, names and order as IsaacGymEnvs' `make`, all with a default.
+
+    While a task of few environments is open, torch computes on fewer threads and says so; see
+    `isaacgymenvs_lite.utils.threads`.
 
     Args:
         seed: seeds Python, numpy and torch; -1 for a random seed.

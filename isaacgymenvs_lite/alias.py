@@ -17,7 +17,6 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import logging
-import os
 import runpy
 import sys
 from collections.abc import Sequence
@@ -146,8 +145,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
     _show_our_log()
-    # Read once, when torch is imported; see `train.main`.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     with _stand_in_for_a_gpu():
         runpy.run_path(str(args.script), run_name="__main__")
 

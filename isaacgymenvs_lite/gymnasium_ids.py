@@ -34,6 +34,12 @@ def env_id(task: str) -> str:
     return f"{NAMESPACE}/{task}-v0"
 
 
+def task_of_id(name: str) -> str:
+    """Return the task that Gymnasium's name of it means; another name as it is."""
+    match = re.fullmatch(rf"{NAMESPACE}/(.+)-v\d+", name)
+    return match[1] if match else name
+
+
 def register_tasks() -> None:
     """Register the shipped tasks and those of installed packages, now or when Gymnasium is here."""
     if _REGISTRY in sys.modules:

@@ -28,6 +28,7 @@ from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.tasks.registry import TaskMaker
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
 from isaacgymenvs_lite.watching.window import Window
 
 
@@ -84,6 +85,7 @@ def make_task(
     if opens_window:
         # As in Isaac Gym, the program ends with its window.
         env.watchers.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
+    limit_torch_threads(env, threads_for_envs(env.num_envs), settings.num_threads)
     return env
 
 

@@ -37,9 +37,6 @@ EXIT_INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line in `sys.argv`; exits with 2 after a user's mistake."""
-    # OpenMP reads it once, when torch is imported. Its idle threads would otherwise spin while they
-    # wait for the next network, on the CPUs that the physics threads need.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     configure_logging()
     try:
         _run_hydra()

@@ -50,7 +50,7 @@ class LaunchSettings:
     pipeline: str = setting("cpu", choices=("cpu", "gpu"))
     """Where the task's tensors live."""
     num_threads: int = setting(0, minimum=0)
-    """CPU threads of the physics and of the networks, in turns; 0 means one for each CPU."""
+    """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
 
     progress_interval: float = setting(10.0, above=0)

@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium
 
-from isaacgymenvs_lite.wrappers.record_video import RecordVideo
+from isaacgymenvs_lite.wrappers.task_video import TaskVideo as RecordVideo
 
 __all__ = ["RecordVideo"]
 

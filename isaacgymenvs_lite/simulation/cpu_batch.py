@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import time
 from typing import Any
 
 import mujoco
@@ -40,6 +41,9 @@ _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.m
 # PhysX stopped such bodies at 100 rad/s.
 _MAX_SPEED = 1000.0
 _ROWS_IN_CACHE = 128
+# Waking a thread takes some 10 us, and 100 us on a busy machine: of less work it gains nothing.
+_WORK_PER_THREAD_S = 50e-6
+_TIMED_STEPS = 5
 # Attributes that look into the batch's own memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
@@ -54,8 +58,8 @@ class CpuBatchSimulation:
         model: the compiled model; its timestep is that of one physics step.
         num_envs: N, at least 1.
         substeps: physics steps of one `step()`.
-        num_threads: worker threads, 0 for all CPUs that this process may use. Results do not
-            depend on it.
+        num_threads: worker threads; 0 for as many of the CPUs that this process may use as have
+            enough to do. Results do not depend on it.
 
     Raises:
         ConfigError: a number out of range.
@@ -82,7 +86,9 @@ class CpuBatchSimulation:
         self.dof_names = self.layout.dof_names
         self.object_names = self.layout.object_names
         self.num_failures = 0
-        batch = Batch(model, num_envs, thread_count(num_threads))
+        batch = Batch(
+            model, num_envs, num_threads or _worthwhile_threads(model, num_envs, substeps)
+        )
         self._batch: Batch | None = batch
         self._allocate()
         self._bind_views(batch)
@@ -329,3 +335,21 @@ def _check_order(columns: np.ndarray, what: str) -> None:
 def _silence_mujoco_log_file() -> None:
     """Send MuJoCo's warnings to our log instead of MUJOCO_LOG.TXT in the working directory."""
     mujoco.set_mju_user_warning(lambda message: log.debug("MuJoCo: %s", message))
+
+
+def _worthwhile_threads(model: mujoco.MjModel, num_envs: int, substeps: int) -> int:
+    """Return the threads that have enough to do in a control step, by the time of a physics step.
+
+    Other work on the machine makes a step seem longer, so the shortest of a few counts.
+    """
+    cpus = min(thread_count(), num_envs)
+    if cpus == 1:
+        return 1
+    data = mujoco.MjData(model)
+    times_s = []
+    for _ in range(_TIMED_STEPS):
+        start_s = time.perf_counter()
+        mujoco.mj_step(model, data)
+        times_s.append(time.perf_counter() - start_s)
+    work_s = min(times_s) * substeps * num_envs
+    return max(1, min(cpus, int(work_s / _WORK_PER_THREAD_S)))

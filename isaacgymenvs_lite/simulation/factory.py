@@ -41,7 +41,7 @@ def make_simulation(
         model: the compiled model.
         num_envs: number of simulations.
         substeps: physics steps of one control step.
-        num_threads: CPU worker threads, 0 for all CPUs.
+        num_threads: CPU worker threads; 0 for as many CPUs as have enough to do.
         backend: one of `backend_names()`.
 
     Raises:

@@ -6,6 +6,7 @@ workflow's own. It cannot name code: what becomes of it is decided here, not by 
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,14 +23,20 @@ from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.schema import plain, setting
+from isaacgymenvs_lite.schema import keys_of, plain, setting
 
 PREFIX = "agent."
 """What overrides of an agent file begin with on the command line."""
 
 _DEFAULT = "default"
+_NUM_NEAREST = 3
+_SEED = 42
+# Isaac Lab's names of a task's own file: sb3_cfg_entry_point.
+_ENTRY_POINT = "_cfg_entry_point"
 _ACTIVATIONS: dict[str, type[nn.Module]] = {
     "elu": nn.ELU,
+    "gelu": nn.GELU,
+    "leaky_relu": nn.LeakyReLU,
     "relu": nn.ReLU,
     "selu": nn.SELU,
     "silu": nn.SiLU,
@@ -45,7 +52,8 @@ def load_agent_file(
     Args:
         library: folder in cfg/.
         task: whose file it is; without one of its own, default.yaml.
-        given: a path, or the name of a file of the folder, to take instead.
+        given: a path, or the name of a file of the folder, to take instead; Isaac Lab's
+            `sb3_cfg_entry_point` means the task's own.
         overrides: `agent.key.below=value` each; the workflow of the library knows the keys.
 
     Raises:
@@ -62,8 +70,20 @@ def load_agent_file(
     return plain(content)
 
 
+def seed_of(content: Mapping[str, Any]) -> int:
+    """Return the seed of an agent file, as Isaac Lab's have one; 42 if it has none.
+
+    Raises:
+        ConfigError: it is no whole number.
+    """
+    seed = content.get("seed", _SEED)
+    if not isinstance(seed, int) or isinstance(seed, bool):
+        raise ConfigError(f"agent.seed: got {seed!r}, expected a whole number")
+    return seed
+
+
 def _find(folder: Path, task: str, given: str | None) -> Path:
-    if given is None:
+    if given is None or given.endswith(_ENTRY_POINT):
         own = folder / f"{task}.yaml"
         return own if own.is_file() else folder / f"{_DEFAULT}.yaml"
     for path in (Path(given).expanduser(), folder / f"{given}.yaml"):
@@ -81,6 +101,45 @@ class AgentSettings:
     """Rollouts, each with the updates that follow it."""
     checkpoint_interval: int = setting(minimum=1)
     """Iterations."""
+    seed: int = setting(_SEED)
+    """Unless the command line gives one."""
+
+
+def check_keys(
+    cls: type[Any],
+    content: Mapping[str, Any],
+    where: str,
+    functions: Mapping[str, Callable[..., Any]] | None = None,
+) -> None:
+    """Check that a section has no key that its settings do not read.
+
+    Args:
+        cls: the settings.
+        content: the section.
+        where: its path, `agent`.
+        functions: of sections in it, what their keys are arguments of, to find a key that stands
+            one section too high.
+
+    Raises:
+        ConfigError: it has one; the message names the nearest keys.
+    """
+    own = keys_of(cls)
+    below = {
+        f"{section}.{name}": name
+        for section, function in (functions or {}).items()
+        for name in inspect.signature(function).parameters
+    }
+    for key in content:
+        if key in own:
+            continue
+        near = [path for path, name in below.items() if name == key]
+        near += difflib.get_close_matches(str(key), [*own, *below], n=_NUM_NEAREST, cutoff=0.5)
+        near = list(dict.fromkeys(near))[:_NUM_NEAREST]
+        names = " or ".join(f"'{path}'" for path in near)
+        asked = f" (did you mean {names}?)" if near else ""
+        raise ConfigError(
+            f"unknown key '{where}.{key}'{asked}; {where} has {', '.join(sorted(own))}"
+        )
 
 
 def check_arguments(

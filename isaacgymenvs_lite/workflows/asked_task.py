@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose_task
+from isaacgymenvs_lite.config.devices import check_device
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.making import make_from_config, seed_everything
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.utils.threads import thread_count
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_products
 from isaacgymenvs_lite.watching.start import Watching
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 
@@ -50,7 +50,7 @@ class MadeTask:
         settings: what it is made of, as plain values.
         rl_device: torch device of the agent.
         seed: of the agent.
-        agent_words: overrides of the agent file.
+        num_threads: as the key; 0 for as many as pay.
         watching: videos, window and page, once they are begun.
     """
 
@@ -58,7 +58,7 @@ class MadeTask:
     settings: dict[str, Any]
     rl_device: str
     seed: int
-    agent_words: list[str]
+    num_threads: int
     watching: Watching
 
     def watch(self, folder: Path, prefix: str = "rl-video") -> None:
@@ -70,38 +70,59 @@ class MadeTask:
         """
         self.watching.start(self.task, folder, _interrupt, prefix)
 
+    def fit_threads(self, rows: int, num_parameters: int) -> None:
+        """Let torch compute on as many threads as pay, until the task is closed.
+
+        Args:
+            rows: that the networks are evaluated for at once.
+            num_parameters: of the networks.
+        """
+        most = threads_for_products(rows * num_parameters)
+        limit_torch_threads(self.task, most, self.num_threads)
+
     def close(self) -> None:
         """Finish what is being recorded, and free the task."""
         self.watching.close()
         self.task.close()
 
 
-def make_asked_task(args: argparse.Namespace, *, plays: bool) -> MadeTask:
+def agent_words(args: argparse.Namespace) -> list[str]:
+    """Return the overrides of the agent file."""
+    return [word for word in args.overrides if word.startswith(PREFIX)]
+
+
+def make_asked_task(args: argparse.Namespace, seed: int, *, plays: bool) -> MadeTask:
     """Seed the generators and make the task that the command line asks for.
 
     Args:
         args: of `arguments.make_parser`.
+        seed: unless the command line gives one.
         plays: whether an agent is played, not trained.
 
     Raises:
         UserError: what train.py would refuse, or a word that means nothing here.
     """
-    agent_words = [word for word in args.overrides if word.startswith(PREFIX)]
     words = [word for word in args.overrides if not word.startswith(PREFIX)]
     _check_words(words)
-    own = [f"seed={args.seed}"]
+    own = [f"seed={seed if args.seed is None else args.seed}"]
     if args.num_envs is not None:
         own.append(f"num_envs={args.num_envs}")
+    if args.device is not None:
+        check_device(args.device, "--device")
+        own.append(f"rl_device={args.device}")
+    if (args.livestream or 0) > 0:
+        own.append("viewer=web")
     cfg = compose_task(args.task, [*own, *words])
     settings = check_config(cfg)
     watching = Watching(_watched(settings, args, plays))
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
-    torch.set_num_threads(thread_count(settings.num_threads))
     task = make_from_config(
         cfg, sim_device=settings.sim_device, rl_device=settings.rl_device, graphics_device_id=-1
     )
-    return MadeTask(task, _plain(cfg, seed), settings.rl_device, seed, agent_words, watching)
+    return MadeTask(
+        task, _plain(cfg, seed), settings.rl_device, seed, settings.num_threads, watching
+    )
 
 
 def _check_words(words: Iterable[str]) -> None:

@@ -18,13 +18,22 @@ class Agent(Protocol):
     Attributes:
         stepper: what steps the task, below the library's own wrappers.
         max_iterations: as the agent file says.
+        minibatch_rows: rows that the networks are evaluated for in a gradient step.
+        num_parameters: of the networks.
     """
 
     stepper: AutoresetTask
     max_iterations: int
+    minibatch_rows: int
+    num_parameters: int
 
-    def learn(self, folder: Path) -> None:
-        """Train for `max_iterations`; checkpoints and TensorBoard's files go into `folder`."""
+    def learn(self, folder: Path, log_interval: int | None = None) -> None:
+        """Train for `max_iterations`; checkpoints and TensorBoard's files go into `folder`.
+
+        Args:
+            folder: of the training.
+            log_interval: frames from one log entry to the next; None: the library's own.
+        """
         ...
 
     def save(self, folder: Path) -> Path:

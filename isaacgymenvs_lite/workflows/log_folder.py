@@ -59,7 +59,7 @@ def last_checkpoint(logs: Path, library: Library, task: str) -> Path:
     files = [file for pattern in library.checkpoints for file in folder.glob(f"*/{pattern}")]
     if not files:
         raise CheckpointError(
-            f"--use_last_checkpoint: no checkpoint below {folder.absolute()}; train one first:"
+            f"no checkpoint below {folder.absolute()}; train one first, or give --checkpoint FILE:"
             f" {library.command('train')} --task {task}"
         )
     return max(files, key=lambda file: file.stat().st_mtime)

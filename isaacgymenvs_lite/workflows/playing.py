@@ -6,15 +6,16 @@ import argparse
 import contextlib
 import logging
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from isaacgymenvs_lite.workflows.agent_files import load_agent_file
+from isaacgymenvs_lite.workflows.agent_files import load_agent_file, seed_of
 from isaacgymenvs_lite.workflows.arguments import make_parser, run_workflow
-from isaacgymenvs_lite.workflows.asked_task import make_asked_task
+from isaacgymenvs_lite.workflows.asked_task import agent_words, make_asked_task
 from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import agent_file_of, date, folder_of, last_checkpoint
@@ -56,31 +57,33 @@ def play(library: Library, arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; None = `sys.argv`.
     """
     parser = make_parser(library, "play")
-    which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--checkpoint", help="a file")
-    which.add_argument(
-        "--use_last_checkpoint", action="store_true", help="the newest of the task's trainings"
-    )
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--checkpoint", help="a file; default: the newest of the task's trainings")
+    which.add_argument("--use_last_checkpoint", action="store_true", help="the default")
+    parser.add_argument("--real-time", action="store_true", help="wait where steps are too fast")
     return run_workflow(library, parser, lambda args: _play(library, args), arguments)
 
 
 def _play(library: Library, args: argparse.Namespace) -> None:
     name = Path(args.task).stem
     logs = Path(args.logs)
-    if args.use_last_checkpoint:
+    if args.checkpoint is None:
         checkpoint = last_checkpoint(logs, library, name)
     else:
         checkpoint = Path(args.checkpoint).expanduser()
     read_parameters(checkpoint, library)  # whose it is, before its folder's agent file is read
     file = args.agent or agent_file_of(checkpoint)
-    made = make_asked_task(args, plays=True)
+    content = load_agent_file(library.name, name, file and str(file), agent_words(args))
+    made = make_asked_task(args, seed_of(content), plays=True)
     try:
-        content = load_agent_file(library.name, name, file and str(file), made.agent_words)
         agent = library.make_agent(made.task, content, made.rl_device, made.seed)
+        made.fit_threads(made.task.num_envs, agent.num_parameters)
         agent.load(checkpoint)
         log.info("checkpoint: %s", checkpoint)
         made.watch(folder_of(checkpoint), f"play_{date()}")
         step = agent.player()
+        if args.real_time:
+            step = _in_real_time(step, made.task.simulation.dt)
         played = play_episodes(agent.stepper, step)
         sys.stdout.write("\n".join([*played.lines(), ""]))
         sys.stdout.flush()
@@ -89,6 +92,19 @@ def _play(library: Library, args: argparse.Namespace) -> None:
                 step()
     finally:
         made.close()
+
+
+def _in_real_time(step: Callable[[], None], dt_s: float) -> Callable[[], None]:
+    """Return steps that begin no sooner after each other than the simulated time passes."""
+    next_step_s = time.monotonic()
+
+    def paced() -> None:
+        nonlocal next_step_s
+        time.sleep(max(0.0, next_step_s - time.monotonic()))
+        next_step_s = max(next_step_s, time.monotonic()) + dt_s
+        step()
+
+    return paced
 
 
 def play_episodes(stepper: AutoresetTask, step: Callable[[], None]) -> Played:

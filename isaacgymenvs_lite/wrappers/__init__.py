@@ -18,6 +18,7 @@ from isaacgymenvs_lite.optional_packages import require
 if TYPE_CHECKING:
     from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
     from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+    from isaacgymenvs_lite.wrappers.record_video import RecordVectorVideo, RecordVideo
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
     from isaacgymenvs_lite.wrappers.rsl_rl_env import RslRlVecEnvWrapper
     from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
@@ -27,6 +28,8 @@ __all__ = [
     "GymnasiumEnv",
     "GymnasiumVectorEnv",
     "RLGPUEnv",
+    "RecordVectorVideo",
+    "RecordVideo",
     "RslRlVecEnvWrapper",
     "Sb3VecEnvWrapper",
     "SkrlVecEnvWrapper",
@@ -37,6 +40,8 @@ _PLACES: dict[str, tuple[str, str | None]] = {
     "GymnasiumEnv": ("gymnasium_single", None),
     "GymnasiumVectorEnv": ("gymnasium_vector", None),
     "RLGPUEnv": ("rl_games_env", None),
+    "RecordVectorVideo": ("record_video", "av"),
+    "RecordVideo": ("record_video", "av"),
     "RslRlVecEnvWrapper": ("rsl_rl_env", "rsl_rl"),
     "Sb3VecEnvWrapper": ("sb3_env", "stable_baselines3"),
     "SkrlVecEnvWrapper": ("skrl_env", "skrl"),

@@ -11,6 +11,7 @@ from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
 from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
 from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
 
@@ -57,8 +58,7 @@ def make_single_env(
     **keys: Any,
 ) -> GymnasiumEnv:
     """Make what `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)` returns; see the other."""
-    # One environment has no work for a second thread.
-    made, random = _make(task, 1, overrides, config_dir, {"num_threads": 1, **keys})
+    made, random = _make(task, 1, overrides, config_dir, keys)
     return GymnasiumEnv(made, render_mode, width=width, height=height, random=random)
 
 
@@ -83,6 +83,7 @@ def _make(
             rl_device=settings.rl_device,
             graphics_device_id=settings.graphics_device_id,
         )
+    limit_torch_threads(made, threads_for_envs(num_envs), settings.num_threads)
     return made, random
 
 

@@ -9,6 +9,7 @@ from rl_games.common.ivecenv import IVecEnv
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_threads
 
 
 class RLGPUEnv(IVecEnv):
@@ -29,7 +30,10 @@ class RLGPUEnv(IVecEnv):
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
         del num_actors
-        self.env: VecTask = env_configurations.configurations[config_name]["env_creator"](**kwargs)
+        creator = env_configurations.configurations[config_name]["env_creator"]
+        with trainer_sets_threads():  # rl_games has the key torch_threads
+            self.env: VecTask = creator(**kwargs)
+        release_torch_threads(self.env)  # of a task that was made before
         self._is_asked_for_resets = False
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.simulation import cpu_batch
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 
 # Falls freely from 10 m; 0.005 s per physics step.
@@ -202,3 +203,13 @@ def test_a_model_without_contact_sensors_reports_no_forces(make_simulation) -> N
     simulation = make_simulation(FALLING_BALL)
     simulation.step()
     np.testing.assert_array_equal(simulation.contact_forces.numpy(), 0.0)
+
+
+def test_threads_that_have_too_little_to_do_are_not_made(
+    make_simulation, humanoid_model, monkeypatch
+) -> None:
+    monkeypatch.setattr(cpu_batch, "thread_count", lambda: 4)
+    # Some microseconds of work in a step, and some milliseconds.
+    assert make_simulation(FALLING_BALL, num_envs=4, num_threads=0).num_threads == 1
+    assert make_simulation(humanoid_model, 128, substeps=4, num_threads=0).num_threads == 4
+    assert make_simulation(humanoid_model, 2, substeps=40, num_threads=0).num_threads == 2

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pytest
 import yaml
 
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
@@ -156,7 +157,7 @@ def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
         return fails(run_train, library, *SMALL, *words)
 
     assert "Cartpole" in line("--task", "Cartpol")
-    assert "'agent.max_iteration' (did you mean 'max_iterations'?)" in line("agent.max_iteration=3")
+    assert "'agent.max_iteration' (did you mean 'max_iterations'" in line("agent.max_iteration=3")
     assert "use --max_iterations" in line("max_iterations=3")
     assert "is no setting of another library's agent" in line("wandb_activate=True")
     assert "use --task" in line("task=Ant")
@@ -167,3 +168,25 @@ def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
     unknown = tmp_path / "agent.yaml"
     unknown.write_text("max_iterations: 1\n")
     assert "is missing" in line("--agent", str(unknown))
+
+
+def test_unknown_keys_of_the_agent_file_name_the_nearest(library, run_train, fails):
+    def line(*words: str) -> str:
+        return fails(run_train, library, *SMALL, *words)
+
+    # Resembles nothing, and stood in the log only.
+    assert "unknown key 'agent.zzz'; agent has " in line("agent.zzz=1")
+    section = {"sb3": "ppo", "skrl": "ppo", "rsl_rl": "algorithm"}[library.name]
+    wrong = f"unknown key 'agent.learning_rate' (did you mean '{section}.learning_rate'"
+    assert wrong in line("agent.learning_rate=1e-3")
+    assert f"unknown key of agent.{section} 'learning_rat'" in line(
+        f"agent.{section}.learning_rat=1"
+    )
+
+
+def test_the_last_model_of_sb3_is_where_isaac_lab_has_it(run_train, tmp_path):
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    run_train(SB3, *SMALL, "--max_iterations", "1")
+    folder = folder_of(tmp_path, SB3)
+    assert stable_baselines3.PPO.load(folder / "model").num_timesteps == 32 * 4
+    assert not list(folder.rglob("*.pkl"))

@@ -28,7 +28,7 @@ from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.watcher import Watcher
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
-from isaacgymenvs_lite.utils.threads import one_torch_thread
+from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_threads
 
 log = logging.getLogger(__name__)
 
@@ -346,6 +346,7 @@ class VecTask(Env):
             self.watchers.pop().close()
         self._camera.close()
         self.simulation.close()
+        release_torch_threads(self)
 
     def _observations(self) -> dict[str, Tensor]:
         self.obs_dict["obs"] = self._clamped(self.obs_buf)

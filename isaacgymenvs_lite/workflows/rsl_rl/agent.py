@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +17,17 @@ from rsl_rl.runners import OnPolicyRunner
 
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.workflows.agent_files import AgentSettings, check_arguments, making
+from isaacgymenvs_lite.workflows.agent_files import (
+    AgentSettings,
+    check_arguments,
+    check_keys,
+    making,
+)
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
 from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
+
+log = logging.getLogger(__name__)
 
 # Given by the workflow, or able to name code.
 _RESERVED_PPO = (
@@ -58,6 +66,8 @@ class RslRlAgent:
     Attributes:
         stepper: steps the task.
         max_iterations: see `library.Agent`.
+        minibatch_rows: see `library.Agent`.
+        num_parameters: see `library.Agent`.
         runner: rsl_rl's.
 
     Raises:
@@ -66,6 +76,8 @@ class RslRlAgent:
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
         del seed
+        sections = {"algorithm": PPO, "actor": MLPModel, "distribution": GaussianDistribution}
+        check_keys(RslRlSettings, content, "agent", sections)
         settings = read_section(RslRlSettings, content, "agent", complete=True)
         self.max_iterations = settings.max_iterations
         self._env = env = RslRlVecEnvWrapper(task)
@@ -74,9 +86,16 @@ class RslRlAgent:
         runner_settings = _runner_settings(settings, task)
         with making("OnPolicyRunner"):
             self.runner = OnPolicyRunner(env, runner_settings, None, device)
+        algorithm = self.runner.alg
+        rows = settings.num_steps_per_env * task.num_envs
+        self.minibatch_rows = rows // max(1, algorithm.num_mini_batches)
+        networks = (algorithm.actor, algorithm.critic)
+        self.num_parameters = sum(p.numel() for network in networks for p in network.parameters())
 
-    def learn(self, folder: Path) -> None:
-        """See `library.Agent`."""
+    def learn(self, folder: Path, log_interval: int | None = None) -> None:
+        """See `library.Agent`; rsl_rl logs every iteration."""
+        if log_interval is not None:
+            log.info("--log_interval: rsl_rl logs every iteration, whatever it says")
         self.runner.logger.log_dir = str(folder)
         self.runner.learn(self.max_iterations)
 

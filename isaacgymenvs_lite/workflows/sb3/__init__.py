@@ -9,5 +9,5 @@ LIBRARY = Library(
     title="Stable-Baselines3",
     package="stable_baselines3",
     agent_class="Sb3Agent",
-    checkpoints=("checkpoints/model_*.zip",),
+    checkpoints=("checkpoints/model_*.zip", "model.zip"),
 )

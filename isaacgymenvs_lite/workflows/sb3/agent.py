@@ -8,40 +8,52 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, LogEveryNTimesteps
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     activation,
     check_arguments,
+    check_keys,
     making,
 )
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY
+from isaacgymenvs_lite.workflows.sb3.isaac_lab import is_flat, to_sections
+from isaacgymenvs_lite.workflows.sb3.statistics import load_statistics, save_statistics
 from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
 
-# Given by the workflow.
+# Given by the workflow, or able to name code.
 _RESERVED = (
     *("policy", "env", "seed", "device", "batch_size", "policy_kwargs"),
-    *("tensorboard_log", "_init_setup_model"),
+    *("tensorboard_log", "_init_setup_model", "rollout_buffer_class", "rollout_buffer_kwargs"),
 )
+_RESERVED_POLICY = (
+    *("observation_space", "action_space", "lr_schedule", "activation_fn"),
+    *("features_extractor_class", "features_extractor_kwargs", "optimizer_class"),
+)
+# Numbers, or "lin_3e-4": from it to zero, as Stable-Baselines3's zoo and Isaac Lab write it.
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
+_LINEAR = "lin_"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sb3Settings(AgentSettings):
     """An agent file."""
 
-    minibatches: int = setting(minimum=1)
+    minibatches: int | None = setting(None, minimum=1)
     """Of an epoch."""
+    batch_size: int | None = setting(None, minimum=2)
+    """Rows of a minibatch, in place of `minibatches`."""
     ppo: dict[str, Any] = setting()
     """Arguments of PPO."""
     policy: dict[str, Any] = setting()
@@ -58,12 +70,12 @@ class _Rollout:
 class Sb3Agent:
     """PPO, `VecNormalize` around the environment where the agent file has `vec_normalize`.
 
-    A checkpoint is `checkpoints/model_<steps>.zip`, which PPO.load reads, and beside it
-    `model_<steps>.npz` with the normalisers' statistics.
+    A checkpoint is `checkpoints/model_<steps>.zip`, the last one `model.zip`, which PPO.load reads,
+    and beside it a `.npz` with the normalisers' statistics.
 
     Args:
         task: the task.
-        content: of an agent file.
+        content: of an agent file, ours or Isaac Lab's.
         device: of the networks.
         seed: of the agent.
 
@@ -71,6 +83,8 @@ class Sb3Agent:
         stepper: steps the task.
         model: the algorithm.
         max_iterations: see `library.Agent`.
+        minibatch_rows: see `library.Agent`.
+        num_parameters: see `library.Agent`.
         normalizer: around the environment, or None.
 
     Raises:
@@ -78,51 +92,57 @@ class Sb3Agent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
+        if is_flat(content):
+            content = to_sections(content, task.num_envs)
+        sections = {"ppo": PPO, "policy": ActorCriticPolicy, "vec_normalize": VecNormalize}
+        check_keys(Sb3Settings, content, "agent", sections)
         settings = read_section(Sb3Settings, content, "agent", complete=True)
-        check_arguments(PPO, settings.ppo, "agent.ppo", _RESERVED)
-        rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
         self.max_iterations = settings.max_iterations
         self._interval = settings.checkpoint_interval
         adapter = Sb3VecEnvWrapper(task)
         self.stepper = adapter.stepper
-        self._env: VecEnv = adapter
-        self.normalizer: VecNormalize | None = None
-        if settings.vec_normalize is not None:
-            normalize = settings.vec_normalize
-            check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
-            gamma = float(settings.ppo.get("gamma", 0.99))
-            with making("VecNormalize"):
-                self._env = self.normalizer = VecNormalize(adapter, gamma=gamma, **normalize)
-        samples = rollout.n_steps * task.num_envs
+        self.normalizer = _make_normalizer(settings, adapter)
+        self._env: VecEnv = self.normalizer or adapter
+        arguments = _ppo_arguments(settings)
+        self.minibatch_rows = _minibatch_rows(settings, task.num_envs)
         function = activation(settings.policy.get("activation", "elu"))
         policy = {k: v for k, v in settings.policy.items() if k != "activation"}
-        check_arguments(ActorCriticPolicy, policy, "agent.policy", ("activation_fn",))
+        check_arguments(ActorCriticPolicy, policy, "agent.policy", _RESERVED_POLICY)
         with making("PPO"):
             self.model = PPO(
                 "MlpPolicy",
                 self._env,
-                batch_size=max(2, samples // settings.minibatches),
+                batch_size=self.minibatch_rows,
                 policy_kwargs={**policy, "activation_fn": function},
                 seed=seed,
                 device=device,
-                **settings.ppo,
+                **arguments,
             )
+        self.num_parameters = sum(p.numel() for p in self.model.policy.parameters())
 
-    def learn(self, folder: Path) -> None:
-        """See `library.Agent`."""
+    def learn(self, folder: Path, log_interval: int | None = None) -> None:
+        """See `library.Agent`; the last checkpoint is `model.zip`."""
         self.model.set_logger(configure(str(folder), ["stdout", "tensorboard"]))
         steps = self.max_iterations * self.model.n_steps * self.stepper.num_envs
-        self.model.learn(steps, callback=_Saver(self, folder, self._interval))
-        self.save(folder)
+        callbacks: list[BaseCallback] = [_Saver(self, folder, self._interval)]
+        if log_interval is None:
+            self.model.learn(steps, callback=callbacks)
+        else:
+            callbacks.append(LogEveryNTimesteps(log_interval))
+            self.model.learn(steps, callback=callbacks, log_interval=None)  # type: ignore[arg-type]
+        self._save(folder / "model.zip")
 
     def save(self, folder: Path) -> Path:
         """See `library.Agent`; of a normalised environment also the statistics, `.npz`."""
         path = folder / "checkpoints" / f"model_{self.model.num_timesteps}.zip"
         path.parent.mkdir(exist_ok=True)
+        self._save(path)
+        return path
+
+    def _save(self, path: Path) -> None:
         self.model.save(path)
         if self.normalizer is not None:
-            np.savez(path.with_suffix(".npz"), **_statistics(self.normalizer))
-        return path
+            save_statistics(self.normalizer, path.with_suffix(".npz"))
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
@@ -137,7 +157,7 @@ class Sb3Agent:
                     f"--checkpoint {checkpoint}: the agent file has vec_normalize, and there are no"
                     f" statistics beside it: {statistics.name} is missing"
                 )
-            _take_statistics(self.normalizer, statistics)
+            load_statistics(self.normalizer, statistics)
 
     def player(self) -> Callable[[], None]:
         """See `library.Agent`."""
@@ -170,26 +190,46 @@ class _Saver(BaseCallback):
             self._agent.save(self._folder)
 
 
-def _statistics(normalizer: VecNormalize) -> dict[str, Any]:
-    """Return mean, variance and number of observations and of returns, by name."""
-    named = {"obs": normalizer.obs_rms, "ret": normalizer.ret_rms}
-    return {
-        f"{name}_{part}": getattr(moments, part)
-        for name, moments in named.items()
-        if normalizer.norm_obs or name == "ret"
-        for part in ("mean", "var", "count")
-    }
+def _make_normalizer(settings: Sb3Settings, env: VecEnv) -> VecNormalize | None:
+    normalize = settings.vec_normalize
+    if normalize is None:
+        return None
+    check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
+    gamma = settings.ppo.get("gamma", 0.99)
+    with making("VecNormalize"):
+        return VecNormalize(env, gamma=float(gamma), **normalize)
 
 
-def _take_statistics(normalizer: VecNormalize, file: Path) -> None:
-    def take() -> None:
-        with np.load(file, allow_pickle=False) as saved:
-            for name, own in _statistics(normalizer).items():
-                value = saved[name]
-                if value.shape != np.shape(own):
-                    raise ValueError(f"{name} has shape {value.shape}, not {np.shape(own)}")
-                kind, part = name.split("_")
-                moments = normalizer.obs_rms if kind == "obs" else normalizer.ret_rms
-                setattr(moments, part, value if part != "count" else float(value))
+def _ppo_arguments(settings: Sb3Settings) -> dict[str, Any]:
+    """Return the section `ppo` with its schedules made.
 
-    apply(take, file)
+    Raises:
+        ConfigError: a key or a value that cannot be used.
+    """
+    arguments = dict(settings.ppo)
+    schedules: dict[str, LinearSchedule] = {}
+    for key in _SCHEDULED:
+        value = arguments.get(key)
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            try:
+                arguments[key] = float(value.removeprefix(_LINEAR))
+            except ValueError as error:
+                message = f"agent.ppo.{key}: got {value!r}, expected a number, or lin_ and a number"
+                raise ConfigError(message) from error
+            schedules[key] = LinearSchedule(arguments[key], 0.0, 1.0)
+    check_arguments(PPO, arguments, "agent.ppo", _RESERVED)
+    return arguments | schedules
+
+
+def _minibatch_rows(settings: Sb3Settings, num_envs: int) -> int:
+    """Return the rows of a minibatch.
+
+    Raises:
+        ConfigError: they are said twice, or not at all.
+    """
+    if (settings.minibatches is None) == (settings.batch_size is None):
+        raise ConfigError("agent: expected either minibatches, of an epoch, or batch_size, in rows")
+    if settings.batch_size is not None:
+        return settings.batch_size
+    rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
+    return max(2, rollout.n_steps * num_envs // (settings.minibatches or 1))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     activation,
     check_arguments,
+    check_keys,
     making,
 )
 from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
@@ -82,6 +83,8 @@ class SkrlAgent:
     Attributes:
         stepper: steps the task.
         max_iterations: see `library.Agent`.
+        minibatch_rows: see `library.Agent`.
+        num_parameters: see `library.Agent`.
         agent: skrl's.
 
     Raises:
@@ -90,6 +93,9 @@ class SkrlAgent:
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
         del seed
+        check_keys(SkrlSettings, content, "agent", {"ppo": PPO_CFG, "network": NetworkSettings})
+        if isinstance(content.get("network"), Mapping):
+            check_keys(NetworkSettings, content["network"], "agent.network")
         settings = read_section(SkrlSettings, content, "agent", complete=True)
         check_arguments(PPO_CFG, settings.ppo, "agent.ppo", _RESERVED)
         rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
@@ -113,6 +119,9 @@ class SkrlAgent:
         with making("PPO"):
             cfg = PPO_CFG(**settings.ppo, **self._made_of(settings, device))
             self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
+        self.minibatch_rows = self._rollouts * env.num_envs // max(1, cfg.mini_batches)
+        networks = models.values()
+        self.num_parameters = sum(p.numel() for network in networks for p in network.parameters())
 
     def _made_of(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
         """Return what of PPO's configuration is a class or function, by the file's own keys."""
@@ -133,11 +142,12 @@ class SkrlAgent:
             made["learning_rate_scheduler_kwargs"] = {"kl_threshold": settings.target_kl}
         return made
 
-    def learn(self, folder: Path) -> None:
+    def learn(self, folder: Path, log_interval: int | None = None) -> None:
         """See `library.Agent`."""
         experiment = self.agent.cfg.experiment
         self.agent.experiment_dir = str(folder)
-        self.agent.write_interval = experiment.write_interval = self._rollouts
+        write = self._rollouts if log_interval is None else log_interval // self._env.num_envs
+        self.agent.write_interval = experiment.write_interval = max(1, write)
         interval = self._interval * self._rollouts
         self.agent.checkpoint_interval = experiment.checkpoint_interval = interval
         steps = self.max_iterations * self._rollouts

@@ -1,0 +1,174 @@
+"""Isaac Lab's agent files for Stable-Baselines3: all keys in one section, classes by their names.
+
+    n_timesteps: 1.0e6
+    policy: MlpPolicy
+    n_steps: 16
+    batch_size: 4096
+    policy_kwargs: {activation_fn: nn.ELU, net_arch: [32, 32]}
+    normalize_input: True
+
+Older ones write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`, which
+their reader evaluates. Here it is parsed: numbers, texts, lists, dictionaries and names of
+activations are all that it may hold, and nothing of it is run.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import logging
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from stable_baselines3 import PPO
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+
+log = logging.getLogger(__name__)
+
+_POLICY = "MlpPolicy"
+# SB3's own defaults for what a file leaves out.
+_N_STEPS, _BATCH_SIZE = 2048, 64
+_CLIP_OBS = 100.0  # Isaac Lab's
+_OWN_KEYS = ("max_iterations", "checkpoint_interval", "seed")
+_FLAT_KEYS = (
+    *("n_timesteps", "policy", "policy_kwargs", "n_minibatches", "device"),
+    *("normalize_input", "normalize_value", "clip_obs"),
+)
+# Of PPO, but nothing that a file can say.
+_NOT_KEYS = (
+    *("env", "tensorboard_log", "_init_setup_model"),
+    *("rollout_buffer_class", "rollout_buffer_kwargs"),
+)
+_MOST_TEXT = 2000
+_NN = ("nn.", "torch.nn.", "th.nn.")
+
+
+def is_flat(content: Mapping[str, Any]) -> bool:
+    """Whether an agent file is one of Isaac Lab's."""
+    signs = ("n_timesteps", "n_steps", "policy_kwargs")
+    return "ppo" not in content and any(key in content for key in signs)
+
+
+def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
+    """Return what an agent file of Isaac Lab says, in the sections of our own.
+
+    Args:
+        content: of the file.
+        num_envs: of the training, which `n_timesteps` and `n_minibatches` are shared by.
+
+    Raises:
+        ConfigError: an unknown key, or a value that cannot be used.
+    """
+    arguments = [
+        name for name in inspect.signature(PPO).parameters if name not in (*_NOT_KEYS, *_FLAT_KEYS)
+    ]
+    for key in content:
+        if key not in (*arguments, *_FLAT_KEYS, *_OWN_KEYS):
+            names = {*arguments, *_FLAT_KEYS, *_OWN_KEYS}
+            raise ConfigError(unknown("key of agent", str(key), names))
+    if content.get("policy", _POLICY) != _POLICY:
+        raise ConfigError(f"agent.policy: got {content['policy']!r}, expected {_POLICY}")
+    if "device" in content:
+        log.info("agent.device is not read: --device says where the networks are")
+    own = (*_OWN_KEYS, "batch_size")
+    ppo = {name: content[name] for name in arguments if name in content and name not in own}
+    ppo.setdefault("n_steps", _N_STEPS)
+    sections: dict[str, Any] = {
+        "checkpoint_interval": content.get("checkpoint_interval", 50),
+        "max_iterations": _iterations(content, num_envs),
+        "ppo": ppo,
+        "policy": _policy(content.get("policy_kwargs") or {}),
+        "vec_normalize": _normalizer(content),
+    }
+    if "n_minibatches" in content:
+        sections["minibatches"] = content["n_minibatches"]
+    else:
+        sections["batch_size"] = content.get("batch_size", _BATCH_SIZE)
+    return sections
+
+
+def _iterations(content: Mapping[str, Any], num_envs: int) -> Any:
+    if "max_iterations" in content:
+        return content["max_iterations"]
+    frames = _number(content, "n_timesteps", None)
+    return max(1, math.ceil(frames / (_number(content, "n_steps", _N_STEPS) * num_envs)))
+
+
+def _number(content: Mapping[str, Any], key: str, default: float | None) -> float:
+    value = content.get(key, default)
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and 1 <= value < math.inf
+    if not fits:
+        raise ConfigError(f"agent.{key}: got {value!r}, expected a number >= 1")
+    return value
+
+
+def _normalizer(content: Mapping[str, Any]) -> dict[str, Any] | None:
+    if not content.get("normalize_input", False):
+        if content.get("normalize_value", False):
+            log.warning("agent.normalize_value does nothing without normalize_input, as published")
+        return None
+    return {
+        "norm_obs": True,
+        "norm_reward": content.get("normalize_value", False),
+        "clip_obs": content.get("clip_obs", _CLIP_OBS),
+        "clip_reward": math.inf,
+    }
+
+
+def _policy(arguments: Any) -> dict[str, Any]:
+    """Return `policy_kwargs`, the activation by our name of it."""
+    if isinstance(arguments, str):
+        arguments = _parsed(arguments)
+    if not isinstance(arguments, Mapping):
+        raise ConfigError(f"agent.policy_kwargs: got {arguments!r}, expected a mapping")
+    policy = dict(arguments)
+    function = policy.pop("activation_fn", "nn.Tanh")  # SB3's own
+    prefix = next((p for p in _NN if str(function).startswith(p)), None)
+    if not isinstance(function, str) or prefix is None:
+        raise ConfigError(
+            f"agent.policy_kwargs.activation_fn: got {function!r}, expected a name such as nn.ELU"
+        )
+    name = function.removeprefix(prefix).lower()
+    policy["activation"] = "leaky_relu" if name == "leakyrelu" else name
+    return policy
+
+
+def _parsed(text: str) -> Any:
+    """Return what a line of Python means, without running it.
+
+    Raises:
+        ConfigError: there is more in it than numbers, texts, lists, dictionaries, activations.
+    """
+    refusal = (
+        f"agent.policy_kwargs={text[:60]!r}: expected a mapping, or dict(...) of numbers, lists and"
+        " activations such as nn.ELU; nothing of it is run"
+    )
+    if len(text) > _MOST_TEXT:
+        raise ConfigError(refusal)
+    try:
+        return _value(ast.parse(text.strip(), mode="eval").body)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ConfigError(refusal) from error
+
+
+def _value(node: ast.expr) -> Any:
+    match node:
+        case ast.Call(func=ast.Name(id="dict"), args=[], keywords=words):
+            if any(word.arg is None for word in words):
+                raise ValueError("**")
+            return {str(word.arg): _value(word.value) for word in words}
+        case ast.Dict(keys=keys, values=values):
+            if not all(
+                isinstance(key, ast.Constant) and isinstance(key.value, str) for key in keys
+            ):
+                raise ValueError("a key that is no text")
+            pairs = zip(keys, values, strict=True)
+            return {key.value: _value(value) for key, value in pairs}  # type: ignore[union-attr]
+        case ast.List(elts=entries) | ast.Tuple(elts=entries):
+            return [_value(entry) for entry in entries]
+        case ast.Attribute() if ast.unparse(node).startswith(_NN):
+            return ast.unparse(node)
+        case _:
+            return ast.literal_eval(node)

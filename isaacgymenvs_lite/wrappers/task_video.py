@@ -1,0 +1,136 @@
+"""Videos of a task at steps or episodes of one's choice, with the calls of gym's RecordVideo."""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder
+from isaacgymenvs_lite.rendering.video import check_encoder
+from isaacgymenvs_lite.watching.film_maker import Film, FilmMaker
+from isaacgymenvs_lite.watching.video_capture import make_video_folder
+from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
+
+# Control steps of a video that is to last as long as an episode.
+_MAX_LENGTH = 10_000
+
+
+class TaskVideo:
+    """A task that records videos of its environment 0; everything else is the task's.
+
+    gym's wrapper of version 0.2x as scripts of IsaacGymEnvs use it, for what returns four values
+    from a step and batches of them; gymnasium's own wants five. A step copies the numbers of one
+    environment; a thread draws and encodes them.
+
+    Args:
+        env: what `isaacgymenvs_lite.make` returns.
+        video_folder: where the files go; made if it does not exist.
+        episode_trigger: called with the number of episodes that environment 0 has ended; True
+            begins a video `<name_prefix>-episode-<number>.mp4`.
+        step_trigger: called with the number of steps made; True begins a video
+            `<name_prefix>-step-<number>.mp4`. Without any trigger: episodes 0, 1, 8, 27, ..., 729,
+            then every thousandth.
+        video_length: steps of a video, which may go over the ends of episodes; 0: as long as the
+            episode of environment 0.
+        name_prefix: of the files. One that exists already stays, and a number is put behind the
+            new one's name.
+
+    Raises:
+        ConfigError: both triggers, or a folder that cannot be written.
+        RenderingError: this machine cannot draw.
+        MissingPackageError: PyAV is not installed.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        video_folder: str | Path,
+        episode_trigger: Callable[[int], bool] | None = None,
+        step_trigger: Callable[[int], bool] | None = None,
+        video_length: int = 0,
+        name_prefix: str = "rl-video",
+    ) -> None:
+        if episode_trigger is not None and step_trigger is not None:
+            raise ConfigError("TaskVideo: expected episode_trigger or step_trigger, got both")
+        check_encoder()
+        ensure_gl()
+        self.env = env
+        self.video_folder = Path(video_folder)
+        make_video_folder(self.video_folder)
+        self.name_prefix = name_prefix
+        self.video_length = video_length
+        self.step_id = self.episode_id = 0
+        self._step_trigger = step_trigger
+        self._episode_trigger = episode_trigger or is_cube_or_thousandth
+        self._film_maker = FilmMaker()
+        self._recorder: PoseRecorder | None = None
+        self._path = self.video_folder
+        self._recorded = 0
+        # Scripts end without closing what they made.
+        atexit.register(self.close_video_recorder)
+
+    def __getattr__(self, name: str) -> Any:
+        # Not for names that the constructor has not set yet: a copy asks for them.
+        if name.startswith("_") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+    @property
+    def unwrapped(self) -> Any:
+        """The task."""
+        return getattr(self.env, "unwrapped", self.env)
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Reset the task; a video may begin."""
+        observations = self.env.reset(**kwargs)
+        self._begin_if_due()
+        return observations
+
+    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
+        """Advance the task; a video may go on, end or begin."""
+        result = self.env.step(actions)
+        has_ended = bool(result[2][0])
+        self.step_id += 1
+        self.episode_id += has_ended
+        if self._recorder is not None:
+            self._recorder.step()
+            self._recorded += 1
+            if self._recorded >= self.video_length if self.video_length > 0 else has_ended:
+                self._finish()
+        self._begin_if_due(new_episode=has_ended)
+        return result
+
+    def close(self) -> None:
+        """Finish the videos that were begun, then close the task."""
+        atexit.unregister(self.close_video_recorder)
+        self.close_video_recorder()
+        self.env.close()
+
+    def close_video_recorder(self) -> None:
+        """End the present video here, and wait until all are written."""
+        self._finish()
+        self._film_maker.close()
+
+    def _begin_if_due(self, new_episode: bool = True) -> None:
+        if self._recorder is not None:
+            return
+        if self._step_trigger is not None:
+            due, name = self._step_trigger(self.step_id), f"step-{self.step_id}"
+        else:
+            due = new_episode and self._episode_trigger(self.episode_id)
+            name = f"episode-{self.episode_id}"
+        if due:
+            self._path = self.video_folder / f"{self.name_prefix}-{name}.mp4"
+            self._recorder = PoseRecorder(self.unwrapped, self.video_length or _MAX_LENGTH)
+            self._recorded = 0
+
+    def _finish(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None and self._recorded > 0:
+            self._film_maker.make(Film.of_recording(self.unwrapped, recorder, self._path))
