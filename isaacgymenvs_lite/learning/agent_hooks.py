@@ -16,7 +16,7 @@
 | `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
 | `_derived_rows` | rows that a whole minibatch decides about |
 | `_extra_losses` | loss terms beside PPO's |
-| `_checkpoint_keys` | what a checkpoint must hold |
+| `_parts` | what it takes over of a checkpoint |
 """
 
 from __future__ import annotations

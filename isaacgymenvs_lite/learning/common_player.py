@@ -17,9 +17,10 @@ from isaacgymenvs_lite.learning.evaluation import (
     evaluate_and_log,
 )
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
+from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
-class CommonPlayer(PpoPlayerContinuous):
+class CommonPlayer(RestoringPlayer, PpoPlayerContinuous):
     """rl_games' PPO player with the play loop of `evaluation`.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),

@@ -7,7 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.hrl_config import read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
@@ -49,14 +48,11 @@ class HRLPlayer(CommonPlayer):
         self.actions_high = torch.from_numpy(box.high.copy()).to(self.device)
         return super()._build_net_config()
 
-    def restore(self, fn: str) -> None:
-        """Load the high level from a checkpoint.
-
-        Raises:
-            CheckpointError: the file cannot be used.
-        """
-        super().restore(fn)
-        warn_of_another_llc(checkpoints.load_checkpoint(fn), self.llc.reference, fn)
+    def restore(self, fn: str) -> dict[str, Any]:
+        """Take over the high level of a checkpoint; see `RestoringPlayer.restore`."""
+        state = super().restore(fn)
+        warn_of_another_llc(state, self.llc.reference, fn)
+        return state
 
     @property
     def llc_steps(self) -> int:
