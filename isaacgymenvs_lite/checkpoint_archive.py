@@ -29,8 +29,8 @@ from torch import Tensor
 MAX_FILE_BYTES = 2 * 2**30
 """Of a file; the largest networks here take some ten MB."""
 
-# Of the pickle with an archive's table of contents; some 10 kB of a checkpoint are not tensors.
-_MAX_STRUCTURE_BYTES = 4 * 2**20
+# Of the pickle with an archive's table of contents; some 50 kB of a checkpoint are not tensors.
+_MAX_STRUCTURE_BYTES = 2**20
 _MAX_VALUES = 200_000
 _MAX_DEPTH = 32
 _MAX_TEXT = 100_000

@@ -193,7 +193,7 @@ class Fitting:
             params = group.get("params") if isinstance(group, dict) else None
             numbers += params if isinstance(params, list) else [None]
         if not numbers or not isinstance(given.get("state"), dict):
-            raise self._misfit(f"{where} is {_kind(given)}, expected the state of an optimiser")
+            raise self._misfit(f"{where} is no state of an optimiser, expected state and groups")
         # Compared one by one: a number may be anything here.
         if any(type(n) is not int or n != i for i, n in enumerate(numbers)):
             raise self._misfit(f"{where}.param_groups do not number their parameters 0, 1, 2, ...")
@@ -229,9 +229,12 @@ class Fitting:
         for number, entry in given.items():
             place = f"{where}.state.{short(number)}"
             if type(number) is not int or not 0 <= number < len(parameters):
-                raise self._misfit(f"{place} is of no parameter, expected 0 to {len(parameters)}")
-            if not isinstance(entry, dict) or not {*_MOMENTS, "step"} <= entry.keys():
-                raise self._misfit(f"{place} is {_kind(entry)}, expected exp_avg, exp_avg_sq, step")
+                raise self._misfit(
+                    f"{place} is of no parameter, expected 0 to {len(parameters) - 1}"
+                )
+            for name in (*_MOMENTS, "step"):
+                if not isinstance(entry, dict) or name not in entry:
+                    raise self._misfit(f"has no {place}.{name}")
             for name in _MOMENTS:
                 self._compare(entry[name], parameters[number].detach(), f"{place}.{name}")
             moments[number] = {name: entry[name] for name in _MOMENTS}

@@ -134,7 +134,8 @@ class Safeguards(BaseAlgorithm):
 
     def _slower(self) -> str:
         """Return the key of the learning rate, with half its value where there is one."""
-        key, rate = "train.params.config.learning_rate", self.config.get("learning_rate")
+        key = "train.params.config.learning_rate"
+        rate: Any = self.config.get("learning_rate")
         try:
             return f"{key}={float(rate) / 2:g} (now {float(rate):g})"
         except (TypeError, ValueError):
