@@ -180,7 +180,8 @@ class CommonAgent(NextValues, MinibatchLoss, TrainingLog):
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
-        return self._evaluate_policy(obs, self._policy_inputs())
+        with self._acting_in_rollout(obs):
+            return self._evaluate_policy(obs, self._policy_inputs())
 
     def _evaluate_policy(
         self, obs: dict[str, Tensor], inputs: dict[str, Tensor]

@@ -130,6 +130,22 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         self._step += 1
         return result
 
+    def act(self, obs: Any, action_dim: Any, sample: bool = False) -> Any:
+        """As rl_games.
+
+        Raises:
+            NotFiniteError: the networks are not finite, so that no action can be drawn.
+        """
+        with self._acting_on(obs, self._step % self.num_steps_per_episode):
+            return super().act(obs, action_dim, sample)
+
+    def _steadier_settings(self) -> str:
+        keys = ("actor_lr", "critic_lr", "alpha_lr")
+        rates = {key: float(self.config[key]) for key in keys}
+        return " ".join(
+            f"train.params.config.{key}={rate / 2:g} (now {rate:g})" for key, rate in rates.items()
+        )
+
     def check_epoch(self) -> None:
         """Check what was learned in an epoch.
 

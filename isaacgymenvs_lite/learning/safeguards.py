@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -123,23 +124,20 @@ class Safeguards(BaseAlgorithm):
         after = f"go on from the last good checkpoint, {good}," if good else "start again"
         return self._end(
             f"{what} in epoch {self.epoch_num}, and networks do not come back from that: {after}"
-            f" with {self._slower()}, train.params.config.truncate_grads=True or"
-            " train.params.config.mixed_precision=False"
-            + ("" if good else "; no checkpoint was saved yet")
+            f" with {self._steadier_settings()}" + ("" if good else "; no checkpoint was saved yet")
         )
 
     def _end(self, message: str) -> NotFiniteError:
         self.writer.add_text("advice", message, self.frame)
         return NotFiniteError(message)
 
-    def _slower(self) -> str:
-        """Return the key of the learning rate, with half its value where there is one."""
-        key = "train.params.config.learning_rate"
-        rate: Any = self.config.get("learning_rate")
-        try:
-            return f"{key}={float(rate) / 2:g} (now {float(rate):g})"
-        except (TypeError, ValueError):
-            return f"a lower {key}"
+    def _steadier_settings(self) -> str:
+        """Return what to change where networks have broken, with present values."""
+        rate = float(self.config["learning_rate"])
+        return (
+            f"train.params.config.learning_rate={rate / 2:g} (now {rate:g}),"
+            " train.params.config.truncate_grads=True or train.params.config.mixed_precision=False"
+        )
 
     @property
     def _good_checkpoint(self) -> str:
@@ -147,8 +145,28 @@ class Safeguards(BaseAlgorithm):
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
+    @contextmanager
+    def _acting_on(self, obs: Any, step: int) -> Iterator[None]:
+        """Explain what torch raises when a policy that is not finite draws the actions of a step.
+
+        Raises:
+            NotFiniteError: observations or networks are not finite.
+        """
+        try:
+            yield
+        except (RuntimeError, ValueError):
+            self._check_learned()
+            rows = obs["obs"] if isinstance(obs, dict) else obs
+            if isinstance(rows, Tensor):
+                self._check_rows({"obses": rows.unsqueeze(0)}, step)
+            raise
+
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
         """Check what was played, rows (steps, N, ...) by the names of rl_games.
+
+        Args:
+            rows: of the rollout.
+            first_step: of the epoch.
 
         Raises:
             NotFiniteError: a number is not finite; it says which, where and when.
@@ -169,17 +187,15 @@ class Safeguards(BaseAlgorithm):
             step, env, name = min(places, key=lambda place: place[0])
             numbers = given[name][step, env]
             number = numbers[~numbers.isfinite()][0].item()
-            raise self._broken_row(name, number, env, first_step + step)
+            when = f"at step {first_step + step} of epoch {self.epoch_num}"
+            where = f"{_ROLLOUT[name]} of environment {env} hold {number}"
+            raise self._broken_row(name, f"{where} {when}")
 
-    def _broken_row(self, name: str, number: float, env: int, step: int) -> NotFiniteError:
-        where = (
-            f"{_ROLLOUT[name]} of environment {env} hold {number} at step {step} of epoch"
-            f" {self.epoch_num}"
-        )
+    def _broken_row(self, name: str, where: str) -> NotFiniteError:
         if name not in _OF_TASK:
             return self._not_finite(f"{where}: the policy is not finite")
         if self._has_learned:
-            # The networks were finite after the last epoch, and nothing was learned since.
+            # PPO has learned nothing since they were last found to be finite; SAC may have.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         good = self._good_checkpoint
         message = f"{where}: the task gave a number that is not finite; mend what computes it" + (
@@ -194,6 +210,9 @@ class PPOSafeguards(Safeguards, A2CAgent):
     The rollout is checked before anything is learned of it, losses and networks before rl_games
     reports them and saves.
     """
+
+    # Policy steps of the rollout so far.
+    _acted = 0
 
     def _parts(self) -> Parts:
         modules: dict[str, Any] = {"model": self.model}
@@ -246,12 +265,28 @@ class PPOSafeguards(Safeguards, A2CAgent):
             weights = {**own, **weights}
         super().set_stats_weights(weights)
 
+    def get_action_values(self, obs: Any) -> Any:
+        """As rl_games.
+
+        Raises:
+            NotFiniteError: observations or networks are not finite, so that no action can be drawn.
+        """
+        with self._acting_in_rollout(obs):
+            return super().get_action_values(obs)
+
+    @contextmanager
+    def _acting_in_rollout(self, obs: Any) -> Iterator[None]:
+        with self._acting_on(obs, self._acted):
+            yield
+        self._acted += 1
+
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Make the training set of a rollout, once that is known to be finite.
 
         Raises:
             NotFiniteError: it is not; it says where and when.
         """
+        self._acted = 0
         self._check_rows(self.experience_buffer.tensor_dict)
         obs: Any = self.obs
         newest = {"obses": obs.get("obs"), "states": obs.get("states")}
