@@ -254,7 +254,7 @@ class Fitting:
         """Return the entries that `own` has, all of them positive numbers."""
         numbers = {key: given.get(key) for key in own} if isinstance(given, dict) else {}
         for key in own:
-            value = numbers.get(key)
+            value: Any = numbers.get(key)
             if type(value) not in (int, float) or not 0.0 <= value < math.inf:
                 raise self._misfit(f"{where}.{key} is {short(value)}, expected a number")
         return numbers
@@ -265,6 +265,8 @@ class Fitting:
 
 class RestoringPlayer(BasePlayer):
     """A player that takes a checkpoint over once all of it fits; stands before the player."""
+
+    model: Any
 
     def _parts(self) -> Parts:
         """Return what it takes over of a checkpoint."""
