@@ -190,6 +190,10 @@ def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
     llc = state.get(LLC_KEY, {"checkpoint": "", "fingerprint": ""})
     if not _is_reference(llc):
         yield f"{LLC_KEY} is {short(llc)}, expected the file and the fingerprint of a low level"
+    policy = state.get("policy", {"settings": {}})
+    settings = policy.get("settings") if isinstance(policy, dict) else None
+    if not isinstance(settings, dict) or not all(isinstance(path, str) for path in settings):
+        yield f"policy is {short(policy)}, expected the settings of a packed policy"
 
 
 def _is_reference(llc: Any) -> bool:

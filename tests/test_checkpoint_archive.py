@@ -228,6 +228,7 @@ def test_a_changed_number_is_noticed(saved):
         ({"model": {}, "epoch": "ten\nlines"}, "epoch is ten lines"),
         ({"model": {}, "last_mean_rewards": float("nan")}, "last_mean_rewards is nan"),
         ({"model": {}, "llc": {"checkpoint": 3}}, "llc is a dict"),
+        ({"model": {}, "policy": {"settings": [1]}}, "policy is a dict, expected the settings"),
     ],
 )
 def test_entries_of_another_kind_are_named(saved, state, words):
