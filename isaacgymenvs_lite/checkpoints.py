@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import errno
 import logging
-import re
+import math
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,11 @@ import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
+from isaacgymenvs_lite.checkpoint_archive import (
+    ArchiveError,
+    ForbiddenNameError,
+    read_archive,
+)
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.output_files import written_in_one_step
 from isaacgymenvs_lite.policies.shipped import shipped_policies
@@ -26,11 +31,23 @@ from isaacgymenvs_lite.run_folder import run_folders
 
 log = logging.getLogger(__name__)
 
+LLC_KEY = "llc"
+"""Key of the checkpoint of a high level that says over which low level it was trained."""
+
 _COMPILED_PREFIX = "_orig_mod."
 # rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
 # rl_games' SAC agent writes its networks apart.
 _SAC_KEYS = {"actor", "critic"}
+# What holds tensors by name.
+_STATE_DICTS = (
+    *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
+    *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
+)
+# What counts and what measures.
+_COUNTS = ("epoch", "frame")
+_NUMBERS = ("last_mean_rewards",)
+_MAX_SHOWN = 80
 
 
 def install() -> None:
@@ -44,21 +61,24 @@ def install() -> None:
 # --- writing -----------------------------------------------------------------------------------
 
 
-def save_checkpoint(filename: str, state: dict[str, Any]) -> None:
+def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
     If the folder cannot be written (read-only, full), the failure is logged, the checkpoint goes
     to a folder below the system's temporary one instead, and the training goes on: losing the
     run would be worse than losing a file.
+
+    Returns:
+        The file that was written; None if none could be.
     """
     path = Path(f"{filename}.pth")
     state = _plain_numbers(state)
     try:
         write_atomically(path, state)
     except OSError as error:
-        _rescue(path, state, error)
-    else:
-        log.debug("saved %s", path)
+        return _rescue(path, state, error)
+    log.debug("saved %s", path)
+    return path
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
@@ -75,7 +95,7 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
             raise OSError("the disk is full or broken") from error
 
 
-def _rescue(path: Path, state: dict[str, Any], error: OSError) -> None:
+def _rescue(path: Path, state: dict[str, Any], error: OSError) -> Path | None:
     reason = error.strerror or error
     folder = Path(tempfile.gettempdir()) / "isaacgymenvs_lite_rescue" / path.parent.parent.name
     try:
@@ -90,13 +110,14 @@ def _rescue(path: Path, state: dict[str, Any], error: OSError) -> None:
             folder,
             second_error.strerror or second_error,
         )
-    else:
-        log.error(
-            "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
-            path,
-            reason,
-            folder / path.name,
-        )
+        return None
+    log.error(
+        "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
+        path,
+        reason,
+        folder / path.name,
+    )
+    return folder / path.name
 
 
 def _plain_numbers(value: Any) -> Any:
@@ -116,10 +137,11 @@ def _plain_numbers(value: Any) -> Any:
 
 
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
-    """Load a checkpoint on the CPU without running code from it.
+    """Load a checkpoint on the CPU without running code from it; see `checkpoint_archive`.
 
     Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers stand beside the
-    model), and strips the parameter prefix of compiled models.
+    model), and strips the parameter prefix of compiled models. Whether it fits the networks that
+    are to take it over is found out there: `learning.restoring`.
 
     Raises:
         CheckpointError: the file is missing, damaged, holds anything but tensors and plain
@@ -129,9 +151,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     if not path.is_file():
         raise CheckpointError(f"checkpoint={filename}: no such file; give a .pth file or 'last'")
     try:
-        # Scalars of numpy are harmless, and rl_games stores its best reward as one.
-        with torch.serialization.safe_globals(_numpy_scalar_globals()):
-            state = torch.load(path, map_location="cpu", weights_only=True)
+        state = read_archive(path)
     except Exception as error:  # what bytes that are no checkpoint make the reader raise is open
         raise CheckpointError(_refusal(path, error)) from error
     if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
@@ -139,40 +159,86 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
             " rl_games writes it"
         )
+    wrong = next(_wrong_entries(state), None)
+    if wrong is not None:
+        raise CheckpointError(f"checkpoint={path}: {wrong}; expected a file that train.py wrote")
     log.debug("loaded %s", path)
-    return _modernize(state) if _has_model(state) else state
+    return _modernize(state)
 
 
 def _has_model(state: dict[str, Any]) -> bool:
     return isinstance(state.get("model"), Mapping)
 
 
-def _numpy_scalar_globals() -> list[Any]:
-    scalar = np._core.multiarray.scalar  # type: ignore[attr-defined]
-    dtypes = [type(np.dtype(name)) for name in ("float32", "float64", "int64", "int32", "bool")]
-    return [np.dtype, *dtypes, scalar, (scalar, "numpy.core.multiarray.scalar")]
+def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
+    """Yield what is wrong with entries whose kind does not depend on the agent."""
+    for key in _STATE_DICTS:
+        entries = state.get(key, {})
+        if not isinstance(entries, dict):
+            yield f"{key} is a {type(entries).__name__}, expected tensors by name"
+            continue
+        for name, value in entries.items():
+            if not isinstance(name, str) or not isinstance(value, torch.Tensor):
+                kind = type(value).__name__
+                yield f"{key}.{short(name)} is a {kind}, expected a tensor"
+    for key in _COUNTS:
+        count = state.get(key, 0)
+        if type(count) is not int or count < 0:
+            yield f"{key} is {short(count)}, expected a number of at least 0"
+    for key in _NUMBERS:
+        number = state.get(key, 0.0)
+        if type(number) not in (int, float) or math.isnan(number):
+            yield f"{key} is {short(number)}, expected a number"
+    llc = state.get(LLC_KEY, {"checkpoint": "", "fingerprint": ""})
+    if not _is_reference(llc):
+        yield f"{LLC_KEY} is {short(llc)}, expected the file and the fingerprint of a low level"
+    policy = state.get("policy", {"settings": {}})
+    settings = policy.get("settings") if isinstance(policy, dict) else None
+    if not isinstance(settings, dict) or not all(isinstance(path, str) for path in settings):
+        yield f"policy is {short(policy)}, expected the settings of a packed policy"
+
+
+def _is_reference(llc: Any) -> bool:
+    keys = ("checkpoint", "fingerprint")
+    return isinstance(llc, dict) and all(isinstance(llc.get(key), str) for key in keys)
+
+
+def short(value: Any) -> str:
+    """Return a value of a stranger's file as one short line."""
+    if isinstance(value, (dict, list, tuple, torch.Tensor)):
+        return f"a {type(value).__name__}"
+    text = " ".join(str(value).split())
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
 def _refusal(path: Path, error: Exception) -> str:
-    unsupported = re.search(r"GLOBAL ([\w.]+)", str(error))
-    if unsupported:
+    if isinstance(error, ForbiddenNameError):
         return (
-            f"checkpoint={path}: refused, nothing was run: the file asks for {unsupported[1]}, but"
+            f"checkpoint={path}: refused, nothing was run: {error}, but"
             " a checkpoint needs only tensors and plain containers; do not trust this file"
         )
     if isinstance(error, OSError) and error.errno is not None and error.errno != errno.EINVAL:
         return f"checkpoint={path}: cannot be read ({error.strerror})"
-    return f"checkpoint={path}: damaged or no checkpoint; expected a .pth file that train.py wrote"
+    reason = f" ({error})" if isinstance(error, ArchiveError) else ""
+    return (
+        f"checkpoint={path}: damaged or no checkpoint{reason}; expected a .pth file that train.py"
+        " wrote"
+    )
 
 
 def _modernize(state: dict[str, Any]) -> dict[str, Any]:
-    model = {key.removeprefix(_COMPILED_PREFIX): value for key, value in state["model"].items()}
+    for key in ("model", "assymetric_vf_nets"):
+        if key in state:
+            entries = state[key].items()
+            state[key] = {name.replace(_COMPILED_PREFIX, ""): value for name, value in entries}
+    if "model" not in state:
+        return state
+    model = state["model"]
     for old, prefix in _OLD_NORMALIZERS.items():
         statistics = state.get(old)
         if isinstance(statistics, Mapping):
             for key, value in statistics.items():
                 model.setdefault(f"{prefix}.{key}", value)
-    state["model"] = model
     return state
 
 

@@ -31,6 +31,10 @@ class CheckpointError(UserError, ValueError):
     """A checkpoint is missing, damaged, unsafe or of another network."""
 
 
+class NotFiniteError(UserError, ArithmeticError):
+    """A training came to numbers that are nan or infinite; it cannot go on."""
+
+
 class WrapperError(UserError, TypeError):
     """An adapter was given something else than a task."""
 

@@ -29,7 +29,7 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
+from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError
 from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
 from isaacgymenvs_lite.making import make_from_config, seed_everything
@@ -181,10 +181,7 @@ class Session:
         with _output_to_log():
             runner.load({"params": self._params})
             player = runner.create_player()
-            try:
-                player.restore(self._checkpoint)
-            except RuntimeError as error:
-                raise _explain_misfit(error, self._checkpoint) from error
+            player.restore(self._checkpoint)
         return player
 
     def _play(self) -> None:
@@ -218,6 +215,8 @@ class Session:
             self._watching.start(self._task, self._folder.path, self._stop.ask)
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
+        except NotFiniteError:
+            raise  # what is in the run folder says how it came to it
         except UserError:
             self._folder.remove_if_unused()
             raise
@@ -250,10 +249,7 @@ class Session:
         sigma = self._settings.sigma
         with _output_to_log():
             runner.load({"params": self._params})
-            try:
-                runner.run({**mode, "checkpoint": self._checkpoint or None, "sigma": sigma})
-            except RuntimeError as error:
-                raise _explain_misfit(error, self._checkpoint) from error
+            runner.run({**mode, "checkpoint": self._checkpoint or None, "sigma": sigma})
 
     def _save(self, suffix: str) -> None:
         agent = self._agent_holder.agent
@@ -315,19 +311,6 @@ class _AgentHolder(AlgoObserver):
         """Write the scalars that wait."""
         if self.agent is not None:
             self.agent.writer.flush()
-
-
-def _explain_misfit(error: RuntimeError, checkpoint: str) -> Exception:
-    """Turn torch's report of a state_dict that does not fit into one line."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    if not checkpoint or "loading state_dict" not in lines[0]:
-        return error
-    first = lines[1].rstrip(".") if len(lines) > 1 else lines[0]
-    first = first.replace("torch.Size(", "").replace(")", "")
-    return CheckpointError(
-        f"checkpoint={checkpoint}: made with another network or task ({first}); use the task= and"
-        " train= it was trained with (config.yaml in its run folder)"
-    )
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ composed and checked before torch, MuJoCo and rl_games are imported.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import os
@@ -151,7 +152,9 @@ class _ProgressBarHandler(logging.Handler):
     """Writes above a running progress bar instead of through it."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        tqdm.write(self.format(record), file=sys.stderr)
+        # A terminal that was closed takes nothing more; the training goes on to its checkpoint.
+        with contextlib.suppress(OSError):
+            tqdm.write(self.format(record), file=sys.stderr)
 
 
 class _MessageFormatter(logging.Formatter):

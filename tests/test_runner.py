@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
+import pty
 import re
+import select
 import shlex
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +28,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
@@ -393,6 +399,26 @@ def test_a_wrong_name_or_value_is_refused(override, words, in_tmp, walk_clip):
     assert all(word in message for word in words), message
 
 
+def test_a_task_that_gives_nan_ends_the_run_and_keeps_its_folder(in_tmp, walk_clip, monkeypatch):
+    step = HumanoidAMP.step
+
+    def broken(self: HumanoidAMP, actions: torch.Tensor) -> Any:
+        obs, rewards, dones, infos = step(self, actions)
+        if self.control_steps == 6:
+            rewards[1] = torch.nan
+        return obs, rewards, dones, infos
+
+    monkeypatch.setattr(HumanoidAMP, "step", broken)
+    with pytest.raises(NotFiniteError, match=r"rewards of environment 1 hold nan at step 1 of epo"):
+        run(tiny(walk_clip, "max_iterations=5"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    (saved,) = (folder / "nn").iterdir()
+    assert saved.name == "HumanoidAMP_interrupted.pth"
+    monkeypatch.undo()
+    monkeypatch.chdir(in_tmp)
+    run(tiny(walk_clip, "test=True", "checkpoint=last", f"+{CONFIG}.player.games_num=4"))
+
+
 # --- simulations are freed --------------------------------------------------------------------
 
 
@@ -457,7 +483,7 @@ def in_epoch(monkeypatch) -> Callable[[int, Callable[[], None]], None]:
     return arrange
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_finishes_the_epoch_and_saves(number, in_tmp, walk_clip, in_epoch):
     in_epoch(3, lambda: os.kill(os.getpid(), number))
     run(tiny(walk_clip, "max_iterations=20"))
@@ -501,17 +527,78 @@ def test_a_full_disk_does_not_end_the_training(in_tmp, walk_clip, monkeypatch, c
     assert "No space left on device" in caplog.text
 
 
+def start_training(clip: Path, *before: str, **kwargs: Any) -> subprocess.Popen[str]:
+    """A process of its own that trains until somebody ends it."""
+    command = [*before, sys.executable, "-m", "isaacgymenvs_lite.train", *TINY]
+    arguments = [f"task.env.motion_file={clip}", "max_iterations=100000"]
+    package = str(Path(checkpoints.__file__).parents[1])
+    env = {**os.environ, "PYTHONPATH": package}
+    return subprocess.Popen([*command, *arguments], env=env, text=True, **kwargs)
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_a_terminal_that_closes_ends_the_training_with_a_checkpoint(in_tmp, walk_clip):
+    """As an ssh session that breaks: SIGHUP, and nothing more can be shown."""
+    master, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    shown = bytearray()
+
+    def take_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    process = start_training(
+        walk_clip,
+        **dict.fromkeys(("stdin", "stdout", "stderr"), terminal),
+        start_new_session=True,
+        preexec_fn=take_terminal,
+    )
+    try:
+        os.close(terminal)
+
+        def has_progress() -> bool:
+            readable, _, _ = select.select([master], [], [], 0.0)
+            if readable:
+                shown.extend(os.read(master, 4096))
+            return b"%|" in shown
+
+        wait_for(has_progress, process)
+        os.close(master)
+        assert process.wait(timeout=120) == 0
+    finally:
+        process.kill()
+    (folder,) = (in_tmp / "runs").iterdir()
+    (last,) = (folder / "nn").glob("last_HumanoidAMP_ep_*.pth")
+    assert f"_ep_{checkpoints.load_checkpoint(last)['epoch']}_" in last.name
+
+
+def test_nohup_goes_on(in_tmp, walk_clip):
+    log_file = in_tmp / "log"
+    with log_file.open("w") as output:
+        process = start_training(walk_clip, "nohup", stdout=output, stderr=output)
+    try:
+        wait_for(lambda: "\nepoch " in log_file.read_text(), process)
+        process.send_signal(signal.SIGHUP)
+        time.sleep(1.0)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=120) == 0
+    finally:
+        process.kill()
+    shown = log_file.read_text()
+    assert "SIGTERM: ending after this epoch" in shown
+    assert "SIGHUP" not in shown
+
+
 def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     """A process of its own: SIGINT after the first line of progress, exit code 0."""
-    command = [sys.executable, "-m", "isaacgymenvs_lite.train"]
-    arguments = [*TINY, f"task.env.motion_file={walk_clip}", "max_iterations=100000"]
-    package = str(Path(checkpoints.__file__).parents[1])
-    process = subprocess.Popen(
-        [*command, *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": package},
-    )
+    process = start_training(walk_clip, stderr=subprocess.PIPE)
     try:
         assert process.stderr is not None
         shown = ""
@@ -534,5 +621,6 @@ def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     # What the line says goes on where this one ended.
     (going_on,) = re.findall(r"^go on with it: (.*)$", rest, re.MULTILINE)
     typed = shlex.split(going_on)
-    assert {*arguments, "checkpoint=last"} < set(typed)
+    given = {*TINY, f"task.env.motion_file={walk_clip}", "max_iterations=100000"}
+    assert {*given, "checkpoint=last"} < set(typed)
     assert f"\nepoch {epoch}/100000, " in f"\n{shown}{rest}"

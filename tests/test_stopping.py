@@ -3,10 +3,11 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections.abc import Iterator
 
 import pytest
 
-from isaacgymenvs_lite.stopping import StopRequest
+from isaacgymenvs_lite.stopping import StopRequest, signals_as_ctrl_c
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -59,3 +60,45 @@ def test_beside_the_main_thread_nothing_is_caught():
     thread.join()
     assert errors == []
     assert signal.getsignal(signal.SIGINT) is former
+
+
+def test_a_session_that_ends_asks_once_and_never_more(caplog):
+    with StopRequest() as stop:
+        for _ in range(3):
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert stop.requested is True
+    assert caplog.text.count("SIGHUP: ending after this epoch") == 1
+
+
+def test_a_hangup_after_ctrl_c_is_no_second_one():
+    with StopRequest():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGHUP)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+            signal.sigtimedwait([], 1)
+
+
+@pytest.fixture
+def under_nohup() -> Iterator[None]:
+    former = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    yield
+    assert signal.signal(signal.SIGHUP, former) is signal.SIG_IGN
+
+
+@pytest.mark.usefixtures("under_nohup")
+def test_who_ignores_hangups_goes_on_doing_so():
+    with StopRequest() as stop:
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert stop.requested is False
+    with signals_as_ctrl_c():
+        os.kill(os.getpid(), signal.SIGHUP)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_loops_of_others_see_ctrl_c_once(number):
+    former = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), signals_as_ctrl_c():
+        os.kill(os.getpid(), number)
+        signal.sigtimedwait([], 1)
+    assert signal.getsignal(number) is former

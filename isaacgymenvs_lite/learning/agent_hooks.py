@@ -23,7 +23,7 @@
 | `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's terms |
 | `_extra_losses` | loss terms beside PPO's |
 | `_record_train_batch_info`, `_log_train_info` | what to log of an epoch |
-| `_checkpoint_keys` | what a checkpoint must hold |
+| `_parts` | what it takes over of a checkpoint |
 
 Hooks that the agents of IsaacGymEnvs or ASE have, too, have their names and arguments there; the
 others of theirs are listed in `published_names`.

@@ -7,6 +7,7 @@ Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Cha
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -26,6 +27,7 @@ from isaacgymenvs_lite.learning.discriminator import (
 from isaacgymenvs_lite.learning.losses import normalize_masked
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
+from isaacgymenvs_lite.learning.restoring import Parts
 from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
@@ -375,9 +377,12 @@ class AMPAgent(CommonAgent):
 
     # --- checkpoint ------------------------------------------------------------------------
 
-    def _checkpoint_keys(self) -> tuple[str, ...]:
-        own = ("amp_input_mean_std",) if self.discriminator.normalizer is not None else ()
-        return (*super()._checkpoint_keys(), *own)
+    def _parts(self) -> Parts:
+        parts = super()._parts()
+        if self.discriminator.normalizer is None:
+            return parts
+        own = {"amp_input_mean_std": self.discriminator.normalizer}
+        return replace(parts, modules={**parts.modules, **own})
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
         """Return normaliser statistics; AMP's stand beside the model, as in IsaacGymEnvs."""

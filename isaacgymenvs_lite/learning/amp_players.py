@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from torch import Tensor
 
-from isaacgymenvs_lite import checkpoints
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
 from isaacgymenvs_lite.learning.published_names import ReadOnly
+from isaacgymenvs_lite.learning.restoring import Parts
 
 log = logging.getLogger(__name__)
 
@@ -61,22 +62,12 @@ class AMPPlayerContinuous(CommonPlayer):
             "amp_input_shape": (judged_size(AMPObsShape.of_task(self.env), self._amp),),
         }
 
-    def restore(self, fn: str) -> None:
-        """Load the model and the normaliser of AMP observations from a checkpoint.
-
-        Raises:
-            CheckpointError: the file cannot be used.
-        """
-        super().restore(fn)
+    def _parts(self) -> Parts:
+        parts = super()._parts()
         if self.discriminator.normalizer is None:
-            return
-        statistics = checkpoints.load_checkpoint(fn).get("amp_input_mean_std")
-        if statistics is None:
-            raise CheckpointError(
-                f"checkpoint={fn}: has no amp_input_mean_std; expected a checkpoint of an AMP agent"
-                " (or set train.params.config.normalize_amp_input=False)"
-            )
-        self.discriminator.normalizer.load_state_dict(statistics)
+            return parts
+        own = {"amp_input_mean_std": self.discriminator.normalizer}
+        return replace(parts, modules={**parts.modules, **own})
 
     def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
         def reward(amp_obs: Tensor) -> Tensor:

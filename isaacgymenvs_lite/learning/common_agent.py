@@ -16,13 +16,12 @@ from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.flat_config import given_section
 from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.next_values import NextValues
-from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
 from isaacgymenvs_lite.learning.published_names import ExplainedNames
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.learning.training_log import TrainingLog
@@ -82,11 +81,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         )
         # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
         ContinuousA2CBase.__init__(self, base_name, section)
-        if self.batch_size < 2:
-            raise ConfigError(
-                "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
-                " undefined; expected at least two: raise num_envs or horizon_length"
-            )
+        self._check_batch_size()
         self.network_path = self.nn_dir
         self._load_config_params(self.config)
         self._setup_action_space()
@@ -124,7 +119,6 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self._rollout_rewards: dict[str, Tensor] = {}
         self._unvalued: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._restored_best: float | None = None
-        self._restored_from = ""
         self.algo_observer.after_init(self)
 
     def _setup_action_space(self) -> None:
@@ -164,39 +158,18 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self._init_train()
         return super().env_reset()
 
-    def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Go on from the checkpoint `fn`.
-
-        Raises:
-            CheckpointError: it cannot be used.
-        """
-        self._restored_from = fn
-        super().restore(fn, set_epoch)
-
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
         """Take over a checkpoint; see `env_reset` for the best reward.
 
         Raises:
-            CheckpointError: it holds a model without the state of its training.
+            CheckpointError: it holds a model without the state of its training, or does not fit.
         """
-        missing = [key for key in self._checkpoint_keys() if key not in weights]
-        if missing:
-            raise CheckpointError(
-                f"checkpoint={self._restored_from}: has no {', '.join(missing)}, so that training"
-                " cannot go on from it; expected a checkpoint that train.py wrote (test=True needs"
-                " less)"
-            )
-        optimizer_state = fit_optimizer_state(weights["optimizer"], self.optimizer, self.model)
         own_rates = [group["lr"] for group in self.optimizer.param_groups]
-        super().set_full_state_weights({**weights, "optimizer": optimizer_state}, set_epoch)
+        super().set_full_state_weights(weights, set_epoch)
         # The settings of this run count, as they do for the learning rate.
         for group, rate in zip(self.optimizer.param_groups, own_rates, strict=True):
             group["lr"] = rate
         self._restored_best = self.last_mean_rewards
-
-    def _checkpoint_keys(self) -> tuple[str, ...]:
-        """Return what a checkpoint must hold for training to go on."""
-        return ("model", "optimizer", "epoch", "frame")
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -234,7 +207,8 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
-        return self._evaluate_policy(obs, self._policy_inputs())
+        with self._acting_in_rollout(obs):
+            return self._evaluate_policy(obs, self._policy_inputs())
 
     def _evaluate_policy(
         self, obs: dict[str, Tensor], inputs: dict[str, Tensor]

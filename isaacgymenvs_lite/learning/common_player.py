@@ -19,9 +19,10 @@ from isaacgymenvs_lite.learning.evaluation import (
 )
 from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
 from isaacgymenvs_lite.learning.published_names import ExplainedNames
+from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
-class CommonPlayer(ExplainedNames, PpoPlayerContinuous):
+class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
     """rl_games' PPO player with the play loop of `evaluation`.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),

@@ -6,7 +6,6 @@ from typing import Any
 
 from torch import Tensor
 
-from isaacgymenvs_lite import checkpoints
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.latents import latent_space
@@ -65,14 +64,11 @@ class HRLPlayer(CommonPlayer):
         """Return observations (N, O) without the task's features."""
         return self.llc.extract_obs(obs)
 
-    def restore(self, fn: str) -> None:
-        """Load the high level from a checkpoint.
-
-        Raises:
-            CheckpointError: the file cannot be used.
-        """
-        super().restore(fn)
-        warn_of_another_llc(checkpoints.load_checkpoint(fn), self.llc.reference, fn)
+    def restore(self, fn: str) -> dict[str, Any]:
+        """Take over the high level of a checkpoint; see `RestoringPlayer.restore`."""
+        state = super().restore(fn)
+        warn_of_another_llc(state, self.llc.reference, fn)
+        return state
 
     @property
     def llc_steps(self) -> int:

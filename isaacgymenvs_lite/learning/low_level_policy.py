@@ -26,6 +26,7 @@ from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC, make_reference
@@ -154,23 +155,19 @@ class LowLevelPolicy:
         return model.to(self._device).eval().requires_grad_(False)
 
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
-        self._check_shapes(state["model"], checkpoint, llc_config)
-        try:
-            self.model.load_state_dict(state["model"])
-        except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            raise CheckpointError(
-                f"llc_checkpoint={checkpoint} does not fit llc_config={llc_config}: {reason}"
-            ) from error
+        self._check_sizes(state["model"], checkpoint, llc_config)
+        modules: dict[str, Any] = {"model": self.model}
         if self.discriminator.normalizer is not None:
-            if "amp_input_mean_std" not in state:
-                raise CheckpointError(
-                    f"llc_checkpoint={checkpoint}: has no amp_input_mean_std; expected a checkpoint"
-                    " of a GenAMP agent"
-                )
-            self.discriminator.normalizer.load_state_dict(state["amp_input_mean_std"])
+            modules["amp_input_mean_std"] = self.discriminator.normalizer
+        fitting = Fitting(
+            f"llc_checkpoint={checkpoint}",
+            f"does not fit llc_config={llc_config}, expected the train file it was trained with",
+        )
+        fitted = fitting.parts(state, Parts(modules))
+        for key, module in modules.items():
+            module.load_state_dict(fitted[key])
 
-    def _check_shapes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
+    def _check_sizes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
         """Explain the usual misfits in the user's words."""
         own = self.model.state_dict()
         for key, what, source in (
@@ -184,7 +181,7 @@ class LowLevelPolicy:
                     f"llc_checkpoint={checkpoint}: no low-level controller (it has no {key});"
                     " expected a checkpoint of algo: name: gen_amp"
                 )
-            there, here = weights[key].shape[-1], own[key].shape[-1]
+            there, here = (int((0, *tensors[key].shape)[-1]) for tensors in (weights, own))
             if there != here:
                 raise CheckpointError(
                     f"llc_checkpoint={checkpoint}: was trained with {there} numbers of {what},"
@@ -294,7 +291,9 @@ def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
 def _fits(params: dict[str, Any], weights: dict[str, Tensor]) -> bool:
     units = ((params.get("network") or {}).get("mlp") or {}).get("units")
     first = weights.get("a2c_network.critic_mlp._mlp.0.weight")
-    return first is not None and bool(units) and units[0] == first.shape[0]
+    if first is None or first.ndim != 2 or not units:
+        return False
+    return units[0] == first.shape[0]
 
 
 def latents_of_actions(actions: Tensor) -> Tensor:

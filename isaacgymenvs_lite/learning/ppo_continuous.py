@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from rl_games.algos_torch.a2c_continuous import A2CAgent
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.learning.network_executor import attach_executor
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 
 
-class PPOAgent(A2CAgent):
+class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
 
     On a CPU its networks are evaluated as those of our own agents (`NetworkExecutor`), the
@@ -24,7 +24,7 @@ class PPOAgent(A2CAgent):
         params: the section `params` of a train file, prepared by the Runner.
 
     Raises:
-        ConfigError: mixed_precision is none of True, False, "auto".
+        ConfigError: mixed_precision is none of True, False, "auto", or an epoch has one sample.
     """
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
@@ -37,6 +37,8 @@ class PPOAgent(A2CAgent):
         asked = config.get("torch_compile")
         config["torch_compile"] = torch_compile_setting(asked, device.type, can_compile=True)
         super().__init__(base_name, params)
+        if self.normalize_advantage:
+            self._check_batch_size()
         self._sliced = on_cpu and not self.is_rnn
         if not on_cpu:
             return

@@ -8,9 +8,10 @@ from rl_games.algos_torch.players import PpoPlayerContinuous
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
+from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
-class PPOPlayer(EpisodePlayer, PpoPlayerContinuous):
+class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
     """The player of `a2c_continuous`, of recurrent policies too; see `EpisodePlayer`."""
 
     def __init__(self, params: dict[str, Any]) -> None:

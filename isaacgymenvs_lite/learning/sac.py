@@ -2,18 +2,49 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
 from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
+from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
 from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
+from isaacgymenvs_lite.learning.safeguards import Safeguards
 
 
-class SACAgent(RLGamesSACAgent):
+class _EndOfEpoch(AlgoObserver):
+    """Lets an agent act before and after an observer is given an epoch.
+
+    Args:
+        agent: whose loop has no other place for it.
+        observer: of the training.
+    """
+
+    def __init__(self, agent: SACAgent, observer: AlgoObserver) -> None:
+        super().__init__()
+        self._agent, self._observer = agent, observer
+
+    def after_init(self, algo: Any) -> None:
+        self._observer.after_init(algo)
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        self._observer.process_infos(infos, done_indices)
+
+    def after_clear_stats(self) -> None:
+        self._observer.after_clear_stats()  # type: ignore[attr-defined]  # some have it
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        self._agent.check_epoch()
+        self._observer.after_print_stats(frame, epoch_num, total_time)
+        self._agent.save_before_first_episode()
+
+
+class SACAgent(Safeguards, RLGamesSACAgent):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
     Its checkpoints hold the temperature and the best reward, too, which rl_games' leave out: a
@@ -44,6 +75,8 @@ class SACAgent(RLGamesSACAgent):
         name = config.get("full_experiment_name") or config["name"]
         config["features"]["observer"].before_init(base_name, config, name)
         super().__init__(base_name, params)
+        self.algo_observer = _EndOfEpoch(self, self.algo_observer)
+        self._step = 0
         nothing = torch.zeros((), device=self._device)
         no_loss = nothing if self.learnable_temperature else None
         self._last_of_actor = (nothing, nothing, self.alpha.detach(), no_loss)
@@ -75,6 +108,55 @@ class SACAgent(RLGamesSACAgent):
             with torch.no_grad():
                 self.log_alpha.copy_(weights["log_alpha"])
 
+    def _parts(self) -> Parts:
+        played = _played_parts(self.model)
+        names = ("actor", "critic", "log_alpha")
+        return replace(
+            played,
+            optimizers={f"{name}_optimizer": getattr(self, f"{name}_optimizer") for name in names},
+            tensors={"log_alpha": self.log_alpha.detach()},
+            optional=played.optional | {"log_alpha"},
+            counts=True,
+        )
+
+    def env_step(self, actions: Tensor) -> Any:
+        """Step the task; what goes in and comes out must be finite.
+
+        Raises:
+            NotFiniteError: it is not; it says what and where. Nothing of it was learned.
+        """
+        result: Any = super().env_step(actions)
+        rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
+        step = self._step % self.num_steps_per_episode
+        self._check_rows({name: value.unsqueeze(0) for name, value in rows.items()}, step)
+        self._step += 1
+        return result
+
+    def act(self, obs: Any, action_dim: Any, sample: bool = False) -> Any:
+        """As rl_games.
+
+        Raises:
+            NotFiniteError: the networks are not finite, so that no action can be drawn.
+        """
+        with self._acting_on(obs, self._step % self.num_steps_per_episode):
+            return super().act(obs, action_dim, sample)
+
+    def _steadier_settings(self) -> str:
+        keys = ("actor_lr", "critic_lr", "alpha_lr")
+        rates = {key: float(self.config[key]) for key in keys}
+        return " ".join(
+            f"train.params.config.{key}={rate / 2:g} (now {rate:g})" for key, rate in rates.items()
+        )
+
+    def check_epoch(self) -> None:
+        """Check what was learned in an epoch.
+
+        Raises:
+            NotFiniteError: it is not finite.
+        """
+        self._check_learned()
+        self._has_learned = True
+
     def update(self, step: int) -> Any:
         """Make a gradient step, once the replay buffer holds a batch.
 
@@ -94,6 +176,15 @@ class SACAgent(RLGamesSACAgent):
         return self._last_of_actor, *of_critics
 
 
+def _played_parts(model: Any) -> Parts:
+    """Return what agent and player take over of a checkpoint."""
+    names = ("actor", "critic", "critic_target")
+    modules: dict[str, Any] = {name: getattr(model.sac_network, name) for name in names}
+    if model.normalize_input:
+        modules["running_mean_std"] = model.running_mean_std
+    return Parts(modules, optional=frozenset({"running_mean_std"}))
+
+
 def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:
     """Let all layers but the last compute under autocast to bfloat16, on a CPU, in place.
 
@@ -110,5 +201,8 @@ def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:
     network.forward = forward  # type: ignore[method-assign]
 
 
-class SACPlayer(EpisodePlayer, RLGamesSACPlayer):
+class SACPlayer(EpisodePlayer, RestoringPlayer, RLGamesSACPlayer):
     """The player of `sac`; see `EpisodePlayer`."""
+
+    def _parts(self) -> Parts:
+        return _played_parts(self.model)

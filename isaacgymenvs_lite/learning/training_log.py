@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from rl_games.algos_torch import torch_ext
-from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 
-class TrainingLog(A2CAgent):
+
+class TrainingLog(PPOSafeguards):
     """Statistics of finished episodes, and scalars of an agent's minibatches and epochs.
 
     Attributes:
@@ -65,6 +67,11 @@ class TrainingLog(A2CAgent):
             writer.add_scalar("rewards/frame", mean_reward, frame)
             writer.add_scalar("episode_lengths/frame", mean_length, frame)
         super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
+
+    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
+        """As PPO; all that an agent has collected, which `losses` are a part of."""
+        del losses
+        super()._check_losses(self._train_info)
 
     def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
         """Write the scalars of an epoch.

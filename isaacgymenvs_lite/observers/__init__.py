@@ -3,7 +3,7 @@
 Observers are rl_games' `AlgoObserver`s; `MultiObserver` makes one of several.
 """
 
-from isaacgymenvs_lite.observers.advice_observer import AdviceObserver, NotFiniteError
+from isaacgymenvs_lite.observers.advice_observer import AdviceObserver
 from isaacgymenvs_lite.observers.figures import EpochFigures, FiguresObserver
 from isaacgymenvs_lite.observers.imitation import ImitationObserver
 from isaacgymenvs_lite.observers.multi import MultiObserver
@@ -16,7 +16,6 @@ __all__ = [
     "FiguresObserver",
     "ImitationObserver",
     "MultiObserver",
-    "NotFiniteError",
     "ProgressObserver",
     "TaskScalarsObserver",
 ]

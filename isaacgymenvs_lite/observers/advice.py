@@ -103,20 +103,6 @@ class Advisor:
                 return told if self._may_tell(kind, now_s) else None
         return None
 
-    def not_finite(self) -> str | None:
-        """Return what to do if the newest losses or rewards are nan or infinite, else None."""
-        newest = self._history.newest
-        numbers = {"episode reward": newest.episode_reward or 0.0, **newest.train_info}
-        broken = [name for name, value in numbers.items() if not math.isfinite(value)]
-        if not broken:
-            return None
-        return (
-            f"{', '.join(broken[:3])} not finite in epoch {newest.epoch}, and networks do not come"
-            " back from that: go on from the last checkpoint (checkpoint=last), or start again,"
-            f" with {self._turn('learning_rate', 0.5)}, train.params.config.truncate_grads=True or"
-            " train.params.config.mixed_precision=False"
-        )
-
     def _may_tell(self, kind: str, now_s: float) -> bool:
         if now_s - self._told_s.get(kind, -math.inf) < REPEAT_S:
             return False

@@ -8,7 +8,6 @@ from typing import Any
 
 from rl_games.common.algo_observer import AlgoObserver
 
-from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.observers.advice import Advisor
 from isaacgymenvs_lite.observers.figures import FiguresObserver
 from isaacgymenvs_lite.observers.history import Measurement
@@ -17,15 +16,11 @@ from isaacgymenvs_lite.observers.imitation import ImitationObserver
 log = logging.getLogger(__name__)
 
 
-class NotFiniteError(UserError, ArithmeticError):
-    """Losses or rewards of a training are nan or infinite."""
-
-
 class AdviceObserver(AlgoObserver):
     """Feeds an `Advisor` and logs what it has to say, as a warning and as the text `advice`.
 
-    Stands behind the observers that it reads. Networks that broke end the run, before rl_games
-    writes them into a checkpoint.
+    Stands behind the observers that it reads. Numbers that are not finite do not come so far: the
+    agents end the run before (`learning.safeguards`).
 
     Args:
         figures: the epochs' figures.
@@ -51,19 +46,11 @@ class AdviceObserver(AlgoObserver):
         self._measured_at: int | None = None
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Pass on what is new, and say what has to be said.
-
-        Raises:
-            NotFiniteError: a loss or a reward is not finite.
-        """
+        """Pass on what is new, and say what has to be said."""
         del epoch_num, total_time
         if self._figures.latest is None:
             return
         self._advisor.add_epoch(self._figures.latest)
-        broken = self._advisor.not_finite()
-        if broken is not None:
-            self._algo.writer.add_text("advice", broken, frame)
-            raise NotFiniteError(broken)
         self._add_measurement()
         sentence = self._advisor.sentence(time.monotonic())
         if sentence is not None:

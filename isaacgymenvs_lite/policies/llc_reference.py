@@ -14,13 +14,11 @@ from typing import Any
 from torch import Tensor
 
 from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import LLC_KEY
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 log = logging.getLogger(__name__)
-
-LLC_KEY = "llc"
-"""Key of the reference in the checkpoint of a high level."""
 
 SHIPPED_LLC = "locomotion_skills"
 """Name of the low-level controller among the shipped policies."""

@@ -300,11 +300,12 @@ class AnymalTerrain(VelocityTrackingTask):
 
     def set_env_state(self, env_state: Any) -> None:
         """Take back what `get_env_state` gave; from other numbers of robots nothing is taken."""
-        levels = (env_state or {}).get("terrain_levels")
+        levels = env_state.get("terrain_levels") if isinstance(env_state, dict) else None
         if levels is None:
             return
-        own = self.curriculum.levels
-        if levels.shape != own.shape or int(levels.max()) >= self.terrain.origins.shape[0]:
+        own, num_levels = self.curriculum.levels, self.terrain.origins.shape[0]
+        fits = isinstance(levels, Tensor) and (levels.shape, levels.dtype) == (own.shape, own.dtype)
+        if not fits or not bool(((levels >= 0) & (levels < num_levels)).all()):
             log.info("the checkpoint's terrain levels are of another ground or number of robots")
             return
         own.copy_(levels)

@@ -6,14 +6,12 @@ what they are of is made from the agent file.
 
 from __future__ import annotations
 
-import pickle
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from isaacgymenvs_lite.checkpoint_archive import read_archive
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.workflows.library import Library
 
@@ -75,8 +73,8 @@ def _is_sb3(checkpoint: Path) -> bool:
 
 def _read(checkpoint: Path, library: Library) -> dict[str, Any]:
     try:
-        content = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
+        content = read_archive(checkpoint)
+    except Exception as error:  # bytes that are no checkpoint may make the reader raise anything
         raise CheckpointError(
             f"--checkpoint {checkpoint}: damaged, or no checkpoint, or with more than tensors in it"
             f" (nothing was run); expected one of {library.title}"

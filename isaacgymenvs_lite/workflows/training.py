@@ -7,6 +7,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from isaacgymenvs_lite.stopping import signals_as_ctrl_c
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file, seed_of
 from isaacgymenvs_lite.workflows.arguments import (
     add_number,
@@ -53,7 +54,8 @@ def _train(library: Library, args: argparse.Namespace) -> None:
         log.info("log folder: %s", folder)
         made.watch(folder)
         try:
-            agent.learn(folder, args.log_interval)
+            with signals_as_ctrl_c():
+                agent.learn(folder, args.log_interval)
         except KeyboardInterrupt:
             log.info("stopped; saved %s", agent.save(folder))
             raise

@@ -9,7 +9,6 @@ from isaacgymenvs_lite.observers import (
     AdviceObserver,
     FiguresObserver,
     ImitationObserver,
-    NotFiniteError,
 )
 from isaacgymenvs_lite.observers.history import Measurement
 
@@ -36,13 +35,6 @@ def advice(agent, clock, figures, imitation) -> AdviceObserver:
 def epoch(figures: FiguresObserver, advice: AdviceObserver, number: int, frame: int) -> None:
     for observer in (figures, advice):
         observer.after_print_stats(frame, number, 0.0)
-
-
-def test_losses_that_are_not_finite_end_the_run(advice, figures, agent):
-    agent.train_info = {"critic_loss": float("nan")}
-    with pytest.raises(NotFiniteError, match="critic_loss not finite in epoch 7") as raised:
-        epoch(figures, advice, 7, 7000)
-    assert agent.writer.texts == [("advice", str(raised.value), 7000)]
 
 
 def test_a_discriminator_that_has_won_is_seen(advice, figures, agent, clock, caplog):
@@ -80,9 +72,8 @@ def test_each_measurement_is_passed_on_once(advice, figures, imitation, result):
 def test_a_task_without_references_is_watched_as_well(agent, figures):
     observer = AdviceObserver(figures, None, max_episode_steps=300)
     observer.after_init(agent)
-    agent.train_info = {"critic_loss": float("inf")}
-    with pytest.raises(NotFiniteError):
-        epoch(figures, observer, 1, 1000)
+    epoch(figures, observer, 1, 1000)
+    assert observer._advisor._history.newest.epoch == 1
 
 
 def test_nothing_is_said_before_an_epoch_has_ended(advice, caplog):

@@ -1,0 +1,357 @@
+"""What keeps a training from being lost: what it restores, what it saves, and when it must end.
+
+A mixin for agents that run in rl_games' own training loop. That loop takes over whatever a
+checkpoint holds, goes on with networks that are nan, writes them over good ones, and makes no
+periodic checkpoint before the first episode has ended.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import torch
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from rl_games.interfaces.base_algorithm import BaseAlgorithm
+from torch import Tensor
+
+from isaacgymenvs_lite.checkpoints import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
+from isaacgymenvs_lite.learning.restoring import Fitting, Parts
+
+# Rows of a rollout -> their name for a user, in the order in which one causes the next.
+_ROLLOUT = {
+    "obses": "observations",
+    "states": "states",
+    "values": "values",
+    "mus": "mean actions",
+    "sigmas": "standard deviations",
+    "actions": "actions",
+    "rewards": "rewards",
+    "amp_obs": "AMP observations",
+    "disc_rewards": "style rewards",
+}
+_OF_TASK = ("obses", "states", "rewards", "amp_obs")
+
+
+class Safeguards(BaseAlgorithm):
+    """Checkpoints that fit and that are finite, for every agent; stands before rl_games' class.
+
+    Attributes: as rl_games' agents have them.
+    """
+
+    config: dict[str, Any]
+    epoch_num: int
+    save_freq: int
+    game_rewards: Any
+    nn_dir: str
+    writer: Any
+    frame: int
+    _restored_from = ""
+    _last_saved: Path | None = None
+    _has_learned = False
+
+    def _parts(self) -> Parts:
+        """Return what the agent takes over of a checkpoint."""
+        raise NotImplementedError
+
+    # --- restoring -------------------------------------------------------------------------
+
+    def restore(self, fn: str, set_epoch: bool = True) -> None:
+        """Go on from the checkpoint `fn`.
+
+        Raises:
+            CheckpointError: it cannot be used; the agent is as it was then.
+        """
+        self._restored_from = str(fn)
+        self.set_full_state_weights(load_checkpoint(fn), set_epoch)
+
+    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
+        """Take over what a checkpoint holds, once all of it fits.
+
+        Raises:
+            CheckpointError: it cannot be used; the agent is as it was then.
+        """
+        fitted = Fitting(self._source).parts(weights, self._parts())
+        super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
+
+    @property
+    def _source(self) -> str:
+        return f"checkpoint={self._restored_from or '(given as a dictionary)'}"
+
+    # --- saving ----------------------------------------------------------------------------
+
+    def save(self, fn: str) -> None:
+        """Write a checkpoint to `<fn>.pth`.
+
+        Raises:
+            NotFiniteError: the networks are not finite; nothing is written.
+        """
+        self._check_learned()
+        state: Any = self.get_full_state_weights()
+        self._last_saved = save_checkpoint(fn, state) or self._last_saved
+
+    def save_before_first_episode(self) -> None:
+        """Write the periodic checkpoint that rl_games leaves out as long as it knows no reward."""
+        due = self.save_freq > 0 and self.epoch_num % self.save_freq == 0
+        if due and self.game_rewards.current_size == 0:
+            # As rl_games names its last checkpoint then.
+            name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
+            self.save(os.path.join(self.nn_dir, name))
+
+    # --- numbers that are not finite -------------------------------------------------------
+
+    def _check_learned(self) -> None:
+        """Check networks, normalisers and the moments of optimisers.
+
+        Raises:
+            NotFiniteError: one is not finite.
+        """
+        tensors = list(_tensors_of(self._parts()))
+        if _all_finite(tensor for _, tensor in tensors):
+            return
+        broken = [name for name, tensor in tensors if not bool(tensor.isfinite().all())]
+        if broken:
+            raise self._not_finite(f"{_first_few(broken)} not finite")
+
+    def _not_finite(self, what: str) -> NotFiniteError:
+        """Return the error that ends the training, and say the same in TensorBoard."""
+        good = self._good_checkpoint
+        after = f"go on from the last good checkpoint, {good}," if good else "start again"
+        return self._end(
+            f"{what} in epoch {self.epoch_num}, and networks do not come back from that: {after}"
+            f" with {self._steadier_settings()}" + ("" if good else "; no checkpoint was saved yet")
+        )
+
+    def _end(self, message: str) -> NotFiniteError:
+        self.writer.add_text("advice", message, self.frame)
+        return NotFiniteError(message)
+
+    def _steadier_settings(self) -> str:
+        """Return what to change where networks have broken, with present values."""
+        rate = float(self.config["learning_rate"])
+        return (
+            f"train.params.config.learning_rate={rate / 2:g} (now {rate:g}),"
+            " train.params.config.truncate_grads=True or train.params.config.mixed_precision=False"
+        )
+
+    @property
+    def _good_checkpoint(self) -> str:
+        """`checkpoint=<the newest one that is known to be finite>`, '' if there is none."""
+        file = self._last_saved or self._restored_from
+        return f"checkpoint={file}" if file else ""
+
+    @contextmanager
+    def _acting_on(self, obs: Any, step: int) -> Iterator[None]:
+        """Explain what torch raises when a policy that is not finite draws the actions of a step.
+
+        Raises:
+            NotFiniteError: observations or networks are not finite.
+        """
+        try:
+            yield
+        except (RuntimeError, ValueError):
+            self._check_learned()
+            rows = obs["obs"] if isinstance(obs, dict) else obs
+            if isinstance(rows, Tensor):
+                self._check_rows({"obses": rows.unsqueeze(0)}, step)
+            raise
+
+    def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
+        """Check what was played, rows (steps, N, ...) by the names of rl_games.
+
+        Args:
+            rows: of the rollout.
+            first_step: of the epoch.
+
+        Raises:
+            NotFiniteError: a number is not finite; it says which, where and when.
+        """
+        given = {
+            name: rows[name].flatten(2) if rows[name].dim() > 2 else rows[name].unsqueeze(-1)
+            for name in _ROLLOUT
+            if isinstance(rows.get(name), Tensor) and rows[name].is_floating_point()
+        }
+        if _all_finite(given.values()):
+            return
+        broken = {
+            name: (~values.isfinite()).any(dim=-1).nonzero()[:1].tolist()
+            for name, values in given.items()
+        }
+        places = [(*place, name) for name, found in broken.items() for place in found]
+        if places:
+            step, env, name = min(places, key=lambda place: place[0])
+            numbers = given[name][step, env]
+            number = numbers[~numbers.isfinite()][0].item()
+            when = f"at step {first_step + step} of epoch {self.epoch_num}"
+            where = f"{_ROLLOUT[name]} of environment {env} hold {number}"
+            raise self._broken_row(name, f"{where} {when}")
+
+    def _broken_row(self, name: str, where: str) -> NotFiniteError:
+        if name not in _OF_TASK:
+            return self._not_finite(f"{where}: the policy is not finite")
+        if self._has_learned:
+            # PPO has learned nothing since they were last found to be finite; SAC may have.
+            self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
+        good = self._good_checkpoint
+        message = f"{where}: the task gave a number that is not finite; mend what computes it" + (
+            f", and go on from the last good checkpoint, {good}" if good else ""
+        )
+        return self._end(message)
+
+
+class PPOSafeguards(Safeguards, A2CAgent):
+    """The same for rl_games' PPO and all that is made of it; stands in its place.
+
+    The rollout is checked before anything is learned of it, losses and networks before rl_games
+    reports them and saves.
+    """
+
+    # Policy steps of the rollout so far.
+    _acted = 0
+
+    def _parts(self) -> Parts:
+        modules: dict[str, Any] = {"model": self.model}
+        optimizers: dict[str, Any] = {"optimizer": self.optimizer}
+        optional = {"assymetric_vf_optimizer", "advantage_mean_std", "scaler"}
+        if self.has_central_value:
+            modules["assymetric_vf_nets"] = self.central_value_net
+            optimizers["assymetric_vf_optimizer"] = self.central_value_net.optimizer
+        if self.normalize_advantage and self.normalize_rms_advantage:
+            modules["advantage_mean_std"] = self.advantage_mean_std
+        scalers = {"scaler": self.scaler} if self.mixed_precision else {}
+        return Parts(
+            modules, optimizers, scalers=scalers, optional=frozenset(optional), counts=True
+        )
+
+    def _check_batch_size(self) -> None:
+        """Check that what an epoch gives has a spread, by which advantages are divided.
+
+        Raises:
+            ConfigError: it is one sample.
+        """
+        if self.batch_size < 2:
+            raise ConfigError(
+                "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
+                " undefined; expected at least two: raise num_envs or horizon_length"
+            )
+
+    def restore_central_value_function(self, fn: str) -> None:
+        """Take the asymmetric critic alone over from the checkpoint `fn`.
+
+        Raises:
+            CheckpointError: it cannot be used; the agent is as it was then.
+        """
+        key = "assymetric_vf_nets"
+        parts = Parts({key: self.central_value_net})
+        fitted = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
+        self.set_central_value_function_weights(fitted)
+
+    def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
+        """Return normaliser statistics, those of advantages too, which rl_games reads only."""
+        state: dict[str, Any] = super().get_stats_weights(model_stats)
+        if self.normalize_advantage and self.normalize_rms_advantage:
+            state["advantage_mean_std"] = self.advantage_mean_std.state_dict()
+        return state
+
+    def set_stats_weights(self, weights: dict[str, Any]) -> None:
+        """Take over normaliser statistics; a checkpoint of rl_games has none of advantages."""
+        if self.normalize_advantage and self.normalize_rms_advantage:
+            own = {"advantage_mean_std": self.advantage_mean_std.state_dict()}
+            weights = {**own, **weights}
+        super().set_stats_weights(weights)
+
+    def get_action_values(self, obs: Any) -> Any:
+        """As rl_games.
+
+        Raises:
+            NotFiniteError: observations or networks are not finite, so that no action can be drawn.
+        """
+        with self._acting_in_rollout(obs):
+            return super().get_action_values(obs)
+
+    @contextmanager
+    def _acting_in_rollout(self, obs: Any) -> Iterator[None]:
+        with self._acting_on(obs, self._acted):
+            yield
+        self._acted += 1
+
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """Make the training set of a rollout, once that is known to be finite.
+
+        Raises:
+            NotFiniteError: it is not; it says where and when.
+        """
+        self._acted = 0
+        self._check_rows(self.experience_buffer.tensor_dict)
+        obs: Any = self.obs
+        newest = {"obses": obs.get("obs"), "states": obs.get("states")}
+        self._check_rows(
+            {name: rows.unsqueeze(0) for name, rows in newest.items() if isinstance(rows, Tensor)},
+            self.horizon_length,
+        )
+        if not _all_finite([batch_dict["returns"]]):
+            raise self._not_finite("returns are not finite")
+        super().prepare_dataset(batch_dict)
+
+    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
+        """Write rl_games' scalars of an epoch whose losses and networks are finite.
+
+        Raises:
+            NotFiniteError: they are not; rl_games has saved nothing of them.
+        """
+        (_step_time, _play_time, _update_time, a_losses, c_losses, entropies, *_rest) = args
+        self._check_losses({"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies})
+        self._check_learned()
+        self._has_learned = True
+        super().write_stats(total_time, epoch_num, *args)
+        self.save_before_first_episode()
+
+    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
+        """Check the losses of an epoch, numbers by name.
+
+        Raises:
+            NotFiniteError: one is not finite.
+        """
+        stacked = {name: torch.stack(values) for name, values in losses.items() if values}
+        if _all_finite(stacked.values()):
+            return
+        broken = [name for name, values in stacked.items() if not bool(values.isfinite().all())]
+        if broken:
+            raise self._not_finite(f"{_first_few(broken)} not finite")
+
+
+def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
+    """Yield all that is learned, with its name in a checkpoint."""
+    yield from parts.tensors.items()
+    for key, module in parts.modules.items():
+        for name, tensor in chain(module.named_parameters(), module.named_buffers()):
+            yield f"{key}.{name}", tensor
+    for key, optimizer in parts.optimizers.items():
+        parameters = (p for group in optimizer.param_groups for p in group["params"])
+        for number, parameter in enumerate(parameters):
+            for name, value in optimizer.state.get(parameter, {}).items():
+                if isinstance(value, Tensor):
+                    yield f"{key}.state.{number}.{name}", value
+
+
+@torch.no_grad()
+def _all_finite(tensors: Iterable[Tensor]) -> bool:
+    """Return whether all numbers are finite, at the price of one sum each and one wait.
+
+    False may mean a sum out of range, too.
+    """
+    sums = [tensor.sum(dtype=torch.float32) for tensor in tensors]
+    if not sums:
+        return True
+    device = sums[0].device
+    return bool(torch.stack([each.to(device, non_blocking=True) for each in sums]).isfinite().all())
+
+
+def _first_few(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{', '.join(names[:3])}{more} {'are' if len(names) > 1 else 'is'}"
