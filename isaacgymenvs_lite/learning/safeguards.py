@@ -20,7 +20,7 @@ from rl_games.interfaces.base_algorithm import BaseAlgorithm
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints import load_checkpoint, save_checkpoint
-from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 
 # Rows of a rollout -> their name for a user, in the order in which one causes the next.
@@ -67,8 +67,12 @@ class Safeguards(BaseAlgorithm):
         Raises:
             CheckpointError: it cannot be used; the agent is as it was then.
         """
-        self._restored_from = str(fn)
-        self.set_full_state_weights(load_checkpoint(fn), set_epoch)
+        former, self._restored_from = self._restored_from, str(fn)
+        try:
+            self.set_full_state_weights(load_checkpoint(fn), set_epoch)
+        except CheckpointError:
+            self._restored_from = former  # no good checkpoint to name later
+            raise
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
         """Take over what a checkpoint holds, once all of it fits.
@@ -294,7 +298,8 @@ class PPOSafeguards(Safeguards, A2CAgent):
             {name: rows.unsqueeze(0) for name, rows in newest.items() if isinstance(rows, Tensor)},
             self.horizon_length,
         )
-        if not _all_finite([batch_dict["returns"]]):
+        returns = batch_dict["returns"]
+        if not _all_finite([returns]) and not bool(returns.isfinite().all()):
             raise self._not_finite("returns are not finite")
         super().prepare_dataset(batch_dict)
 
