@@ -114,9 +114,10 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
 def _prepare(module: str) -> None:
     """Do what importing a published module does beside giving it."""
     if module == "":
-        from isaacgymenvs_lite.config.resolvers import register_resolvers
+        from isaacgymenvs_lite.config.resolvers import let_scripts_register, register_resolvers
 
         register_resolvers()
+        let_scripts_register()
     elif module == _RUNNER_USERS:
         from isaacgymenvs_lite.published.runner import adapt_runner
 

@@ -260,3 +260,34 @@ def test_a_script_that_records_on_a_gpu_runs_on_any_machine(tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "(480, 640, 3)"
     assert (tmp_path / "videos" / "rl-video-step-0.mp4").stat().st_size > 0
+
+
+FIRST_RELEASES = """\
+import isaacgym
+from omegaconf import OmegaConf
+from isaacgymenvs.utils.rlgames_utils import RLGPUEnv, get_rlgames_env_creator
+from isaacgymenvs.learning import amp_models, amp_network_builder
+from isaacgymenvs_lite.config.compose import compose_task
+from rl_games.torch_runner import Runner
+
+OmegaConf.register_new_resolver("eq", lambda a, b: "own")
+print(OmegaConf.create({"a": "${eq:1,2}"}).a)
+runner = Runner()
+builder = runner.model_builder
+builder.model_factory.register_builder(
+    "own", lambda network, **kwargs: amp_models.ModelAMPContinuous(network)
+)
+builder.network_factory.register_builder("own", lambda **kwargs: amp_network_builder.AMPBuilder())
+section = {"name": "own", "mlp": {"units": [4], "activation": "relu"}}
+print(type(runner.model_builder.load({"model": {"name": "own"}, "network": section})).__name__)
+task = OmegaConf.to_container(compose_task("Cartpole", ["num_envs=2"]).task, resolve=True)
+make = get_rlgames_env_creator(task, "Cartpole", "cpu", "cpu", -1, True, multi_gpu=False)
+print(make().num_envs)
+"""
+
+
+def test_calls_of_the_first_releases(tmp_path: Path) -> None:
+    """Resolvers of the script's own, `runner.model_builder`, no seed for the environments."""
+    done = _run(tmp_path, FIRST_RELEASES)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["own", "ModelAMPContinuous", "2"]

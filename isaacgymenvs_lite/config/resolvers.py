@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -58,3 +59,18 @@ def register_resolvers() -> None:
     """Make the functions known to OmegaConf, also if another package has registered the names."""
     for name, function in RESOLVERS.items():
         OmegaConf.register_new_resolver(name, function, replace=True)
+
+
+def let_scripts_register() -> None:
+    """Let a script register our names once more, as IsaacGymEnvs' first train.py does.
+
+    OmegaConf would refuse the second registration of a name.
+    """
+    register = OmegaConf.register_new_resolver
+
+    @functools.wraps(register)
+    def register_again(name: str, resolver: Callable[..., Any], **options: Any) -> None:
+        register(name, resolver, **({"replace": True} if name in RESOLVERS else {}) | options)
+
+    if not hasattr(register, "__wrapped__"):
+        OmegaConf.register_new_resolver = register_again  # type: ignore[method-assign]

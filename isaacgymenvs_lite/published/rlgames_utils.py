@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
@@ -34,6 +35,22 @@ def multi_gpu_get_rank(multi_gpu: bool) -> int:
     return int(os.environ.get("LOCAL_RANK", "0")) if multi_gpu else 0
 
 
+def _with_or_without_seed(creator: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a function be called as in IsaacGymEnvs' first releases, whose arguments had no seed.
+
+    Their scripts call `set_seed` before; what torch was seeded with is the seed then.
+    """
+
+    @functools.wraps(creator)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        if "seed" not in kwargs and not (args and isinstance(args[0], int)):
+            args = (torch.initial_seed() % 2**32, *args)
+        return creator(*args, **kwargs)
+
+    return called
+
+
+@_with_or_without_seed
 def get_rlgames_env_creator(
     seed: int,
     task_config: dict[str, Any],

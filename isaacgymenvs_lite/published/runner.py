@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from rl_games.algos_torch.model_builder import ModelBuilder
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.config.devices import check_device
@@ -30,6 +31,10 @@ def adapt_runner() -> None:
 def _init(self: Runner, *args: Any, **kwargs: Any) -> None:
     _original_init(self, *args, **kwargs)
     register_algorithms(self)
+    # Where scripts for rl_games 1.1 register models and networks.
+    builder: Any = ModelBuilder()
+    builder.network_factory = builder.network_builder.network_factory
+    vars(self)["model_builder"] = builder
     package = __name__.partition(".")[0]
     for name, logger in logging.Logger.manager.loggerDict.items():
         if name.startswith(package) and isinstance(logger, logging.Logger):
