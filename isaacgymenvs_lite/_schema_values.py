@@ -18,6 +18,9 @@ Field = dataclasses.Field[Any]
 # Fills a nested settings dataclass: class, mapping, path.
 ReadNested = Callable[[Any, Mapping[Any, Any], str], Any]
 
+# Whole numbers up to here are exact as floats, too; nothing here counts further.
+_MAX_WHOLE = 2**53
+
 
 def read_value(value: Any, kind: Any, field: Field, path: str, read_nested: ReadNested) -> Any:
     """Return the plain `value` as the type `kind`, within the limits of `field`.
@@ -31,6 +34,8 @@ def read_value(value: Any, kind: Any, field: Field, path: str, read_nested: Read
         if isinstance(error, ConfigError):
             raise
         expected = expectation(kind, field)
+        if isinstance(error, OverflowError):
+            expected += f" and of at most {_MAX_WHOLE}"
         raise ConfigError(f"{path}: got {value!r}, expected {expected}") from None
 
 
@@ -90,6 +95,8 @@ def _convert_scalar(value: Any, kind: Any) -> Any:
     if kind is float:
         return number
     if kind is int:
+        if abs(number) > _MAX_WHOLE:
+            raise OverflowError
         if isinstance(value, int):
             return value  # float() would round whole numbers beyond 2^53
         if not number.is_integer():

@@ -29,6 +29,7 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
+from isaacgymenvs_lite.config.yaml_files import one_line
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError
 from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
@@ -76,7 +77,22 @@ def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         log.info("%s", note)
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
-    Session(cfg, settings, seed, command).run()
+    try:
+        Session(cfg, settings, seed, command).run()
+    except (MemoryError, RuntimeError, ValueError) as error:
+        if isinstance(error, UserError) or not _is_out_of_memory(error):
+            raise
+        raise ConfigError(
+            "not enough memory for this training: lower num_envs"
+            f" ({cfg.task.env.numEnvs} now), train.params.config.horizon_length or"
+            f" train.params.network.mlp.units ({one_line(error) or 'MemoryError'})"
+        ) from error
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    """Return whether Python, torch or MuJoCo could not get memory; each has words of its own."""
+    texts = ("can't allocate memory", "out of memory", "bad_alloc")
+    return isinstance(error, MemoryError) or any(text in str(error) for text in texts)
 
 
 class Session:

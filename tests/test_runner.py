@@ -378,6 +378,12 @@ def test_a_mistake_does_not_touch_what_was_there_before(name, in_tmp, walk_clip)
     assert kept.read_text() == "precious"
 
 
+def test_networks_that_no_memory_holds_are_one_line(in_tmp, walk_clip):
+    units = "train.params.network.mlp.units=[1000000000,1000000000]"
+    with pytest.raises(ConfigError, match=r"not enough memory for this training: lower num_envs"):
+        run(tiny(walk_clip, units))
+
+
 @pytest.mark.usefixtures("no_training")
 @pytest.mark.parametrize(
     ("override", "words"),

@@ -96,7 +96,7 @@ class LaunchSettings:
 class _EnvSize:
     """The one key of task.env that every task has."""
 
-    num_envs: int = setting(key="numEnvs", minimum=1)
+    num_envs: int = setting(key="numEnvs", minimum=1, maximum=2**24)
 
 
 def check_config(cfg: DictConfig) -> LaunchSettings:
@@ -137,12 +137,17 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 
 
 def _check_sections(cfg: DictConfig) -> None:
-    for path in ("task.name", "task.env", "train.params"):
+    hints = {
+        "task.name": "a task file starts with name:",
+        "task.env": "a task file has the settings of the task below env:",
+        "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
+        "train.params": "a train file starts with params:",
+    }
+    for path, hint in hints.items():
         section, _, key = path.rpartition(".")
         parent = cfg._get_node(section)
         present = list(parent) if isinstance(parent, DictConfig) else []
         if key not in present:
-            hint = f"a {section} file starts with {'params:' if section == 'train' else 'name:'}"
             raise missing_key(key, dict.fromkeys(map(str, present)), [key], section, hint)
 
 

@@ -43,6 +43,7 @@ _FAMILIES = {
     "a2c": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
 }
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+")
+_MAX_SAMPLES = 2**31 - 1  # of an epoch
 _PLAYER_DEFAULTS = {
     "deterministic": True,
     "render": False,
@@ -325,7 +326,8 @@ def _fit_minibatches(
     """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
 
     Raises:
-        ConfigError: the sequences of a recurrent network do not fit into the horizon.
+        ConfigError: an epoch has more samples than memory can hold, or the sequences of a recurrent
+            network do not fit into the horizon.
     """
     horizon = config["horizon_length"]
     sequence = config["seq_length"] if recurrent else 1
@@ -335,6 +337,11 @@ def _fit_minibatches(
             "choose a seq_length that does"
         )
     actors = num_envs * num_agents
+    if actors * horizon > _MAX_SAMPLES:
+        raise ConfigError(
+            f"{_WHERE}.config.horizon_length={horizon} with num_envs={num_envs}: an epoch of"
+            f" {actors * horizon:g} samples, expected at most {_MAX_SAMPLES}; lower one of them"
+        )
     samples = f"{actors * horizon} samples ({num_envs} envs x {horizon} steps"
     samples += f" x {num_agents} agents)" if num_agents > 1 else ")"
     _fit_minibatch(config, "", num_envs, actors * horizon, sequence, samples)

@@ -69,6 +69,8 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("train.params.config.gamma=${eq:1}", "train.params.config.gamma: "),
         ("~task.name", "the key 'task.name' is missing"),
         ("~task.env", "the key 'task.env' is missing"),
+        ("~task.sim", "the key 'task.sim' is missing; a task file has dt and gravity below sim:"),
+        ("task.env.numEnvs=9999999999999", "of at most 16777216"),
         ("~train.params", "the key 'train.params' is missing"),
         ("latent=random", "latent=random chooses what a trained policy shows: add test=True"),
         ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),

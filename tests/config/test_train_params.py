@@ -1,4 +1,5 @@
 import logging
+import re
 from typing import Any
 
 import pytest
@@ -105,6 +106,21 @@ def test_sequence_length_of_a_recurrent_network_is_kept_with_a_warning(prepare, 
     assert config["seq_length"] == 8
     assert "seq_len" not in config
     assert "seq_len is called seq_length now: using 8" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("horizon", "words"),
+    [
+        (
+            "1e300",
+            "got 1e+300, expected a whole number of at least 1 and of at most 90071992547409",
+        ),
+        ("100000000000", "an epoch of 6.4e+12 samples, expected at most 2147483647"),
+    ],
+)
+def test_an_epoch_that_no_memory_holds_is_refused(horizon, words, prepare):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        prepare(f"train.params.config.horizon_length={horizon}")
 
 
 def test_sequences_must_fit_into_the_horizon(prepare):
