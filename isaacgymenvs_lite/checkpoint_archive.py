@@ -13,18 +13,19 @@ from __future__ import annotations
 
 import io
 import math
-import pickle
 import re
 import struct
 import zipfile
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
 
 MAX_FILE_BYTES = 2 * 2**30
 """Of a file; the largest networks here take some ten MB."""
@@ -53,14 +54,6 @@ _STORAGES = {
     "BoolStorage": torch.bool,
 }
 _NUMPY_NUMBER = re.compile(r"[<=|]?(f[248]|[iu][1248]|b1)")
-# What torch writes, with protocol 2; of the others, some take memory by a number in the file.
-_OPCODES = (
-    *("PROTO", "STOP", "MARK", "POP", "POP_MARK", "GLOBAL", "REDUCE", "BUILD", "BINPERSID"),
-    *("EMPTY_DICT", "SETITEM", "SETITEMS", "EMPTY_LIST", "APPEND", "APPENDS"),
-    *("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
-    *("NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"),
-    *("BINUNICODE", "SHORT_BINSTRING", "BINGET", "LONG_BINGET", "BINPUT", "LONG_BINPUT"),
-)
 
 
 class ArchiveError(ValueError):
@@ -280,21 +273,11 @@ _NAMES: dict[tuple[str, str], Any] = {
 }
 
 
-_PythonUnpickler: Any = pickle._Unpickler  # type: ignore[attr-defined]
+class _Unpickler(LimitedUnpickler):
+    """Calls nothing but the functions above; what has memory in a file stands for itself."""
 
-
-class _Unpickler(_PythonUnpickler):
-    """Python's unpickler, the one that is written in Python, with few instructions and names.
-
-    The one in C reserves memory for the highest number that a file gives a value.
-    """
-
-    stack: list[Any]
-    pop_mark: Callable[[], list[Any]]
-    dispatch: ClassVar[dict[int, Any]] = {
-        getattr(pickle, name)[0]: _PythonUnpickler.dispatch[getattr(pickle, name)[0]]
-        for name in _OPCODES
-    }
+    key_types = (str, int, _Number)
+    error = ArchiveError
 
     def __init__(self, stream: Any) -> None:
         super().__init__(stream, encoding="latin1")
@@ -321,32 +304,11 @@ class _Unpickler(_PythonUnpickler):
             raise ArchiveError("memory of two kinds")
         return storage
 
-    def load_build(self) -> None:
+    def build(self, instance: Any, state: Any) -> None:
         """Drop the state of a dictionary or a numpy.dtype; nothing else has one."""
-        self.stack.pop()
-        if not isinstance(self.stack[-1], (_Dictionary, _Dtype)):
+        del state
+        if not isinstance(instance, (_Dictionary, _Dtype)):
             raise ArchiveError("a state of something that has none")
-
-    def load_setitem(self) -> None:
-        """Put an entry into a dictionary."""
-        value, key = self.stack.pop(), self.stack.pop()
-        self._put(key, value)
-
-    def load_setitems(self) -> None:
-        """Put entries into a dictionary."""
-        entries = self.pop_mark()
-        for key, value in zip(entries[::2], entries[1::2], strict=True):
-            self._put(key, value)
-
-    def _put(self, key: Any, value: Any) -> None:
-        # Before it is hashed: a tuple of tuples of ... would end the process.
-        if not isinstance(key, (str, int, _Number)) or not isinstance(self.stack[-1], dict):
-            raise ArchiveError("a dictionary with other keys than texts and integers")
-        self.stack[-1][key] = value
-
-    dispatch[pickle.BUILD[0]] = load_build
-    dispatch[pickle.SETITEM[0]] = load_setitem
-    dispatch[pickle.SETITEMS[0]] = load_setitems
 
 
 # --- from stand-ins to values --------------------------------------------------------------------

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import io
 import math
-import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,14 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.reading import one_line
+from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
 
 # Numbers, booleans and unicode strings; the second part is the size in bytes (U: in characters).
 _PLAIN_DTYPE = re.compile(r"(f[248]|[iu][1248]|b1|U\d{1,4})")
 _OBJECT_DTYPE = "O8"
+_MAX_SHARING = 4
+_MAX_VALUES = 1_000_000
+_MAX_DEPTH = 64
 
 
 class _PickledDtype:
@@ -87,10 +90,6 @@ class _PickledScalar:
         self.dtype = dtype
         self.content = content
 
-    # Makes the state instruction of a pickle fail on the class itself, as in the other two.
-    def __setstate__(self, state: Any) -> None:
-        raise ValueError("a scalar with a state")
-
     def resolve(self) -> float | int | bool | str:
         """Return the Python number or text; ValueError if type and content do not fit."""
         if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
@@ -101,9 +100,15 @@ class _PickledScalar:
         return values[0].item()
 
 
-def _allowed_names() -> dict[tuple[str, str], type]:
-    names: dict[tuple[str, str], type] = {
-        ("collections", "OrderedDict"): dict,
+def _make_dictionary(*entries: Any) -> dict[Any, Any]:
+    if entries:
+        raise ValueError("a dictionary that is filled when it is made")
+    return {}
+
+
+def _allowed_names() -> dict[tuple[str, str], Any]:
+    names: dict[tuple[str, str], Any] = {
+        ("collections", "OrderedDict"): _make_dictionary,
         ("numpy", "ndarray"): _PickledArray,
         ("numpy", "dtype"): _PickledDtype,
     }
@@ -113,7 +118,7 @@ def _allowed_names() -> dict[tuple[str, str], type]:
     return names
 
 
-class _RestrictedUnpickler(pickle.Unpickler):
+class _RestrictedUnpickler(LimitedUnpickler):
     """Resolves the names of real clips to the classes above and refuses all others."""
 
     _names = _allowed_names()
@@ -122,15 +127,21 @@ class _RestrictedUnpickler(pickle.Unpickler):
         super().__init__(stream)
         self._path = path
 
-    def find_class(self, module_name: str, global_name: str) -> type:
-        found = self._names.get((module_name, global_name))
+    def find_class(self, module: str, name: str) -> Any:
+        found = self._names.get((module, name))
         if found is None:
             raise MotionFileError(
                 f"{self._path}: refused, nothing was run: the file asks for "
-                f"{module_name}.{global_name}, but a clip needs only numpy arrays; "
+                f"{module}.{name}, but a clip needs only numpy arrays; "
                 "get the clip from a source that you trust"
             )
         return found
+
+    def build(self, instance: Any, state: Any) -> None:
+        """Give an array or a type its state."""
+        if not isinstance(instance, (_PickledArray, _PickledDtype)):
+            raise ValueError("a state of something that has none")
+        instance.__setstate__(state)
 
 
 def load_object_npy(path: str | Path) -> Any:
@@ -150,7 +161,7 @@ def load_object_npy(path: str | Path) -> Any:
         array = _RestrictedUnpickler(stream, path).load()
         if not isinstance(array, _PickledArray):
             raise ValueError("no numpy array")
-        return _resolve(array.single_object())
+        return _Resolver(len(stream.getbuffer())).resolve(array.single_object())
     except MotionFileError:
         raise
     except Exception as error:  # A damaged pickle raises anything: IndexError, EOFError, ...
@@ -181,12 +192,34 @@ def _skip_header(stream: io.BytesIO, path: Path) -> None:
         raise MotionFileError(f"{path}: holds an array of {dtype} of shape {shape}, {expected}")
 
 
-def _resolve(value: Any) -> Any:
-    """Replace the stand-ins in nested containers by the arrays and numbers they stand for."""
-    if isinstance(value, (_PickledArray, _PickledScalar)):
-        return value.resolve()
-    if isinstance(value, dict):
-        return {key: _resolve(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_resolve(item) for item in value]
-    return value
+class _Resolver:
+    """Replaces the stand-ins in nested containers by the arrays and numbers they stand for.
+
+    Containers and arrays may be named more than once in a file, but not so often that a small file
+    becomes a large clip.
+
+    Args:
+        size: of the file in bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._bytes_left = _MAX_SHARING * size
+        self._values_left = _MAX_VALUES
+
+    def resolve(self, value: Any, depth: int = 0) -> Any:
+        """Return the value; ValueError if it is too large or too deep."""
+        self._values_left -= 1
+        if self._values_left < 0 or depth > _MAX_DEPTH:
+            raise ValueError("more values, or deeper ones, than a clip has")
+        if isinstance(value, _PickledArray):
+            self._bytes_left -= len(value.content or b"")
+            if self._bytes_left < 0:
+                raise ValueError("arrays that are larger than the file")
+            return value.resolve()
+        if isinstance(value, _PickledScalar):
+            return value.resolve()
+        if isinstance(value, dict):
+            return {key: self.resolve(item, depth + 1) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.resolve(item, depth + 1) for item in value]
+        return value

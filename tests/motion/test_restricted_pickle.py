@@ -1,6 +1,8 @@
 import io
 import os
 import pickle
+import subprocess
+import sys
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -153,3 +155,50 @@ def test_truncated_empty_and_other_files(tmp_path: Path) -> None:
     np.save(path, np.zeros((2, 3)))
     with pytest.raises(MotionFileError, match=r"holds an array of float64 of shape \(2, 3\)"):
         load_object_npy(path)
+
+
+def _nested(depth: int) -> bytes:
+    return b")" + b"\x85" * depth  # (((...),),)
+
+
+@pytest.mark.parametrize(
+    "pickled",
+    [
+        # The value with the number 2^30: the unpickler in C makes room for all before it.
+        pytest.param(b"\x80\x02Nr\x00\x00\x00\x40.", id="number of a value"),
+        pytest.param(b"\x80\x02}" + _nested(200_000) + b"Ns.", id="deep key"),
+        pytest.param(b"\x80\x02" + b"]" * 200_000 + b"a" * 199_999 + b".", id="deep list"),
+        pytest.param(b"\x80\x04\x8a\xff" + b"\x01" * 255 + b".", id="long number"),
+        pytest.param(b"\x80\x04\x8e" + b"\xff" * 7 + b"\x00.", id="bytes longer than the file"),
+    ],
+)
+def test_pickles_that_are_made_to_break_a_reader_are_one_line(pickled, tmp_path):
+    """In a process of its own, with 2 GB: a crash of the reader fails the test, not the suite."""
+    path = write_npy(tmp_path / "clip.npy", pickled)
+    script = (
+        "import resource, sys\n"
+        "from isaacgymenvs_lite.motion.restricted_pickle import load_object_npy\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))\n"
+        "try:\n    load_object_npy(sys.argv[1])\n"
+        "except Exception as error:\n    print(type(error).__name__, error)\n"
+    )
+    command = [sys.executable, "-c", script, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr[-500:]
+    assert done.stdout.startswith("MotionFileError ")
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_lists_that_name_each_other_are_not_written_out(tmp_path):
+    """40 lists of ten times the one before: a small file that stands for 10^40 values."""
+    lists: list[Any] = [0]
+    for _ in range(40):
+        lists = [lists] * 10
+    with pytest.raises(MotionFileError, match="more values"):
+        load_object_npy(write_npy(tmp_path / "clip.npy", pickled_array(lists)))
+
+
+def test_an_array_that_is_named_often_is_not_copied_often(tmp_path):
+    content = [np.zeros(10_000)] * 100
+    with pytest.raises(MotionFileError, match="larger than the file"):
+        load_object_npy(write_npy(tmp_path / "clip.npy", pickled_array(content)))

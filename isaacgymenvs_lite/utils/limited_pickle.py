@@ -1,0 +1,88 @@
+"""Reads the instructions of a stranger's pickle, few of them and none that can do harm.
+
+A pickle is a program. Which functions it may call is up to the reader that builds on this class;
+here it is kept from ending the process or taking its memory: the unpickler in C reserves memory for
+the highest number that a file gives a value, and the hash of a tuple of tuples of tuples overflows
+the stack.
+"""
+
+from __future__ import annotations
+
+import pickle
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+# What torch.save and numpy.save write, with protocols 2 to 4; of protocol 0 what it takes to read a
+# file up to the name that it asks for.
+_OPCODES = (
+    *("PROTO", "FRAME", "STOP", "MARK", "POP", "POP_MARK"),
+    *("GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "BINPERSID"),
+    *("EMPTY_DICT", "SETITEM", "SETITEMS", "EMPTY_LIST", "APPEND", "APPENDS"),
+    *("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
+    *("NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"),
+    *("BINUNICODE", "SHORT_BINUNICODE", "SHORT_BINSTRING"),
+    *("BINBYTES", "SHORT_BINBYTES", "BINBYTES8"),
+    *("PUT", "GET", "UNICODE", "INT", "FLOAT", "LIST", "DICT"),
+    *("MEMOIZE", "BINGET", "LONG_BINGET", "BINPUT", "LONG_BINPUT"),
+)
+
+_PythonUnpickler: Any = pickle._Unpickler  # type: ignore[attr-defined]
+
+
+class LimitedUnpickler(_PythonUnpickler):
+    """Python's unpickler, the one that is written in Python, with the instructions above.
+
+    Attributes:
+        key_types: of the keys of dictionaries; cheap to hash.
+        error: what is raised for a dictionary that no file of ours has.
+    """
+
+    stack: list[Any]
+    pop_mark: Callable[[], list[Any]]
+    key_types: ClassVar[tuple[type, ...]] = (str, int)
+    error: ClassVar[type[ValueError]] = ValueError
+    dispatch: ClassVar[dict[int, Any]] = {
+        getattr(pickle, name)[0]: _PythonUnpickler.dispatch[getattr(pickle, name)[0]]
+        for name in _OPCODES
+    }
+
+    @abstractmethod
+    def find_class(self, module: str, name: str) -> Any:
+        """Return what a name stands for; raise for all but those that a file needs."""
+
+    @abstractmethod
+    def build(self, instance: Any, state: Any) -> None:
+        """Give an object its state; raise ValueError for one that has none."""
+
+    def load_build(self) -> None:
+        """Give the newest object its state."""
+        state = self.stack.pop()
+        self.build(self.stack[-1], state)
+
+    def load_setitem(self) -> None:
+        """Put an entry into a dictionary."""
+        value, key = self.stack.pop(), self.stack.pop()
+        self._put(key, value)
+
+    def load_setitems(self) -> None:
+        """Put entries into a dictionary."""
+        entries = self.pop_mark()
+        for key, value in zip(entries[::2], entries[1::2], strict=True):
+            self._put(key, value)
+
+    def load_dict(self) -> None:
+        """Begin a dictionary, an empty one as pickle writes it."""
+        if self.pop_mark():
+            raise self.error("a dictionary that is filled when it is made")
+        self.stack.append({})
+
+    def _put(self, key: Any, value: Any) -> None:
+        if not isinstance(key, self.key_types) or not isinstance(self.stack[-1], dict):
+            raise self.error("a dictionary with other keys than texts and integers")
+        self.stack[-1][key] = value
+
+    dispatch[pickle.BUILD[0]] = load_build
+    dispatch[pickle.DICT[0]] = load_dict
+    dispatch[pickle.SETITEM[0]] = load_setitem
+    dispatch[pickle.SETITEMS[0]] = load_setitems
