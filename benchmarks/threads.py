@@ -47,7 +47,7 @@ def main() -> None:
     """Measure and print."""
     args = _parser().parse_args()
     if args.side:
-        print(_script(args) if args.what == "script" else _workflow(args))
+        print(_script(args) if args.program == "script" else _workflow(args))
         return
     from benchmarks.machine import describe_machine
 
@@ -59,7 +59,7 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", nargs="?", choices=["script", "workflow"], default="script")
+    parser.add_argument("program", nargs="?", choices=["script", "workflow"], default="script")
     parser.add_argument("--task", default="Ant")
     parser.add_argument("--num-envs", type=int, default=64)
     parser.add_argument("--batch-size", type=int, default=512, help="of the script")
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _compare(args: argparse.Namespace, load: str) -> None:
     clean = {name: value for name, value in os.environ.items() if name not in _NAMES}
-    words = [args.what, "--side", "--task", args.task, "--num-envs", str(args.num_envs)]
+    words = [args.program, "--side", "--task", args.task, "--num-envs", str(args.num_envs)]
     words += ["--batch-size", str(args.batch_size), "--frames", str(args.frames)]
     words += ["--torch-first"] * args.torch_first
     peers = _peers(str(len(os.sched_getaffinity(0))))
@@ -87,7 +87,7 @@ def _compare(args: argparse.Namespace, load: str) -> None:
                 last_number_of("benchmarks.threads", *words, environment=environment)
             )
     order = ", torch imported first" if args.torch_first else ""
-    print(f"{args.what}, {args.task}, {args.num_envs} environments{order}, {load}:")
+    print(f"{args.program}, {args.task}, {args.num_envs} environments{order}, {load}:")
     for name, measured in rates.items():
         ratios = [ours / peer for ours, peer in zip(rates[_OURS], measured, strict=True)]
         compared = (

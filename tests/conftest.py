@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,20 @@ from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
+
+
+@pytest.fixture(autouse=True)
+def _log_as_before() -> Iterator[None]:
+    """Take back what commands that a test calls in this process do to the root logger."""
+    root = logging.getLogger()
+    level, last_resort = root.level, logging.lastResort
+    handlers = list(root.handlers)
+    yield
+    root.setLevel(level)
+    logging.lastResort = last_resort
+    for handler in list(root.handlers):
+        if handler not in handlers and not type(handler).__module__.startswith("_pytest"):
+            root.removeHandler(handler)
 
 
 @pytest.fixture(scope="session")

@@ -52,6 +52,7 @@ RUN_ELSEWHERE = {
 # What a user has, or makes by the commands: nothing of the repository.
 USERS_FILES = {
     "/path/to/AntPPO.yaml": "cfg/train/AntPPO.yaml",
+    "/IsaacGymEnvs/isaacgymenvs/cfg/task/HumanoidAMP.yaml": "cfg/task/HumanoidAMP.yaml",
     "/any/where/amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     **dict.fromkeys(("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py")),

@@ -54,9 +54,7 @@ def call(monkeypatch, tmp_path, runner) -> Any:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # restored afterwards; the command line sets it
     monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
-    root = logging.getLogger()
-    monkeypatch.setattr(root, "handlers", [])
-    level = root.level
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
 
     def call_main(*arguments: str) -> int:
         monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
@@ -66,8 +64,7 @@ def call(monkeypatch, tmp_path, runner) -> Any:
             return int(error.code or 0)
         return 0
 
-    yield call_main
-    root.setLevel(level)
+    return call_main
 
 
 Call = Callable[..., int]

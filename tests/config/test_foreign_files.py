@@ -89,8 +89,8 @@ Write = Callable[[str, str], Path]
 def call(monkeypatch, tmp_path) -> Callable[..., int]:
     """Run train.py's command line in an empty folder, without a runner; returns its exit code."""
 
-    def run(cfg: object) -> None:
-        del cfg
+    def run(cfg: object, command: object) -> None:
+        del cfg, command
         (tmp_path / "trained").touch()
 
     stand_in = types.ModuleType("isaacgymenvs_lite.runner")
