@@ -46,7 +46,7 @@ demo: $(VENV)/.installed-video
 	$(BIN)/python -m isaacgymenvs_lite.demo $(ARGS)
 
 test: lint
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n logical --dist loadfile $(ARGS)
 
 test-slow: install-dev
 	$(BIN)/python -m pytest -m slow $(ARGS)

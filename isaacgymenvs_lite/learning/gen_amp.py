@@ -27,7 +27,7 @@ from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
 from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
-from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
+from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder, SkillRewards
 
 # Rows of the clips that a random latent is compared with.
 _NEIGHBOURS = 512
@@ -35,7 +35,7 @@ _NEIGHBOURS = 512
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
 
-class GenAMPAgent(AMPAgent):
+class GenAMPAgent(SkillRewards, AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
     Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes, and
@@ -119,10 +119,6 @@ class GenAMPAgent(AMPAgent):
         )
         self.tensor_list += ["amp_latents"]
 
-    @property
-    def _disc_is_conditional(self) -> bool:
-        return self.model.a2c_network.disc_is_conditional
-
     def _store_demos(self) -> None:
         """As AMP; with each demonstration another moment of its clip where one is needed."""
         if not (self._amp.encodes_clips or self._disc_is_conditional):
@@ -186,30 +182,6 @@ class GenAMPAgent(AMPAgent):
 
     def _reward_latents(self) -> tuple[Tensor, ...]:
         return (self.experience_buffer.tensor_dict["amp_latents"],)
-
-    def _calc_amp_rewards(
-        self, amp_obs: Tensor, ase_latents: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each.
-
-        Args:
-            amp_obs: (..., F), raw.
-            ase_latents: (..., Z), which the policy acted under; None: the rollout's.
-        """
-        latents = self._reward_latents()[0] if ase_latents is None else ase_latents
-        of_disc = (latents,) if self._disc_is_conditional else ()
-        return {
-            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
-            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
-        }
-
-    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
-        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
-        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
-
-    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
-        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
-        return self.encoder.read(amp_obs)
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return AMP's sum and enc_reward_w * encoder, (..., 1)."""

@@ -18,13 +18,13 @@ from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import played_schedule
 from isaacgymenvs_lite.learning.latents import PlayedLatents
 from isaacgymenvs_lite.learning.published_names import ReadOnly
-from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder
+from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.skill_probe import SkillProbe, SkillResult
 
 log = logging.getLogger(__name__)
 
 
-class GenAMPPlayerContinuous(AMPPlayerContinuous):
+class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
     Keys of `train.params.config.player` beside CommonPlayer's: `latent`, which `train.py` has as
@@ -82,29 +82,10 @@ class GenAMPPlayerContinuous(AMPPlayerContinuous):
         return {**super()._policy_inputs(), "amp_latents": self._latents_now}
 
     def _disc_latents(self) -> tuple[Tensor, ...]:
-        return (self._latents_now,) if self.model.a2c_network.disc_is_conditional else ()
+        return (self._latents_now,) if self._disc_is_conditional else ()
 
     def _reward_latents(self) -> tuple[Tensor, ...]:
         return (self._latents_now,)
-
-    def _calc_amp_rewards(
-        self, amp_obs: Tensor, ase_latents: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each; None: the latents of now."""
-        latents = self._latents_now if ase_latents is None else ase_latents
-        of_disc = (latents,) if self.model.a2c_network.disc_is_conditional else ()
-        return {
-            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
-            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
-        }
-
-    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
-        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
-        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
-
-    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
-        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
-        return self.encoder.read(amp_obs)
 
     def _measure(self) -> None:
         """As AMP's; the log says which skills there are."""

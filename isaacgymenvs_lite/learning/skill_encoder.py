@@ -7,7 +7,7 @@ The network itself stays inside the actor-critic network, as the discriminator's
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -91,3 +91,44 @@ class SkillEncoder:
         penalty = gradient.float().square().sum(dim=-1).mean()
         loss = loss + self._params.enc_grad_penalty * penalty
         return {"enc_loss": loss, "enc_grad_penalty": penalty.detach()}
+
+
+class SkillRewards:
+    """The rewards of a skill: of the discriminator and of the encoder, for agents and players.
+
+    Comes before AMP's class, whose rewards it extends.
+    """
+
+    model: Any
+    encoder: SkillEncoder
+    # AMP's class has them.
+    _calc_disc_rewards: Any
+    _reward_latents: Any
+
+    @property
+    def _disc_is_conditional(self) -> bool:
+        return self.model.a2c_network.disc_is_conditional
+
+    def _calc_amp_rewards(
+        self, amp_obs: Tensor, ase_latents: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each.
+
+        Args:
+            amp_obs: (..., F), raw.
+            ase_latents: (..., Z), which the policy acted under; None: those of `_reward_latents`.
+        """
+        latents = self._reward_latents()[0] if ase_latents is None else ase_latents
+        of_disc = (latents,) if self._disc_is_conditional else ()
+        return {
+            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
+            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
+        }
+
+    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
+        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
+        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
+
+    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
+        return self.encoder.read(amp_obs)
