@@ -65,7 +65,7 @@ SURFACES = (
             model states last_lr optimizer dataset actions_num actions_low actions_high
             network_path train_result obs dones frame curr_frames epoch_num last_mean_rewards""",
         other={
-            "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) is told whom",
+            "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) gets them",
             "running_mean_std": "model.running_mean_std",
         },
         absent={
@@ -111,8 +111,8 @@ SURFACES = (
         other={
             "get_action_values(ase_latents)": "_policy_inputs() returns the latents",
             "_eval_critic(ase_latents)": "obs_dict['amp_latents'] are the latents",
-            "_reset_latents()": "_sample_latents(n) draws them, _after_reset(env_ids) is told who"
-            " starts",
+            "_reset_latents()": "_sample_latents(n) draws them, _after_reset(env_ids) gets"
+            " those that start",
             "_reset_latent_step_count()": "schedule.restart(env_ids); keys latent_steps_min, _max",
             "_enc_loss()": "_extra_losses(result, batch, input_dict), with result['enc_pred']",
             "_calc_enc_error()": "_calc_enc_rewards(amp_obs, ase_latents) and _extra_losses(...)",
@@ -250,10 +250,10 @@ SURFACES = (
         same="forward() eval_style() _activation _style_mlp _style_dense _dense_layers",
         absent={
             "init_params()": "GenAMPBuilder.Network._build_trunks initialises the layers",
-            "get_out_size()": "the network knows its own units",
+            "get_out_size()": "the network keeps its own units",
             "_build_style_mlp()": "GenAMPBuilder.Network._build_trunks builds the layers",
             "_initializer": "GenAMPBuilder.Network._build_trunks initialises the layers",
-            "_units": "the network knows its own units",
+            "_units": "the network keeps its own units",
             "_style_dim": "as wide as the latent",
             "_style_activation": "always tanh",
         },
@@ -264,9 +264,9 @@ SURFACES = (
         same="forward() _mlp",
         absent={
             "init_params()": "GenAMPBuilder.Network._build_trunks initialises the layers",
-            "get_out_size()": "the network knows its own units",
+            "get_out_size()": "the network keeps its own units",
             "_initializer": "GenAMPBuilder.Network._build_trunks initialises the layers",
-            "_units": "the network knows its own units",
+            "_units": "the network keeps its own units",
         },
     ),
     Surface(
