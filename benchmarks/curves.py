@@ -26,8 +26,8 @@ from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
 from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
-from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.report.scalars import FloatArray, Series
+from isaacgymenvs_lite.utils.optional_packages import import_package
 
 _PANELS = {
     "episode_length": "episode length in training (steps)",

@@ -24,7 +24,7 @@ from mujoco.batch import Batch
 
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config, seed_everything
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 
 _STEPS_PER_ROUND = 10
 # The exploration noise of AMP's policy, exp(-2.9), and a policy of the classic tasks at its start.

@@ -31,7 +31,7 @@ from benchmarks.records import (
 )
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs, plain
 from benchmarks.saved_curves import save_curve
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 
 RESULTS_DIR = Path(__file__).with_name("results")

@@ -29,11 +29,11 @@ from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import IMITATION_SETTINGS, SEED, play_checkpoint
 from benchmarks.runs import DEFAULT_RUNS_DIR
+from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
-from isaacgymenvs_lite.learning.evaluation import evaluate
-from isaacgymenvs_lite.learning.latents import sample_latents
-from isaacgymenvs_lite.learning.low_level_policy import LowLevelPolicy, LowLevelSizes
-from isaacgymenvs_lite.policies.llc_reference import SHIPPED_LLC
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
+from isaacgymenvs_lite.learning.skills.latents import sample_latents
+from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 
 EPISODES = 128
 LLC_CONFIG = "HumanoidASEPPO"
@@ -138,7 +138,7 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
 
 def _shipped_judge(env: Any) -> LowLevelPolicy | None:
     try:
-        return LowLevelPolicy(LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.of_task(env), env.rl_device)
+        return LowLevelPolicy(LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.from_task(env), env.rl_device)
     except CheckpointError:  # of another humanoid
         return None
 

@@ -25,9 +25,9 @@ from benchmarks.experiments import override
 from benchmarks.from_inside import MeasuredError, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
-from isaacgymenvs_lite.learning.latents import sample_latents
-from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _WARM_UP_ROUNDS = 2
 

@@ -24,7 +24,7 @@ from benchmarks.experiments import find_experiment, needs_motion_file
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
 from benchmarks.training import Plan, log_file, plan, train_all
 from isaacgymenvs_lite.errors import ConfigError, UserError
-from isaacgymenvs_lite.stopping import StopRequest
+from isaacgymenvs_lite.run.stop_request import StopRequest
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from benchmarks.machine import describe_machine
 from benchmarks.protocol import EPISODE_STEPS
 from benchmarks.runs import Run, find_runs
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:

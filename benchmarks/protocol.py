@@ -15,10 +15,10 @@ from torch import Tensor
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.imitation import ImitationResult
-from isaacgymenvs_lite.learning.evaluation import evaluate
-from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
+from isaacgymenvs_lite.evaluation.pose_error import ImitationResult
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.runner import Session

@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config, seed_everything
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 _STEPS_PER_ROUND = 10

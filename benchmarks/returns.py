@@ -24,7 +24,7 @@ from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import SEED, play_checkpoint
 from benchmarks.runs import DEFAULT_RUNS_DIR
 from isaacgymenvs_lite.errors import UserError
-from isaacgymenvs_lite.learning.evaluation import evaluate
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
 
 EPISODES = 128
 

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.run_folder import RunFolder
+from isaacgymenvs_lite.run.folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT_RUNS_DIR = Path("runs/benchmarks")

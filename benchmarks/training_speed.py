@@ -37,10 +37,10 @@ from mujoco.batch import Batch
 from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.learning import common_agent
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
-from isaacgymenvs_lite.learning.network_executor import NetworkExecutor
-from isaacgymenvs_lite.making import seed_everything
+from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
@@ -55,7 +55,7 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
     (VecTask, "reset_done", "environment: resets"),
     (CpuBatchSimulation, "step", "environment: physics and its state tensors"),
     (AMPAgent, "get_action_values", "policy: actions and values"),
-    (AMPAgent, "_value_noted_rows", "policy: values after the step"),
+    (AMPAgent, "_evaluate_bootstrap_queue", "policy: values after the step"),
     (AMPAgent, "_calc_amp_rewards", "discriminator reward"),
     (AMPAgent, "discount_values", "advantages"),
     (AMPAgent, "_before_update", "demonstrations and replay: sampling"),
@@ -63,7 +63,7 @@ _TIMED: tuple[tuple[type, str, str], ...] = (
     (AMPAgent, "prepare_dataset", "normalised values and advantages"),
     (AMPAgent, "_run_mini_epochs", "update: gathering minibatches"),
     (AMPAgent, "calc_gradients", "update: networks, losses and their gradients"),
-    (AMPAgent, "_count_in", "update: statistics of the normalisers"),
+    (AMPAgent, "_update_normalizers", "update: statistics of the normalisers"),
     (AMPAgent, "trancate_gradients_and_step", "update: optimiser"),
     (AMPAgent, "_track_episodes", "episode statistics"),
     (AMPAgent, "write_stats", "logging"),

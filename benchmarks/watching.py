@@ -1,6 +1,6 @@
 """What it costs to be watched: recording, drawing, and the page in the browser.
 
-    python -m benchmarks.watching [--task HumanoidAMP] [--num-envs 1024] [--envs-shown 1]
+    python -m benchmarks.viewers [--task HumanoidAMP] [--num-envs 1024] [--envs-shown 1]
 
 - recording: time that a control step takes longer while a video of it is recorded;
 - drawing: CPU time of one video of 100 pictures, drawn without a display and encoded;
@@ -23,11 +23,11 @@ import torch
 
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config, seed_everything
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.watching.film_maker import Film, write_film
-from isaacgymenvs_lite.watching.web_page import WebPage
+from isaacgymenvs_lite.viewers.video_writer import VideoJob, write_video
+from isaacgymenvs_lite.viewers.web_page import WebPage
 
 _NUM_PICTURES = 100
 _PAGE_S = 10.0
@@ -49,9 +49,9 @@ def main() -> None:
     recorder = PoseRecorder(env, _NUM_PICTURES, range(args.envs_shown))
     step_s, record_s = _record(env, recorder)
     with tempfile.TemporaryDirectory() as folder:
-        film = Film.of_recording(env, recorder, Path(folder) / "video.mp4")
+        film = VideoJob.from_recording(env, recorder, Path(folder) / "video.mp4")
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
-        write_film(film)
+        write_video(film)
         draw_s, draw_cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     print(describe_machine())
     print(

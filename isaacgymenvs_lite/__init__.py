@@ -63,7 +63,7 @@ def make(
         RenderingError: `virtual_screen_capture`, and this machine cannot draw.
         MotionFileError: a motion clip that cannot be used.
     """
-    from isaacgymenvs_lite.making import make_task
+    from isaacgymenvs_lite.env_factory import make_task
 
     return make_task(
         seed=seed,

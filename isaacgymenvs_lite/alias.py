@@ -25,12 +25,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from isaacgymenvs_lite.published.module_names import (
+from isaacgymenvs_lite.isaacgymenvs_compat.module_names import (
     RENAMED,
     absent_because,
     stand_in_because,
 )
-from isaacgymenvs_lite.published.stand_ins import StandInModule
+from isaacgymenvs_lite.isaacgymenvs_compat.stand_ins import StandInModule
 from isaacgymenvs_lite.train import message_handler
 
 _OLD, _NEW = "isaacgymenvs", "isaacgymenvs_lite"
@@ -119,7 +119,7 @@ def _prepare(module: str) -> None:
         register_resolvers()
         let_scripts_register()
     elif module == _RUNNER_USERS:
-        from isaacgymenvs_lite.published.runner import adapt_runner
+        from isaacgymenvs_lite.isaacgymenvs_compat.runner import adapt_runner
 
         adapt_runner()
 
@@ -161,7 +161,7 @@ def _stand_in_for_a_gpu() -> Any:
     import torch
 
     from isaacgymenvs_lite.config.devices import let_the_cpu_stand_in
-    from isaacgymenvs_lite.published.cuda import CudaIsCpu
+    from isaacgymenvs_lite.isaacgymenvs_compat.cuda import CudaIsCpu
 
     if torch.cuda.is_available():
         return nullcontext()

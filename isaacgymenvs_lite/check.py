@@ -27,7 +27,6 @@ from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
 from isaacgymenvs_lite.config.foreign_files import is_foreign
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.published_names import (
     longest_task,
     missing_choice,
@@ -35,6 +34,7 @@ from isaacgymenvs_lite.config.published_names import (
     missing_task_of_file,
     task_in_name,
 )
+from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.train_params import (
     check_env_name,
@@ -133,8 +133,8 @@ def _describe_unknown(cfg: DictConfig) -> list[str]:
 
 def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]:
     # torch, MuJoCo and rl_games: once the configuration is known to compose
-    from isaacgymenvs_lite.checkpoints import resolve_checkpoint
-    from isaacgymenvs_lite.making import make_from_config
+    from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
+    from isaacgymenvs_lite.env_factory import make_from_config
     from isaacgymenvs_lite.registration import build_runner
     from isaacgymenvs_lite.runner import registered_names
 

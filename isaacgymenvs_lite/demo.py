@@ -24,21 +24,22 @@ import mujoco
 import numpy as np
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
-from isaacgymenvs_lite.making import seed_everything
-from isaacgymenvs_lite.marks import Mark
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
-from isaacgymenvs_lite.policies.launch import playing_overrides
-from isaacgymenvs_lite.policies.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.rendering.gl import ensure_gl
-from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track, reference_track
+from isaacgymenvs_lite.rendering.markers import Marker
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
 from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.viewers.reference_track import reference_track
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +79,7 @@ class Performance:
         tracks: (T, nq) each: the clip, beginning in the policy's first pose, and the policy; or the
             policy in several environments.
         labels: of the tracks; empty for none.
-        marks: what else to show at each time of each track, such as goals; empty for nothing.
+        markers: what else to show at each time of each track, such as goals; empty for nothing.
         summary: what all environments reached, for users.
     """
 
@@ -86,7 +87,7 @@ class Performance:
     dt_s: float
     tracks: tuple[Track, ...]
     labels: tuple[str, ...]
-    marks: tuple[tuple[tuple[Mark, ...], ...], ...]
+    markers: tuple[tuple[tuple[Marker, ...], ...], ...]
     summary: str
 
 
@@ -178,7 +179,7 @@ class _Demonstration(Session):
             env.dt,
             tuple(tracks),
             _LABELS if imitates else (),
-            () if imitates else tuple(recorder.marks()),
+            () if imitates else tuple(recorder.markers()),
             _summary(result, self._cfg),
         )
 
@@ -210,7 +211,7 @@ def film(performance: Performance, path: Path) -> Path:
         performance.model,
         [track[::stride] for track in tracks],
         performance.labels,
-        marks=performance.marks[::stride],
+        markers=performance.markers[::stride],
         width=width,
         height=height,
     )

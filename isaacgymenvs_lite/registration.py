@@ -23,7 +23,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
 import isaacgymenvs_lite
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder

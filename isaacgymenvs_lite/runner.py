@@ -17,12 +17,12 @@ from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
-from isaacgymenvs_lite.config.notes import startup_notes
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
     KnownNames,
     check_env_name,
@@ -30,26 +30,26 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.config.yaml_files import one_line
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError
-from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
-from isaacgymenvs_lite.making import make_from_config, seed_everything
-from isaacgymenvs_lite.observers import (
-    AdviceObserver,
-    FiguresObserver,
+from isaacgymenvs_lite.registration import build_runner, known_names, register_env
+from isaacgymenvs_lite.run import (
+    DiagnosticsObserver,
     ImitationObserver,
+    MetricsObserver,
     MultiObserver,
     ProgressObserver,
     TaskScalarsObserver,
 )
-from isaacgymenvs_lite.registration import build_runner, known_names, register_env
-from isaacgymenvs_lite.run_folder import RunFolder, run_of_checkpoint
-from isaacgymenvs_lite.stopping import StopRequest
+from isaacgymenvs_lite.run.event_writer import install
+from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
+from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
 from isaacgymenvs_lite.utils.threads import thread_count
-from isaacgymenvs_lite.watching.start import Watching
-from isaacgymenvs_lite.watching.window import WindowClosedError
+from isaacgymenvs_lite.viewers.start import Viewers
+from isaacgymenvs_lite.viewers.window import WindowClosedError
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
@@ -108,7 +108,7 @@ class Session:
         self._cfg = cfg
         self._command = command or TypedCommand()
         self._settings = settings
-        self._watching = Watching(settings)
+        self._viewers = Viewers(settings)
         self._seed = seed
         name = run_name_of(cfg)
         self._name = name.name  # of the checkpoints
@@ -147,7 +147,7 @@ class Session:
         finally:
             torch.set_num_threads(threads)
             register_env()  # the task made here is of no use to others
-            self._watching.close()
+            self._viewers.close()
             for env in self._envs:
                 env.close()
 
@@ -205,30 +205,30 @@ class Session:
             log.warning("test=True without checkpoint=: playing an untrained policy")
         folder = run_of_checkpoint(self._checkpoint) or self._folder.path
         prefix = f"play{Path(self._run_name).name.removeprefix(self._name)}"
-        self._watching.start(self._task, folder, _end_play, prefix)
+        self._viewers.start(self._task, folder, _end_play, prefix)
         with contextlib.suppress(WindowClosedError):
             self._launch({"train": False, "play": True}, AlgoObserver())
 
     def _train(self) -> None:
         self._folder.create(self._cfg)
         imitation = self._imitation_observer()
-        figures = FiguresObserver()
+        figures = MetricsObserver()
         interval_s = self._settings.progress_interval
         progress = ProgressObserver(self._stop, figures, imitation, interval_s)
         observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
         wandb = None
         if self._settings.wandb_activate:
-            from isaacgymenvs_lite.wandb_observer import WandbObserver
+            from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 
             wandb = WandbObserver(self._cfg, self._settings, self._run_name)
             observers.append(wandb)
         if imitation is not None:
             observers.append(imitation)
-        advice = AdviceObserver(figures, imitation, self._task.max_episode_length)
+        advice = DiagnosticsObserver(figures, imitation, self._task.max_episode_length)
         observers += [figures, progress, advice]
         self._params["config"]["print_stats"] = False
         try:
-            self._watching.start(self._task, self._folder.path, self._stop.ask)
+            self._viewers.start(self._task, self._folder.path, self._stop.ask)
             with self._stop:
                 self._launch({"train": True, "play": False}, MultiObserver(observers))
         except NotFiniteError:
@@ -242,7 +242,7 @@ class Session:
         finally:
             progress.close()
             self._agent_holder.flush()
-            self._watching.close()  # its last videos belong to wandb's run, too
+            self._viewers.close()  # its last videos belong to wandb's run, too
             if wandb is not None:
                 wandb.close()
         self._save_under_plain_name()
@@ -321,7 +321,7 @@ class _AgentHolder(AlgoObserver):
 
     def after_init(self, algo: Any) -> None:
         self.agent = algo
-        protect(algo.writer)
+        install(algo.writer)
 
     def flush(self) -> None:
         """Write the scalars that wait."""

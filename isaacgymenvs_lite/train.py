@@ -20,16 +20,16 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
+from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config.compose import HYDRA_VERSION_BASE, make_loader
-from isaacgymenvs_lite.config.explain import ComposeError, explain
-from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME, checked_hydra
+from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, checked_hydra
+from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.outside_files import outside_files
+from isaacgymenvs_lite.config.path_overrides import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.policies.launch import complete_arguments
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 EXIT_USER_ERROR = 2

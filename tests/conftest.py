@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.npz import save_npz
+from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.errors import CheckpointError
 
 

@@ -12,11 +12,11 @@ import PIL.Image
 import pytest
 
 from isaacgymenvs_lite import demo
+from isaacgymenvs_lite.checkpoints import shipped
+from isaacgymenvs_lite.checkpoints.packed import pack_policy
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.policies import shipped
-from isaacgymenvs_lite.policies.packed import pack_policy
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
 

@@ -29,11 +29,11 @@ from hydra._internal.utils import get_args_parser
 
 from benchmarks.experiments import find_experiment
 from isaacgymenvs_lite import command_line
+from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
-from isaacgymenvs_lite.policies.launch import complete_arguments
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 
 ROOT = Path(__file__).parents[1]

@@ -13,10 +13,10 @@ import torch
 from omegaconf import DictConfig
 
 import isaacgymenvs_lite
-from isaacgymenvs_lite import making
+from isaacgymenvs_lite import env_factory as making
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError, DeviceError, MotionFileError
-from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
@@ -105,7 +105,7 @@ def test_what_is_captured_needs_no_display(gl, make, monkeypatch) -> None:
 
     monkeypatch.setattr(making, "check_display", check_display)
     task = make(task="Cartpole", num_envs=2, headless=False, virtual_screen_capture=True)
-    assert task.watchers == []
+    assert task.listeners == []
     task.reset()
     picture = task.render(mode="rgb_array")
     assert (picture.shape, picture.dtype) == ((480, 640, 3), np.uint8)

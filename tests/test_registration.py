@@ -7,7 +7,7 @@ from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver, DefaultAlgoObserver
 from rl_games.torch_runner import Runner
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder

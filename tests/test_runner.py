@@ -25,7 +25,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError

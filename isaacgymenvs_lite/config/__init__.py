@@ -8,9 +8,9 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.devices import check_device
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.config.minibatch import fit_minibatch
-from isaacgymenvs_lite.config.notes import cpu_defaults_note, physx_only_keys, startup_notes
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys, startup_notes
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 

@@ -14,9 +14,9 @@ from hydra.core.utils import setup_globals
 from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
-from isaacgymenvs_lite.config.explain import ComposeError, explain
-from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME, CheckedLoader
-from isaacgymenvs_lite.config.outside_files import outside_files
+from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, CheckedLoader
+from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
+from isaacgymenvs_lite.config.path_overrides import outside_files
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError

@@ -10,11 +10,11 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
-from isaacgymenvs_lite.config.explain import explain_interpolation
+from isaacgymenvs_lite.config.hydra_errors import explain_interpolation
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.optional_packages import require
 from isaacgymenvs_lite.schema import missing_key, read_section, setting
+from isaacgymenvs_lite.utils.optional_packages import require
 
 # Sections below the root, which others read.
 _SECTIONS = ("task", "train", "pbt")

@@ -10,14 +10,18 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from isaacgymenvs_lite.checkpoints import checkpoint_of_tree, load_checkpoint, resolve_checkpoint
+from isaacgymenvs_lite.checkpoints.files import (
+    checkpoint_of_tree,
+    load_checkpoint,
+    resolve_checkpoint,
+)
+from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
+from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose, make_loader
-from isaacgymenvs_lite.config.explain import ComposeError, explain
-from isaacgymenvs_lite.config.hydra_loader import CONFIG_NAME
+from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME
+from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.policies.launch import as_override, complete_arguments
-from isaacgymenvs_lite.policies.run_config import read_run_config, run_config_file
-from isaacgymenvs_lite.policies.shipped import shipped_policies
 
 log = logging.getLogger(__name__)
 

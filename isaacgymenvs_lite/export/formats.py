@@ -21,8 +21,8 @@ import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph
-from isaacgymenvs_lite.optional_packages import require
+from isaacgymenvs_lite.export.exportable_policy import PolicyGraph
+from isaacgymenvs_lite.utils.optional_packages import require
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 

@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 
 from isaacgymenvs_lite import __version__
+from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, TensorSpec
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
-from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph, Port
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 FORMAT_VERSION = 1
@@ -45,8 +45,8 @@ def describe(
         "frames": int(state.get("frame", 0)),
         "epochs": int(state.get("epoch", 0)),
         "control_rate_hz": 1.0 / task.simulation.dt,
-        "inputs": [_port(port) for port in graph.inputs],
-        "outputs": [_port(port) for port in graph.outputs],
+        "inputs": [_tensor_spec(port) for port in graph.inputs],
+        "outputs": [_tensor_spec(port) for port in graph.outputs],
         "observations": _observations(task),
         "observation_limit": _finite(task.clip_obs),
         "actions": _action_names(task),
@@ -60,7 +60,7 @@ def describe(
     return described
 
 
-def _port(port: Port) -> dict[str, Any]:
+def _tensor_spec(port: TensorSpec) -> dict[str, Any]:
     axis = port.batch_axis
     shape = [*port.shape[:axis], "batch", *port.shape[axis:]]
     return {"name": port.name, "shape": shape, "dtype": str(port.dtype).removeprefix("torch.")}

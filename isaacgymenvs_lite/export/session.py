@@ -13,17 +13,17 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.export.configuration import configuration_of
+from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS, ExportedPolicy
 from isaacgymenvs_lite.export.metadata import describe
-from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph, graph_of
-from isaacgymenvs_lite.making import seed_everything
-from isaacgymenvs_lite.output_files import written_for_user
 from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.utils.files import written_for_user
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +97,7 @@ class ExportSession(Session):
     def _play(self) -> None:
         player = self.make_player()
         with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers tell their sizes
-            self.graph = graph_of(player)
+            self.graph = make_exportable_policy(player)
         state = load_checkpoint(self._checkpoint)
         name = str(self._cfg.task.name)
         self.metadata = describe(name, self._task, player, self.graph, self._params, state)

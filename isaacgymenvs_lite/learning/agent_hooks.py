@@ -11,7 +11,7 @@
 | `_after_reset`, `_before_step` | work where episodes start, and before each policy step |
 | `_policy_inputs`, `_training_inputs` | inputs of the networks beside the observation |
 | `_evaluation_inputs` | the same for another task that the policy plays |
-| `_rows_to_count` | rows that its normalisers count in |
+| `_normalizer_inputs` | rows that its normalisers count in |
 | `_needs_next_value` | rows whose next value the following step's policy call will not give |
 | `_record_step` | what to keep of a step |
 | `_total_rewards` | rewards beside the task's |
@@ -19,7 +19,7 @@
 | `_calc_advs` | how advantages are normalised |
 | `_before_update`, `_after_update` | work around the gradient steps |
 | `_extra_dataset`, `_dataset_row_limits` | rows beside PPO's in the training set |
-| `_derived_rows` | rows that a whole minibatch decides about |
+| `_minibatch_extras` | rows that a whole minibatch decides about |
 | `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's terms |
 | `_extra_losses` | loss terms beside PPO's |
 | `_record_train_batch_info`, `_log_train_info` | what to log of an epoch |
@@ -36,7 +36,7 @@ from typing import Any
 
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 LossTerms = dict[str, tuple[float, Tensor]]
 """{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
@@ -86,7 +86,7 @@ class AgentHooks:
         del input_dict
         return {}
 
-    def _rows_to_count(
+    def _normalizer_inputs(
         self, input_dict: dict[str, Tensor]
     ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
         """Return normalisers and the rows of a minibatch (n, ...) that they count in, in order."""
@@ -127,7 +127,7 @@ class AgentHooks:
         """Return how many rows of a minibatch are read, for names where it is not all."""
         return {}
 
-    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return rows (M, ...) that join a minibatch before it is cut into slices.
 
         For what needs all rows at once, or random numbers: slices are computed by several threads.

@@ -17,18 +17,18 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.learning.discriminator import (
+from isaacgymenvs_lite.learning.losses import normalize_masked
+from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     DiscriminatorParts,
     StyleDiscriminator,
     accuracies,
-    judged_size,
+    disc_obs_size,
 )
-from isaacgymenvs_lite.learning.losses import normalize_masked
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
-from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
 
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
@@ -105,7 +105,7 @@ class AMPAgent(CommonAgent):
                 "train.params.algo: AMP needs a task with reference motions"
                 " (amp_observation_space), such as task=HumanoidAMP"
             )
-        self._amp_obs_size = judged_size(AMPObsShape.of_task(self.vec_env.env), self._amp)
+        self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self.vec_env.env), self._amp)
         # Whether some environments act without exploration noise.
         self._masks_exploration = self._amp.enable_eps_greedy
         self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
@@ -168,13 +168,13 @@ class AMPAgent(CommonAgent):
 
     def _store_demos(self) -> None:
         demos = self._fetch_amp_obs_demo(self._amp.amp_batch_size)
-        self._amp_obs_demo_buffer.store({"amp_obs": self._judged(demos)})
+        self._amp_obs_demo_buffer.store({"amp_obs": self._truncate_amp_obs(demos)})
 
     def _fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, F) of the reference motions."""
         return self.vec_env.env.fetch_amp_obs_demo(num_samples)
 
-    def _judged(self, amp_obs: Tensor) -> Tensor:
+    def _truncate_amp_obs(self, amp_obs: Tensor) -> Tensor:
         """Return what discriminator and encoder see of AMP observations (..., F)."""
         return amp_obs[..., : self._amp_obs_size].to(self.ppo_device)
 
@@ -190,7 +190,7 @@ class AMPAgent(CommonAgent):
         return result
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
-        self.experience_buffer.update_data("amp_obs", n, self._judged(infos["amp_obs"]))
+        self.experience_buffer.update_data("amp_obs", n, self._truncate_amp_obs(infos["amp_obs"]))
         if self._masks_exploration:
             self.experience_buffer.update_data("rand_action_mask", n, self._explored)
 
@@ -220,7 +220,7 @@ class AMPAgent(CommonAgent):
         """Return what discriminator and encoder get for raw AMP observations (n, F): normalised.
 
         Several threads call it at the same time: it must not change the agent. Statistics are
-        counted elsewhere (`_rows_to_count`).
+        counted elsewhere (`_normalizer_inputs`).
         """
         return self.discriminator.normalize(amp_obs)
 
@@ -238,18 +238,18 @@ class AMPAgent(CommonAgent):
         self._log_rewards()
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
-        batch_dict |= self._demo_rows(self._amp_obs_demo_buffer.sample(rows))
-        replayed = self._fakes(batch_dict)
+        batch_dict |= self._demo_disc_batch(self._amp_obs_demo_buffer.sample(rows))
+        replayed = self._agent_disc_batch(batch_dict)
         if self._amp_replay_buffer.get_total_count() > 0:
             replayed = self._amp_replay_buffer.sample(rows)
         for name, values in replayed.items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
-    def _demo_rows(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return what the discriminator shall take for real, of rows of the demonstrations."""
         return {"amp_obs_demo": demos["amp_obs"]}
 
-    def _fakes(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+    def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         """Return what it shall not, of the rollout; names begin with `amp_obs`."""
         return {"amp_obs": batch_dict["amp_obs"]}
 
@@ -274,8 +274,8 @@ class AMPAgent(CommonAgent):
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         return normalize_masked(advantages, batch_dict["rand_action_mask"])
 
-    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        rows = super()._derived_rows(input_dict)
+    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        rows = super()._minibatch_extras(input_dict)
         if self._masks_exploration:
             mask = input_dict["rand_action_mask"]
             rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
@@ -303,10 +303,10 @@ class AMPAgent(CommonAgent):
             inputs["amp_obs_demo"].requires_grad_()
         return inputs
 
-    def _rows_to_count(
+    def _normalizer_inputs(
         self, input_dict: dict[str, Tensor]
     ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
-        counts = super()._rows_to_count(input_dict)
+        counts = super()._normalizer_inputs(input_dict)
         if self.discriminator.normalizer is not None:
             rows = [input_dict[name] for name in _AMP_OBS_KINDS]
             counts.append((self.discriminator.normalizer, rows))
@@ -362,7 +362,7 @@ class AMPAgent(CommonAgent):
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Keep the policy's AMP observations: all until the buffer is full, then a few."""
-        self._store_replay_amp_obs(**self._fakes(batch_dict))
+        self._store_replay_amp_obs(**self._agent_disc_batch(batch_dict))
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
         """Keep AMP observations (n, F), and rows that belong to them."""

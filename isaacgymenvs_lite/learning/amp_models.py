@@ -28,10 +28,10 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
             result = super().forward(input_dict)
             if input_dict.get("is_train", True) and "amp_obs" in input_dict:
-                result |= self._judge(input_dict)
+                result |= self._eval_discriminator(input_dict)
             return result
 
-        def _judge(self, input_dict: dict[str, Any]) -> dict[str, Any]:
+        def _eval_discriminator(self, input_dict: dict[str, Any]) -> dict[str, Any]:
             agent = self._disc_inputs(input_dict, "amp_obs")
             replay = self._disc_inputs(input_dict, "amp_obs_replay")
             fakes = [torch.cat(pair) for pair in zip(agent, replay, strict=True)]

@@ -9,8 +9,8 @@ from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import nn
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.actor_critic_network import ActorCriticNetwork
-from isaacgymenvs_lite.learning.discriminator_layers import (
+from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticNetwork
+from isaacgymenvs_lite.learning.modules.discriminator_layers import (
     DISC_LOGIT_INIT_SCALE,
     DiscriminatorLayers,
 )

@@ -13,7 +13,11 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
-from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
+from isaacgymenvs_lite.learning.modules.discriminator import (
+    AMPObsShape,
+    StyleDiscriminator,
+    disc_obs_size,
+)
 from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.restoring import Parts
 
@@ -44,7 +48,7 @@ class AMPPlayerContinuous(CommonPlayer):
         super()._build_net(config)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            judged_size(AMPObsShape.of_task(self.env), self._amp),
+            disc_obs_size(AMPObsShape.from_task(self.env), self._amp),
             self._amp,
             self.default_disc_reward,
             self.device,
@@ -59,7 +63,7 @@ class AMPPlayerContinuous(CommonPlayer):
             )
         return {
             **super()._build_net_config(),
-            "amp_input_shape": (judged_size(AMPObsShape.of_task(self.env), self._amp),),
+            "amp_input_shape": (disc_obs_size(AMPObsShape.from_task(self.env), self._amp),),
         }
 
     def _parts(self) -> Parts:

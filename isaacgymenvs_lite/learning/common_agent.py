@@ -18,12 +18,12 @@ from torch import Tensor
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
+from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
 from isaacgymenvs_lite.learning.flat_config import given_section
 from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
-from isaacgymenvs_lite.learning.network_executor import attach_executor
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.next_values import NextValues
 from isaacgymenvs_lite.learning.published_names import ExplainedNames
-from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
 from isaacgymenvs_lite.learning.training_log import TrainingLog
 
 _UNSUPPORTED_KEYS = (
@@ -88,7 +88,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
 
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
-        use_quick_moments(self.model)
+        replace_normalizers(self.model)
         self.executor = attach_executor(self.model.a2c_network, self.ppo_device, wanted_precision)
         self.states = None
         self.init_rnn_from_model(self.model)
@@ -117,7 +117,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self._train_info: dict[str, list[Tensor]] = {}
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
-        self._unvalued: list[tuple[Tensor, dict[str, Tensor]]] = []
+        self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -195,7 +195,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
             shaped_rewards = self.rewards_shaper(rewards)
             buffer.update_data("rewards", n, shaped_rewards)
             buffer.update_data("dones", n, self.dones)
-            self._note_next_values(n, infos)
+            self._queue_bootstrap_values(n, infos)
             self._record_step(n, infos)
             self._track_episodes(rewards, shaped_rewards, infos)
         return self._rollout_batch(step_time_s)
@@ -242,7 +242,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         return act
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
-        self._value_noted_rows()
+        self._evaluate_bootstrap_queue()
         buffer = self.experience_buffer.tensor_dict
         rewards = self._total_rewards(buffer["rewards"])
         advantages = self.discount_values(
@@ -360,9 +360,9 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         `last_lr`, `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss` and the terms
         that an agent adds, means over the minibatch without gradients.
         """
-        self._count_in(input_dict)
-        rows = input_dict | self._derived_rows(input_dict)
-        gradients, values = self.executor.gradients(self._row_loss, rows, self._learned)
+        self._update_normalizers(input_dict)
+        rows = input_dict | self._minibatch_extras(input_dict)
+        gradients, values = self.executor.gradients(self._compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
         self.trancate_gradients_and_step()

@@ -11,13 +11,13 @@ from rl_games.common.player import BasePlayer
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.evaluation import (
+from isaacgymenvs_lite.evaluation.evaluate import (
     EvaluationResult,
     episodes_to_play,
     evaluate_and_log,
     play_on,
 )
-from isaacgymenvs_lite.learning.motion_recorder import MotionRecorder
+from isaacgymenvs_lite.evaluation.motion_recorder import MotionRecorder
 from isaacgymenvs_lite.learning.published_names import ExplainedNames
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
@@ -31,14 +31,14 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
 
     Attributes:
         result: what `run` measured; None before.
-        hears_latents: whether its policies act under skill latents.
+        is_latent_conditioned: whether its policies act under skill latents.
 
     Raises:
         ConfigError: a latent for a policy that hears none.
         OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
-    hears_latents: ClassVar[bool] = False
+    is_latent_conditioned: ClassVar[bool] = False
 
     def __init__(self, params: dict[str, Any]) -> None:
         # Not PpoPlayerContinuous' constructor: it builds the model before an agent's own inputs
@@ -46,7 +46,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         BasePlayer.__init__(self, params)
         self.result: EvaluationResult | None = None
         latent = self.player_config.get("latent")
-        if latent and not self.hears_latents:
+        if latent and not self.is_latent_conditioned:
             raise ConfigError(
                 f"latent={latent}: this policy hears no skill latents (algorithms gen_amp and ase"
                 " make such); remove it"

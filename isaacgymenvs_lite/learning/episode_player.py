@@ -8,7 +8,7 @@ import torch
 from rl_games.common.player import BasePlayer
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.evaluation import (
+from isaacgymenvs_lite.evaluation.evaluate import (
     EvaluationResult,
     episodes_to_play,
     evaluate_and_log,

@@ -17,17 +17,17 @@ from isaacgymenvs_lite.errors import OverrideError
 from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
-from isaacgymenvs_lite.learning.clip_latents import (
-    ClipLatents,
-    alignment_loss,
-    neighbours,
-    uniformity_loss,
-)
-from isaacgymenvs_lite.learning.latents import LatentSchedule, PlayedLatents
 from isaacgymenvs_lite.learning.losses import diversity_loss
 from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
+from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
-from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder, SkillRewards
+from isaacgymenvs_lite.learning.skills.clip_latents import (
+    ClipLatents,
+    alignment_loss,
+    sample_similar_rows,
+    uniformity_loss,
+)
+from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents, LatentSchedule
 
 # Rows of the clips that a random latent is compared with.
 _NEIGHBOURS = 512
@@ -124,7 +124,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if not (self._amp.encodes_clips or self._disc_is_conditional):
             super()._store_demos()
             return
-        pairs = self._judged(self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
+        pairs = self._truncate_amp_obs(self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
         self._amp_obs_demo_buffer.store({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
@@ -147,7 +147,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
             return
-        amp_obs = self._judged(self.vec_env.env.amp_obs_of(env_ids))
+        amp_obs = self._truncate_amp_obs(self.vec_env.env.amp_obs_of(env_ids))
         self.schedule.restart(env_ids, self._clip_latents.of_starts(amp_obs))
 
     def _before_step(self) -> None:
@@ -169,7 +169,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return {**super()._policy_inputs(), "amp_latents": self.schedule.latents}
 
     def _evaluation_inputs(self, env: Any) -> Callable[[], dict[str, Tensor]]:
-        latents = PlayedLatents(played_schedule(self._amp, env, self.encoder, self.ppo_device))
+        latents = EvaluationLatents(
+            make_evaluation_schedule(self._amp, env, self.encoder, self.ppo_device)
+        )
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
@@ -192,12 +194,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     # --- update ----------------------------------------------------------------------------
 
-    def _demo_rows(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
         """As AMP; a conditional discriminator hears the latent of another moment of the clip.
 
         Of the moment itself it could learn to compare the two.
         """
-        rows = super()._demo_rows(demos)
+        rows = super()._demo_disc_batch(demos)
         if self._disc_is_conditional:
             rows["amp_obs_demo_latents"] = self._eval_enc(demos["amp_obs_near"])
             if self._amp.latent_sharpness > 0.0:
@@ -212,14 +214,14 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         """
         demos, latents = rows["amp_obs_demo"], rows["amp_obs_demo_latents"]
         fresh, chosen = self._clip_latents.random(len(latents), latents.device)
-        near = neighbours(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
+        near = sample_similar_rows(fresh, latents[:_NEIGHBOURS], self._amp.latent_sharpness)
         of_clips = torch.zeros(len(latents), 1, dtype=torch.bool, device=latents.device)
         of_clips[chosen] = True
         rows["amp_obs_demo"] = torch.where(of_clips, demos, demos[near])
         rows["amp_obs_demo_latents"] = torch.where(of_clips, latents, fresh)
 
-    def _fakes(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        fakes = super()._fakes(batch_dict)
+    def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        fakes = super()._agent_disc_batch(batch_dict)
         if self._disc_is_conditional:
             fakes["amp_obs_latents"] = batch_dict["amp_latents"]
         return fakes
@@ -240,8 +242,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
         return {**super()._dataset_row_limits(), **own}
 
-    def _derived_rows(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        rows = super()._derived_rows(input_dict)
+    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        rows = super()._minibatch_extras(input_dict)
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(input_dict["amp_latents"]))
         if self._amp.encodes_clips:
@@ -339,7 +341,7 @@ def make_schedule(
     return LatentSchedule(num_envs, params.latent_dim, *steps, device, draw)
 
 
-def played_schedule(
+def make_evaluation_schedule(
     params: GenAMPParams, env: Any, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
     """Return the schedule of a task that is played: latents as in training, those of its clips.

@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_network_builder import DEFAULT_INITIALIZER, AMPBuilder
-from isaacgymenvs_lite.learning.latents import sample_latents
 from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.published_names import PublishedNames
+from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _STYLE_UNITS = (512, 256)
 # As ASE: the style starts spread over all of tanh, the encoder near one point of the sphere.

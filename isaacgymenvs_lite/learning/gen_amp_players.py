@@ -15,11 +15,11 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
-from isaacgymenvs_lite.learning.gen_amp import played_schedule
-from isaacgymenvs_lite.learning.latents import PlayedLatents
+from isaacgymenvs_lite.learning.gen_amp import make_evaluation_schedule
+from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.published_names import ReadOnly
-from isaacgymenvs_lite.learning.skill_encoder import SkillEncoder, SkillRewards
-from isaacgymenvs_lite.learning.skill_probe import SkillProbe, SkillResult
+from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents
+from isaacgymenvs_lite.learning.skills.skill_probe import SkillProbe, SkillResult
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     _enc_reward_scale = ReadOnly("_amp.enc_reward_scale")
     _ase_latents = ReadOnly("_latents_now", "_latents_of")
 
-    hears_latents = True
+    is_latent_conditioned = True
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
     _amp: GenAMPParams
 
@@ -71,8 +71,8 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
         num_envs = self.env.num_envs
         if latent in ("random", "interpolate"):
-            schedule = played_schedule(self._amp, self.env, self.encoder, self.device)
-            return PlayedLatents(schedule, interpolate=latent == "interpolate")
+            schedule = make_evaluation_schedule(self._amp, self.env, self.encoder, self.device)
+            return EvaluationLatents(schedule, interpolate=latent == "interpolate")
         rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
         fixed = rows[torch.arange(num_envs, device=self.device) % len(rows)]
         return lambda progress: fixed

@@ -11,21 +11,21 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.learning.correlated_noise import CorrelatedNoise
-from isaacgymenvs_lite.learning.flat_config import complete_params, given_params
-from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
-from isaacgymenvs_lite.learning.latents import latent_space
-from isaacgymenvs_lite.learning.low_level_policy import (
-    LowLevelPolicy,
-    LowLevelSizes,
-    latents_of_actions,
-)
-from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
-from isaacgymenvs_lite.policies.llc_reference import (
+from isaacgymenvs_lite.checkpoints.llc_reference import (
     LLC_KEY,
     llc_checkpoint_for,
     warn_of_another_llc,
+)
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.flat_config import complete_params, given_params
+from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
+from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
+from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
+from isaacgymenvs_lite.learning.skills.latents import latent_space
+from isaacgymenvs_lite.learning.skills.low_level_policy import (
+    LowLevelPolicy,
+    LowLevelSizes,
+    latents_of_actions,
 )
 
 # The train file whose values a flat configuration leaves out.
@@ -102,8 +102,8 @@ class HRLAgent(CommonAgent):
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return what the task tells the low-level controller; see `LowLevelSizes.of_task`."""
-        return LowLevelSizes.of_task(self.vec_env.env)
+        """Return what the task tells the low-level controller; see `LowLevelSizes.from_task`."""
+        return LowLevelSizes.from_task(self.vec_env.env)
 
     def _setup_action_space(self) -> None:
         """Make the latent the agent's action; rl_games sized everything by the task's actions."""

@@ -8,7 +8,7 @@ import torch
 from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.actor_critic_network import ActorCriticNetwork
+from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticNetwork
 
 
 class HRLBuilder(A2CBuilder):

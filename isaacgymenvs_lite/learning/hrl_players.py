@@ -6,16 +6,16 @@ from typing import Any
 
 from torch import Tensor
 
+from isaacgymenvs_lite.checkpoints.llc_reference import llc_checkpoint_for, warn_of_another_llc
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
-from isaacgymenvs_lite.learning.latents import latent_space
-from isaacgymenvs_lite.learning.low_level_policy import (
+from isaacgymenvs_lite.learning.published_names import ReadOnly
+from isaacgymenvs_lite.learning.skills.latents import latent_space
+from isaacgymenvs_lite.learning.skills.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
 )
-from isaacgymenvs_lite.learning.published_names import ReadOnly
-from isaacgymenvs_lite.policies.llc_reference import llc_checkpoint_for, warn_of_another_llc
 
 
 class HRLPlayer(CommonPlayer):
@@ -53,8 +53,8 @@ class HRLPlayer(CommonPlayer):
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return what the task tells the low-level controller; see `LowLevelSizes.of_task`."""
-        return LowLevelSizes.of_task(self.env)
+        """Return what the task tells the low-level controller; see `LowLevelSizes.from_task`."""
+        return LowLevelSizes.from_task(self.env)
 
     def _compute_llc_action(self, obs: Tensor, actions: Tensor) -> Tensor:
         """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""

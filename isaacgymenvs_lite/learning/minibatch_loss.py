@@ -10,7 +10,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.agent_hooks import AgentHooks, LossTerms
-from isaacgymenvs_lite.learning.running_mean_std import RunningMeanStd
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 
 class MinibatchLoss(AgentHooks):
@@ -29,14 +29,14 @@ class MinibatchLoss(AgentHooks):
     entropy_coef: float
     _preproc_obs: Any
 
-    def _rows_to_count(
+    def _normalizer_inputs(
         self, input_dict: dict[str, Tensor]
     ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
         if not self.normalize_input:
             return []
         return [(self.model.running_mean_std, [self._preproc_obs(input_dict["obs"])])]
 
-    def _count_in(self, minibatch: dict[str, Tensor]) -> None:
+    def _update_normalizers(self, minibatch: dict[str, Tensor]) -> None:
         """Let all normalisers count a minibatch in; slices of it are only normalised then."""
 
         def count(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
@@ -44,9 +44,9 @@ class MinibatchLoss(AgentHooks):
             for rows in kinds:
                 normalizer.count_in(rows)
 
-        self.executor.map(count, self._rows_to_count(minibatch))
+        self.executor.map(count, self._normalizer_inputs(minibatch))
 
-    def _row_loss(self, rows: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+    def _compute_loss(self, rows: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of rows of the training set, and what to log of it.
 
         The values are the loss terms, `actor_clip_frac` and `kl`, numbers, and `neglogp` (n,).
@@ -125,6 +125,6 @@ class MinibatchLoss(AgentHooks):
 
 
 def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:
-    """Return the mean of values (n,), by the weights that rows may have (`_derived_rows`)."""
+    """Return the mean of values (n,), by the weights that rows may have (`_minibatch_extras`)."""
     weights = rows.get("row_weights")
     return values.mean() if weights is None else (weights * values).mean()

@@ -26,9 +26,9 @@ class NextValues(AgentHooks):
     experience_buffer: Any
     _preproc_obs: Any
     _pending: Tensor
-    _unvalued: list[tuple[Tensor, dict[str, Tensor]]]
+    _bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]]
 
-    def _note_next_values(self, n: int, infos: dict[str, Any]) -> None:
+    def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
         """Keep the rows after step n that no later policy call values.
 
         Where the episode goes on, the policy call of step n + 1 evaluates the same observation,
@@ -45,16 +45,16 @@ class NextValues(AgentHooks):
         rows = (asked & ~terminate).nonzero().flatten()
         inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
         kept = {name: value.index_select(0, rows) for name, value in inputs.items()}
-        self._unvalued.append((n * len(terminate) + rows, kept))
+        self._bootstrap_queue.append((n * len(terminate) + rows, kept))
 
     def _fill_next_values(self, n: int, values: Tensor) -> None:
         next_values = self.experience_buffer.tensor_dict["next_values"][n]
         torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
 
-    def _value_noted_rows(self) -> None:
-        """Evaluate the rows of the whole rollout that `_note_next_values` kept, in one call."""
-        places, kept = zip(*self._unvalued, strict=True)
-        self._unvalued = []
+    def _evaluate_bootstrap_queue(self) -> None:
+        """Evaluate all rows that `_queue_bootstrap_values` kept of the rollout, in one call."""
+        places, kept = zip(*self._bootstrap_queue, strict=True)
+        self._bootstrap_queue = []
         inputs = {name: torch.cat([rows[name] for rows in kept]) for name in kept[0]}
         if len(inputs["obs"]) > 0:
             next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)

@@ -7,9 +7,9 @@ from typing import Any
 import torch
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
-from isaacgymenvs_lite.learning.network_executor import attach_executor
-from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
-from isaacgymenvs_lite.learning.running_mean_std import use_quick_moments
+from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 
 
@@ -46,7 +46,7 @@ class PPOAgent(PPOSafeguards):
         if self.has_central_value:
             models.append(self.central_value_net.model)
         for model in models:
-            use_quick_moments(model)
+            replace_normalizers(model)
             attach_executor(model.a2c_network, device, precision)
         if self.normalize_value:
             self.value_mean_std = models[-1].value_mean_std

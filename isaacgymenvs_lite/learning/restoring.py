@@ -16,9 +16,9 @@ import torch
 from rl_games.common.player import BasePlayer
 from torch import Tensor, nn
 
-from isaacgymenvs_lite.checkpoints import LLC_KEY, load_checkpoint, short
+from isaacgymenvs_lite.checkpoints.files import LLC_KEY, load_checkpoint, short
+from isaacgymenvs_lite.checkpoints.optimizer_state import fit_optimizer_state
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.learning.optimizer_groups import fit_optimizer_state
 
 _COMPILED_PREFIX = "_orig_mod."
 _MOMENTS = ("exp_avg", "exp_avg_sq")

@@ -11,8 +11,8 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
-from isaacgymenvs_lite.learning.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 

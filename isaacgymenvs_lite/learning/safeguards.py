@@ -19,7 +19,7 @@ from rl_games.algos_torch.a2c_continuous import A2CAgent
 from rl_games.interfaces.base_algorithm import BaseAlgorithm
 from torch import Tensor
 
-from isaacgymenvs_lite.checkpoints import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 

@@ -20,8 +20,12 @@ from torch import Tensor
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
-from isaacgymenvs_lite.learning.discriminator import AMPObsShape, StyleDiscriminator, judged_size
-from isaacgymenvs_lite.learning.discriminator_layers import StyleNetwork
+from isaacgymenvs_lite.learning.modules.discriminator import (
+    AMPObsShape,
+    StyleDiscriminator,
+    disc_obs_size,
+)
+from isaacgymenvs_lite.learning.modules.discriminator_layers import StyleNetwork
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 
 _LEARNING_RATE = 5e-5
@@ -71,7 +75,7 @@ class StyleReward:
                 " as HumanoidAMP"
             )
         self._task, self._params, self._device = task, params, torch.device(device)
-        self._size = judged_size(AMPObsShape.of_task(task), params)
+        self._size = disc_obs_size(AMPObsShape.from_task(task), params)
         self.network = StyleNetwork(self._size, units).to(device)
         self.discriminator = StyleDiscriminator(
             self.network, self._size, params, "logistic", device

@@ -27,16 +27,16 @@ from pathlib import Path
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.deepmimic_writing import save_deepmimic
 from isaacgymenvs_lite.motion.editing import cut, resample
-from isaacgymenvs_lite.motion.joint_csv import save_joint_csv
+from isaacgymenvs_lite.motion.formats.deepmimic_writing import save_deepmimic
+from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
+from isaacgymenvs_lite.motion.formats.npz import save_npz
+from isaacgymenvs_lite.motion.formats.poselib_writing import save_poselib_npy
+from isaacgymenvs_lite.motion.formats.writing import check_output
 from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.motion.npz import save_npz
-from isaacgymenvs_lite.motion.poselib_writing import save_poselib_npy
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping, shipped_mappings
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
-from isaacgymenvs_lite.motion.writing import check_output
 from isaacgymenvs_lite.schema import setting
 
 _log = logging.getLogger(__name__)

@@ -7,15 +7,19 @@ from pathlib import Path
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError, suggest
-from isaacgymenvs_lite.motion import deepmimic
+from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dataset import read_dataset
-from isaacgymenvs_lite.motion.deepmimic_package import PREFIX, find_in_package, is_package_name
-from isaacgymenvs_lite.motion.fitting import fit_to_skeleton
-from isaacgymenvs_lite.motion.joint_csv import load_joint_csv
-from isaacgymenvs_lite.motion.npz import load_npz
-from isaacgymenvs_lite.motion.poselib import clip_from_poselib, load_poselib_npy
-from isaacgymenvs_lite.motion.reading import read_json
+from isaacgymenvs_lite.motion.formats import deepmimic
+from isaacgymenvs_lite.motion.formats.deepmimic_package import (
+    PREFIX,
+    find_in_package,
+    is_package_name,
+)
+from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
+from isaacgymenvs_lite.motion.formats.npz import load_npz
+from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_poselib_npy
+from isaacgymenvs_lite.motion.formats.reading import read_json
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 
 _DATASET_SUFFIXES = (".yaml", ".yml")

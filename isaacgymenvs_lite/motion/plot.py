@@ -20,12 +20,12 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dofs import dofs_from_rotations
+from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
 from isaacgymenvs_lite.motion.kinematics import forward_kinematics
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.utils.optional_packages import import_package
 
 log = logging.getLogger(__name__)
 

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.figure import pose_figure
+from isaacgymenvs_lite.motion.clip_to_qpos import pose_figure
 from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.optional_packages import import_package, require
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
+from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
 _NUM_COLOURS = 128

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.figure import pose_figure
+from isaacgymenvs_lite.motion.clip_to_qpos import pose_figure
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video

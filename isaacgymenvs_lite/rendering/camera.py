@@ -36,9 +36,9 @@ class TaskCamera:
             self._renderer = SceneRenderer(model, *self._size, view=view, fast=True)
         recorder = PoseRecorder(self._task, num_steps=1, env_ids=env_ids)
         recorder.step()
-        (marks,) = recorder.marks()
-        tracks = zip(recorder.tracks(), marks, strict=True)
-        return [self._renderer.draw(track[0], marks=beside) for track, beside in tracks]
+        (markers,) = recorder.markers()
+        tracks = zip(recorder.tracks(), markers, strict=True)
+        return [self._renderer.draw(track[0], markers=beside) for track, beside in tracks]
 
     def close(self) -> None:
         """Free the renderer; a second call does nothing."""

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.marks import Arrow, Colour, Mark
 from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.rendering.markers import Arrow, Colour, Marker
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.view import View, has_free_root
 
@@ -89,7 +89,7 @@ class SceneRenderer:
         self,
         qpos: npt.ArrayLike,
         label: str = "",
-        marks: Sequence[Mark] = (),
+        markers: Sequence[Marker] = (),
         look_at: npt.ArrayLike | None = None,
     ) -> Image:
         """Return a picture of the model at joint positions `qpos` (nq,).
@@ -97,7 +97,7 @@ class SceneRenderer:
         Args:
             qpos: in MuJoCo's order and units, quaternions wxyz.
             label: text in the upper left corner.
-            marks: what else to draw.
+            markers: what else to draw.
             look_at: joint positions whose root the camera looks at; by default `qpos`.
         """
         self._data.qpos[:] = qpos
@@ -118,8 +118,8 @@ class SceneRenderer:
             self._renderer.update_scene(self._data, self._camera)
         if self._fast:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        for mark in marks:
-            self._add_mark(mark)
+        for marker in markers:
+            self._add_marker(marker)
         if label:
             self._add_label(label)
         return self._renderer.render()
@@ -141,14 +141,16 @@ class SceneRenderer:
         renderer._gl_context.make_current()
         mujoco.mjr_uploadHField(self._model, renderer._mjr_context, 0)
 
-    def _add_mark(self, mark: Mark) -> None:
-        if isinstance(mark, Arrow):
-            geom = self._add_geom(mujoco.mjtGeom.mjGEOM_ARROW, colour=mark.colour)
-            ends = (np.array(mark.start_w), np.array(mark.end_w))
+    def _add_marker(self, marker: Marker) -> None:
+        if isinstance(marker, Arrow):
+            geom = self._add_geom(mujoco.mjtGeom.mjGEOM_ARROW, colour=marker.colour)
+            ends = (np.array(marker.start_w), np.array(marker.end_w))
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_WIDTH_M, *ends)
         else:
-            size = np.full(3, mark.radius_m)
-            self._add_geom(mujoco.mjtGeom.mjGEOM_SPHERE, size, np.array(mark.centre_w), mark.colour)
+            size = np.full(3, marker.radius_m)
+            self._add_geom(
+                mujoco.mjtGeom.mjGEOM_SPHERE, size, np.array(marker.centre_w), marker.colour
+            )
 
     def _add_geom(
         self,

@@ -21,10 +21,10 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.marks import Mark
-from isaacgymenvs_lite.optional_packages import import_package, require
+from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer, Track
 from isaacgymenvs_lite.rendering.view import View
+from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 PANEL_WIDTH, PANEL_HEIGHT = 320, 480
 """Pixels of one track's panel."""
@@ -133,7 +133,7 @@ def draw_tracks(
     tracks: Sequence[Track],
     labels: Sequence[str] = (),
     *,
-    marks: Sequence[Sequence[Sequence[Mark]]] = (),
+    markers: Sequence[Sequence[Sequence[Marker]]] = (),
     width: int = PANEL_WIDTH,
     height: int = PANEL_HEIGHT,
     fast: bool = True,
@@ -147,7 +147,7 @@ def draw_tracks(
         model: of the figures.
         tracks: (T, nq) each.
         labels: a text for each track, or none.
-        marks: what else to draw at each time in each panel, or nothing.
+        markers: what else to draw at each time in each panel, or nothing.
         width: of one panel, pixels.
         height: pixels.
         fast: see `SceneRenderer`.
@@ -166,7 +166,7 @@ def draw_tracks(
     black = np.zeros((height, width, 3), np.uint8)
     with SceneRenderer(model, width, height, view=view, fast=fast) as renderer:
         nothing = [()] * len(tracks)
-        times = marks or itertools.repeat(nothing)
+        times = markers or itertools.repeat(nothing)
         for poses, beside in zip(zip(*tracks, strict=False), times, strict=False):
             places = poses if follow else [track[0] for track in tracks]
             panels = zip(poses, labels, beside, places, strict=True)

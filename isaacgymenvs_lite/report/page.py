@@ -11,11 +11,11 @@ from urllib.parse import quote
 
 from isaacgymenvs_lite import __version__
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.output_files import written_for_user
 from isaacgymenvs_lite.report.charts import Chart, main_charts, other_charts
 from isaacgymenvs_lite.report.drawing import draw
 from isaacgymenvs_lite.report.scalars import event_files, read_scalars
 from isaacgymenvs_lite.report.summary import summarize
+from isaacgymenvs_lite.utils.files import written_for_user
 from isaacgymenvs_lite.yaml_text import MAX_BYTES
 
 MAX_EMBEDDED_BYTES = 8 * 2**20

@@ -25,10 +25,10 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.kinematic_tree import Floats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.simulation.state_planes import (
+from isaacgymenvs_lite.simulation.state_buffers import (
+    StateBuffers,
     StateConverter,
-    StatePlanes,
-    tensor_of_planes,
+    as_tensor,
 )
 from isaacgymenvs_lite.utils.threads import thread_count
 
@@ -121,17 +121,17 @@ class CpuBatchSimulation:
 
     def _allocate(self) -> None:
         self._converter = StateConverter(self.model, self.layout)
-        self._planes = StatePlanes(self.layout, self.num_envs)
-        self.root_states = tensor_of_planes(self._planes.root_states)
-        self.dof_pos = tensor_of_planes(self._planes.dof_pos)
-        self.dof_vel = tensor_of_planes(self._planes.dof_vel)
-        self._body_pos = tensor_of_planes(self._planes.body_pos)
-        self._body_rot = tensor_of_planes(self._planes.body_rot)
-        self.contact_forces = tensor_of_planes(self._planes.contact_forces)
-        self.object_states = tensor_of_planes(self._planes.object_states)
-        self.object_contact_forces = tensor_of_planes(self._planes.object_contact_forces)
-        self._body_lin_vel = tensor_of_planes(self._planes.body_lin_vel)
-        self._body_ang_vel = tensor_of_planes(self._planes.body_ang_vel)
+        self._planes = StateBuffers(self.layout, self.num_envs)
+        self.root_states = as_tensor(self._planes.root_states)
+        self.dof_pos = as_tensor(self._planes.dof_pos)
+        self.dof_vel = as_tensor(self._planes.dof_vel)
+        self._body_pos = as_tensor(self._planes.body_pos)
+        self._body_rot = as_tensor(self._planes.body_rot)
+        self.contact_forces = as_tensor(self._planes.contact_forces)
+        self.object_states = as_tensor(self._planes.object_states)
+        self.object_contact_forces = as_tensor(self._planes.object_contact_forces)
+        self._body_lin_vel = as_tensor(self._planes.body_lin_vel)
+        self._body_ang_vel = as_tensor(self._planes.body_ang_vel)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
         # Environments written since the last step: nothing was measured there yet.
         self._written = np.zeros(self.num_envs, dtype=bool)
@@ -206,11 +206,11 @@ class CpuBatchSimulation:
             planes[:, block] = rows[block].T
         if self._written.any():
             planes[:, self._written] = 0.0
-        return tensor_of_planes(planes)
+        return as_tensor(planes)
 
     def _require_bodies(self) -> None:
         self._require_batch()
-        if not self._planes.has_bodies:
+        if not self._planes.bodies_are_current:
             self._converter.fill_bodies(self._planes)
 
     def _require_body_velocities(self) -> None:
@@ -303,9 +303,9 @@ class CpuBatchSimulation:
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """The same for environments (n,) that were written: they have no contact forces yet."""
-        planes = StatePlanes(self.layout, len(rows))
+        planes = StateBuffers(self.layout, len(rows))
         self._converter.fill(planes, qpos, qvel)
-        if self._planes.has_bodies:
+        if self._planes.bodies_are_current:
             self._converter.fill_bodies(planes)
         if self._planes.has_body_velocities:
             self._converter.fill_body_velocities(planes)

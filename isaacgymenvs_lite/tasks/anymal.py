@@ -22,9 +22,9 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     LearnConfig,
     VelocityTrackingConfig,
     VelocityTrackingTask,
+    clip_negative_total,
     compute_tracking_rewards,
-    never_negative,
-    own_features,
+    proprioception,
 )
 
 
@@ -78,7 +78,7 @@ def compute_anymal_observations(
         actions: (12, N) of the last step.
         cfg: the scales.
     """
-    return torch.cat((*own_features(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
+    return torch.cat((*proprioception(motion, commands, dof_pos, dof_vel, cfg), actions)).t()
 
 
 def compute_anymal_reward(
@@ -99,7 +99,7 @@ def compute_anymal_reward(
         "ang_vel_z": turning * (cfg.ang_vel_z_reward * dt),
         "torques": torques.square().sum(0) * (cfg.torque_reward * dt),
     }
-    return never_negative(terms)
+    return clip_negative_total(terms)
 
 
 class Anymal(VelocityTrackingTask):

@@ -39,9 +39,9 @@ from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
-    TOUCH_N,
+    CONTACT_THRESHOLD_N,
     VelocityTrackingTask,
-    never_negative,
+    clip_negative_total,
 )
 from isaacgymenvs_lite.tasks.randomization.properties import make_property
 from isaacgymenvs_lite.tasks.terrain.curriculum import Curriculum
@@ -167,11 +167,11 @@ class AnymalTerrain(VelocityTrackingTask):
         super().advance()
         sim = self.simulation
         forces = sim.contact_forces.permute(2, 1, 0)
-        self._base_touches = forces[:, 0].square().sum(0) > TOUCH_N**2
+        self._base_touches = forces[:, 0].square().sum(0) > CONTACT_THRESHOLD_N**2
         self._knee_touches = self.touches(self._knee_ids)
         self._foot_forces = forces.index_select(1, self._foot_ids)
         self._air_time_s, self._air_time_beyond_s = compute_air_time(
-            self._air_time_s, self._foot_forces[2] > TOUCH_N, self._air_time_dt
+            self._air_time_s, self._foot_forces[2] > CONTACT_THRESHOLD_N, self._air_time_dt
         )
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self._push_interval == 0:
@@ -242,7 +242,7 @@ class AnymalTerrain(VelocityTrackingTask):
         terms = compute_anymal_terrain_reward(step, learn, self.dt)
         self._reward_sums += torch.stack([terms[name] for name in TERM_NAMES])
         return {
-            **never_negative(terms),
+            **clip_negative_total(terms),
             "terminal": self.failures() * (learn.terminal_reward * self.dt),
         }
 

@@ -15,7 +15,7 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     BaseMotion,
     compute_tracking_rewards,
-    own_features,
+    proprioception,
 )
 from isaacgymenvs_lite.tasks.terrain.height_scan import NUM_POINTS
 
@@ -87,7 +87,9 @@ def compute_anymal_terrain_observations(
         cfg: the scales.
     """
     heights = (base_height - _STANDING_M - ground).clamp_(-1.0, 1.0).mul_(cfg.height_scale)
-    return torch.cat((*own_features(motion, commands, dof_pos, dof_vel, cfg), heights, actions)).t()
+    return torch.cat(
+        (*proprioception(motion, commands, dof_pos, dof_vel, cfg), heights, actions)
+    ).t()
 
 
 def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[Tensor, Tensor]:

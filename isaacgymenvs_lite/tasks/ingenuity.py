@@ -17,13 +17,13 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.flight import (
+from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
+from isaacgymenvs_lite.tasks.base.hover import (
     HOME_M,
-    FlightTask,
+    HoverTask,
     compute_hover_reward,
     draw_start_states,
 )
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
@@ -71,7 +71,7 @@ def draw_targets(env_ids: Tensor) -> Tensor:
     return torch.cat((aside, uniform(env_ids, *_TARGET_HEIGHT_M, (1,))), dim=-1)
 
 
-class Ingenuity(FlightTask):
+class Ingenuity(HoverTask):
     """N helicopters: 13 observations, 6 actions. Keys: `IngenuityConfig`.
 
     See `compute_flight_observations` and `compute_ingenuity_forces`.

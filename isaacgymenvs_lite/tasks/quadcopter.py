@@ -19,13 +19,13 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
-from isaacgymenvs_lite.tasks.base.flight import (
+from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
+from isaacgymenvs_lite.tasks.base.hover import (
     HOME_M,
-    FlightTask,
+    HoverTask,
     compute_hover_reward,
     draw_start_states,
 )
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
@@ -47,7 +47,7 @@ def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor)
     return compute_hover_reward(to_target, root_rot, spin, upright_weight=1.0)
 
 
-class Quadcopter(FlightTask):
+class Quadcopter(HoverTask):
     """N quadcopters: 21 observations, 12 actions. Keys: `QuadcopterConfig`.
 
     Observations: those of `compute_flight_observations`, then the 8 hinges' positions (rad).

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from isaacgymenvs_lite.errors import UserError, suggest
 from isaacgymenvs_lite.gymnasium_ids import task_of_id
-from isaacgymenvs_lite.optional_packages import require
+from isaacgymenvs_lite.utils.optional_packages import require
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 from isaacgymenvs_lite.workflows.library import Library
 

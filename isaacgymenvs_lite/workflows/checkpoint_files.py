@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.checkpoint_archive import read_archive
+from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.workflows.library import Library
 

@@ -15,10 +15,10 @@ import torch
 
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file, seed_of
 from isaacgymenvs_lite.workflows.arguments import make_parser, run_workflow
-from isaacgymenvs_lite.workflows.asked_task import agent_words, make_asked_task
 from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import agent_file_of, date, folder_of, last_checkpoint
+from isaacgymenvs_lite.workflows.task_from_args import agent_words, make_task
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ def _play(library: Library, args: argparse.Namespace) -> None:
     read_parameters(checkpoint, library)  # whose it is, before its folder's agent file is read
     file = args.agent or agent_file_of(checkpoint)
     content = load_agent_file(library.name, name, file and str(file), agent_words(args))
-    made = make_asked_task(args, seed_of(content), plays=True)
+    made = make_task(args, seed_of(content), plays=True)
     try:
         agent = library.make_agent(made.task, content, made.rl_device, made.seed)
         made.fit_threads(made.task.num_envs, agent.num_parameters)

@@ -14,7 +14,7 @@ _NUM_EPISODES = 100
 
 
 class ProgressLines:
-    """Says every few seconds how far a training is and how its last episodes went; a `Watcher`.
+    """A `StepListener` that logs progress and the last episodes every few seconds.
 
     Args:
         stepper: steps the task.

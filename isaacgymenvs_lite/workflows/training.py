@@ -7,17 +7,17 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from isaacgymenvs_lite.stopping import signals_as_ctrl_c
+from isaacgymenvs_lite.run.stop_request import signals_as_ctrl_c
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file, seed_of
 from isaacgymenvs_lite.workflows.arguments import (
     add_number,
     make_parser,
     run_workflow,
 )
-from isaacgymenvs_lite.workflows.asked_task import agent_words, make_asked_task
 from isaacgymenvs_lite.workflows.checkpoint_files import read_parameters
 from isaacgymenvs_lite.workflows.library import Library
 from isaacgymenvs_lite.workflows.log_folder import create_folder
+from isaacgymenvs_lite.workflows.task_from_args import agent_words, make_task
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +42,7 @@ def _train(library: Library, args: argparse.Namespace) -> None:
         read_parameters(Path(args.checkpoint), library)  # a mistake shows before anything is made
     name = Path(args.task).stem
     content = load_agent_file(library.name, name, args.agent, agent_words(args))
-    made = make_asked_task(args, seed_of(content), plays=False)
+    made = make_task(args, seed_of(content), plays=False)
     try:
         if args.max_iterations is not None:
             content["max_iterations"] = args.max_iterations

@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from isaacgymenvs_lite.optional_packages import require
+from isaacgymenvs_lite.utils.optional_packages import require
 
 if TYPE_CHECKING:
     from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv

@@ -8,7 +8,7 @@ from typing import Any
 
 from isaacgymenvs_lite.config.compose import compose_task
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs

@@ -13,8 +13,8 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import check_encoder
-from isaacgymenvs_lite.watching.film_maker import Film, FilmMaker
-from isaacgymenvs_lite.watching.video_capture import make_video_folder
+from isaacgymenvs_lite.viewers.video_capture import make_video_folder
+from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
 
 # Control steps of a video that is to last as long as an episode.
@@ -68,7 +68,7 @@ class TaskVideo:
         self.step_id = self.episode_id = 0
         self._step_trigger = step_trigger
         self._episode_trigger = episode_trigger or is_cube_or_thousandth
-        self._film_maker = FilmMaker()
+        self._video_writer = VideoWriter()
         self._recorder: PoseRecorder | None = None
         self._path = self.video_folder
         self._recorded = 0
@@ -115,7 +115,7 @@ class TaskVideo:
     def close_video_recorder(self) -> None:
         """End the present video here, and wait until all are written."""
         self._finish()
-        self._film_maker.close()
+        self._video_writer.close()
 
     def _begin_if_due(self, new_episode: bool = True) -> None:
         if self._recorder is not None:
@@ -133,4 +133,4 @@ class TaskVideo:
     def _finish(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None and self._recorded > 0:
-            self._film_maker.make(Film.of_recording(self.unwrapped, recorder, self._path))
+            self._video_writer.make(VideoJob.from_recording(self.unwrapped, recorder, self._path))

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from tensorboardX import SummaryWriter
 
-from isaacgymenvs_lite import event_sink
-from isaacgymenvs_lite.event_sink import protect
+from isaacgymenvs_lite.run import event_writer as event_sink
+from isaacgymenvs_lite.run.event_writer import install
 
 FRAMES_PER_EPOCH = 100
 EPOCH_S = 60.0
@@ -53,7 +53,7 @@ def write_events(monkeypatch: pytest.MonkeyPatch) -> WriteEvents:
         clock = Clock(start_s)
         monkeypatch.setattr(event_sink, "time", clock)
         writer: Any = SummaryWriter(str(summaries))
-        protect(writer)
+        install(writer)
         for epoch, length in enumerate(lengths, start=first_epoch):
             clock.now_s += EPOCH_S
             frame = epoch * FRAMES_PER_EPOCH  # rl_games: the frames before the epoch

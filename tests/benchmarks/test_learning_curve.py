@@ -7,8 +7,8 @@ import pytest
 from tensorboardX import SummaryWriter
 
 from benchmarks.learning_curve import read_learning_curve
-from isaacgymenvs_lite.event_sink import protect
 from isaacgymenvs_lite.report.scalars import Series
+from isaacgymenvs_lite.run.event_writer import install
 
 
 def series(frames, minutes, values) -> Series:
@@ -91,7 +91,7 @@ def test_a_run_without_scalars_has_an_empty_curve(tmp_path):
 def test_a_run_that_has_just_started_hides_nothing(write_events, tmp_path):
     write_events(tmp_path, [1.0, 2.0])
     writer = SummaryWriter(str(tmp_path))
-    protect(writer)  # nothing written yet
+    install(writer)  # nothing written yet
     assert read_learning_curve(tmp_path)["episode_length"].values.tolist() == [1.0, 2.0]
     writer.close()
 

@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
+from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS, load_policy
 from isaacgymenvs_lite.export.metadata import describe
-from isaacgymenvs_lite.learning.policy_graphs import PolicyGraph, graph_of
 from tests.export.conftest import KINDS
 
 ROWS = 1000
@@ -22,7 +22,7 @@ PARAMS = {"algo": {"name": "some"}}
 
 
 def write(player: Any, name: str, folder: Path) -> tuple[PolicyGraph, Path]:
-    graph, kind = graph_of(player), FORMATS[name]
+    graph, kind = make_exportable_policy(player), FORMATS[name]
     metadata = describe("Task", player.env, player, graph, PARAMS, {"frame": 7})
     path = folder / f"policy{kind.suffix}"
     path.write_bytes(kind.write(graph, metadata))

@@ -16,14 +16,14 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.export import session
 from isaacgymenvs_lite.export.__main__ import main
 from isaacgymenvs_lite.export.configuration import configuration_of
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
 from isaacgymenvs_lite.export.session import ExportSession, ExportSettings, export_policy
-from isaacgymenvs_lite.learning.evaluation import EvaluationResult, evaluate
-from isaacgymenvs_lite.making import seed_everything
 from isaacgymenvs_lite.runner import Session, run
 
 CARTPOLE = (

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
 from isaacgymenvs_lite.learning.hrl_config import HRLParams
-from isaacgymenvs_lite.making import make_from_config
 from isaacgymenvs_lite.registration import build_runner, register_env
 from isaacgymenvs_lite.schema import keys_of
 
@@ -237,12 +237,12 @@ def check_slices(
         num_envs=64,
     )
     rows = prepared_minibatch(agent, roll_out)
-    agent._count_in(rows)
-    rows |= agent._derived_rows(rows)
+    agent._update_normalizers(rows)
+    rows |= agent._minibatch_extras(rows)
 
     def gradients(threads: int) -> tuple[Any, Any]:
         agent.executor.num_threads = threads
-        return agent.executor.gradients(agent._row_loss, dict(rows), agent._learned)
+        return agent.executor.gradients(agent._compute_loss, dict(rows), agent._learned)
 
     whole, values = gradients(1)
     sliced, sliced_values = gradients(3)

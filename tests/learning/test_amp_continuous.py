@@ -283,7 +283,7 @@ def test_the_normaliser_counts_agent_replay_and_demonstration_before_any_is_norm
     }
     obs = 5.0 + torch.randn(16, 105, generator=generator)
     agent.set_train()
-    agent._count_in({**kinds, "obs": obs})
+    agent._update_normalizers({**kinds, "obs": obs})
     mean, var, count = np.zeros(210), np.ones(210), 1.0
     for data in kinds.values():
         rows = data.double().numpy()
@@ -398,7 +398,7 @@ def test_checkpoints_of_one_group_resume_with_a_learning_rate_for_the_discrimina
 def test_noise_is_drawn_for_what_the_discriminator_learns_from(make_agent, roll_out):
     agent = make_agent(f"+{CONFIG}.disc_input_noise=0.5")
     rows = prepared_minibatch(agent, roll_out)
-    derived = agent._derived_rows(rows)
+    derived = agent._minibatch_extras(rows)
     noise = torch.stack([derived[f"{kind}_noise"] for kind in _AMP_OBS_KINDS])
     assert noise.shape == (3, 8, 210)
     # 5040 numbers: standard errors 0.007 and 0.005

@@ -73,14 +73,14 @@ def test_the_environment_hears_how_far_the_training_is(make_agent):
 def tap_losses(agent: Any) -> list[float]:
     """Return a list that the agent's total losses will be added to."""
     heard: list[float] = []
-    whole = agent._row_loss
+    whole = agent._compute_loss
 
     def tapped(rows: dict[str, torch.Tensor]) -> Any:
         loss, values = whole(rows)
         heard.append(loss.item())
         return loss, values
 
-    agent._row_loss = tapped
+    agent._compute_loss = tapped
     return heard
 
 
@@ -331,7 +331,7 @@ def test_bfloat16_trains(make_agent):
 
 @pytest.mark.parametrize(("speedup", "chosen"), [(5.0, torch.bfloat16), (0.5, torch.float32)])
 def test_auto_follows_the_measurement(speedup, chosen, make_agent, monkeypatch):
-    module = "isaacgymenvs_lite.learning.precision.measure_bfloat16_speedup"
+    module = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
     monkeypatch.setattr(module, lambda: speedup)
     agent = make_agent("train.params.config.mixed_precision=auto")
     dtypes = []

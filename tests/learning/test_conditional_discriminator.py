@@ -177,7 +177,7 @@ def test_random_latents_go_with_moments_that_are_near(make):
     agent.init_tensors()
     agent._store_demos()
     demos = agent._amp_obs_demo_buffer.sample(64)
-    rows = agent._demo_rows(demos)
+    rows = agent._demo_disc_batch(demos)
     latents, found = rows["amp_obs_demo_latents"], agent.encoder.read(demos["amp_obs_near"])
     of_clips = (latents == found).all(dim=-1)
     assert 0 < of_clips.sum() < 64
@@ -195,7 +195,7 @@ def test_without_it_all_rows_keep_their_own_latents(make):
     agent.init_tensors()
     agent._store_demos()
     demos = agent._amp_obs_demo_buffer.sample(16)
-    rows = agent._demo_rows(demos)
+    rows = agent._demo_disc_batch(demos)
     expected = agent.encoder.read(demos["amp_obs_near"])
     torch.testing.assert_close(rows["amp_obs_demo_latents"], expected)
     torch.testing.assert_close(rows["amp_obs_demo"], demos["amp_obs"])

@@ -155,8 +155,8 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
 def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     agent = make(f"+{CONFIG}.enc_uniformity_coef=3", f"+{CONFIG}.enc_alignment_coef=2")
     rows = prepared_minibatch(agent, roll_out)
-    agent._count_in(rows)
-    rows |= agent._derived_rows(rows)
+    agent._update_normalizers(rows)
+    rows |= agent._minibatch_extras(rows)
     demos = agent._amp_obs_demo_buffer._data_buf
     pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
     normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
@@ -168,7 +168,7 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     assert distances.min(dim=1).values.max() < 1e-3
     assert torch.equal(triples[:, 2], triples[:, 0].roll(1, dims=0))
 
-    loss, values = agent._row_loss(dict(rows))
+    loss, values = agent._compute_loss(dict(rows))
     q = agent.model.a2c_network.eval_enc(triples.flatten(0, 1)).view(4, 3, -1)
     near, far = ((q[:, 0] * q[:, i]).sum(-1) for i in (1, 2))
     alignment = (2 - 2 * near).mean()  # |q - q'|^2 of unit vectors
@@ -177,7 +177,7 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     assert values["enc_uniformity_loss"].item() == pytest.approx(uniformity.item(), rel=1e-4)
     changed = dataclasses.replace(agent._amp, enc_uniformity_coef=1, enc_alignment_coef=1)
     agent._amp = changed
-    lighter, _ = agent._row_loss(dict(rows))
+    lighter, _ = agent._compute_loss(dict(rows))
     difference = 2 * uniformity + alignment
     assert (loss - lighter).item() == pytest.approx(difference.item(), rel=1e-2)
 
@@ -188,10 +188,10 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
     rows = prepared_minibatch(agent, roll_out)
     assert len(rows["amp_latents"]) == 16
     assert torch.equal(rows["amp_obs_latents"], rows["amp_latents"][:8])
-    agent._count_in(rows)
-    rows |= agent._derived_rows(rows)
+    agent._update_normalizers(rows)
+    rows |= agent._minibatch_extras(rows)
     network = agent.model.a2c_network
-    loss, values = agent._row_loss(dict(rows))
+    loss, values = agent._compute_loss(dict(rows))
 
     amp_obs = agent.discriminator.normalize(rows["amp_obs"]).requires_grad_()
     error = -(network.eval_enc(amp_obs) * rows["amp_obs_latents"]).sum(-1)
@@ -256,18 +256,18 @@ def test_who_did_not_explore_does_not_train_the_policy_but_the_critic(make, roll
     rows = prepared_minibatch(agent, roll_out)
     mask = rows["rand_action_mask"]
     assert 0 < mask.sum() < len(mask)
-    agent._count_in(rows)
-    rows |= agent._derived_rows(rows)
-    _, values = agent._row_loss(dict(rows))
+    agent._update_normalizers(rows)
+    rows |= agent._minibatch_extras(rows)
+    _, values = agent._compute_loss(dict(rows))
     silent = (mask == 0).nonzero()[0]
     rows["advantages"] = rows["advantages"].clone()
     rows["returns"] = rows["returns"].clone()
     rows["advantages"][silent] += 100.0
-    _, others = agent._row_loss(dict(rows))
+    _, others = agent._compute_loss(dict(rows))
     for name in ("actor_loss", "actor_clip_frac", "b_loss", "entropy", "amp_diversity_loss"):
         assert torch.equal(values[name], others[name]), name
     rows["returns"][silent] += 100.0
-    assert agent._row_loss(dict(rows))[1]["critic_loss"] > 10 * values["critic_loss"]
+    assert agent._compute_loss(dict(rows))[1]["critic_loss"] > 10 * values["critic_loss"]
     # means over the rows that explored
     result = agent.model(
         {

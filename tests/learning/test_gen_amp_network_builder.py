@@ -8,8 +8,8 @@ import torch
 import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
-from isaacgymenvs_lite.learning.network_executor import NetworkExecutor
 from tests.learning.test_amp_network_builder import NETWORK as AMP_NETWORK
 
 UNITS = [1024, 1024, 512]

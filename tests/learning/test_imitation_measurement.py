@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.observers import ImitationObserver
+from isaacgymenvs_lite.run import ImitationObserver
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from rl_games.common.algo_observer import AlgoObserver
 
-from isaacgymenvs_lite.observers import (
-    AdviceObserver,
-    FiguresObserver,
+from isaacgymenvs_lite.run import (
+    DiagnosticsObserver,
     ImitationObserver,
+    MetricsObserver,
     MultiObserver,
 )
 
@@ -29,16 +29,16 @@ class Counter(AlgoObserver):
 
 
 @pytest.fixture
-def observed(make_agent, make_runner) -> tuple[Any, Counter, FiguresObserver, ImitationObserver]:
+def observed(make_agent, make_runner) -> tuple[Any, Counter, MetricsObserver, ImitationObserver]:
     """An agent after three epochs of short episodes, with what observed it."""
-    counter, figures = Counter(), FiguresObserver()
+    counter, figures = Counter(), MetricsObserver()
 
     def make_env(num_envs: int) -> Any:
         runner = make_runner("task.env.episodeLength=12", num_envs=num_envs)
         return runner.create_player().env
 
     imitation = ImitationObserver(make_env, 1, 4)
-    advice = AdviceObserver(figures, imitation, max_episode_steps=12)
+    advice = DiagnosticsObserver(figures, imitation, max_episode_steps=12)
     agent = make_agent(
         "max_iterations=3",
         "task.env.episodeLength=12",

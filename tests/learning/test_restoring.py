@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.errors import CheckpointError
 from tests.learning.test_gen_amp import GEN_AMP
 from tests.learning.test_hrl import llc, overrides  # noqa: F401  a fixture

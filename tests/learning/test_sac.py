@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.checkpoints import load_checkpoint
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 
 SMALL = (
     *("task=AntSAC", "train=AntSAC", "num_envs=8"),

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite import checkpoints
+from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.sac import SACAgent
 from tests.learning.test_hrl import llc  # noqa: F401  a fixture

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.style_reward import StyleReward, read_style_params
-from isaacgymenvs_lite.making import make_from_config
 
 SIZES = {
     "amp_obs_demo_buffer_size": 512,

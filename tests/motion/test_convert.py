@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.motion import convert as command
+from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.loader import load_clips, load_single_clip
-from isaacgymenvs_lite.motion.npz import load_npz, save_npz
 
 SUFFIXES = (".npz", ".npy", ".txt", ".json", ".csv")
 

@@ -7,8 +7,8 @@ import pytest
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_clips, resolve_motion_file, shipped_motions
-from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
 

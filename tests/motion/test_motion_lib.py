@@ -9,8 +9,8 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 HAND = 2

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
+from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.synthesis import __main__ as command
 from isaacgymenvs_lite.motion.synthesis import solve
 from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, make_clip

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.paths import assets_dir
 
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.marks import Arrow, Ball
+from isaacgymenvs_lite.rendering.markers import Arrow, Sphere
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 
@@ -117,12 +117,14 @@ def test_marks_are_drawn_for_one_picture(humanoid):
     away = humanoid.qpos0.copy()
     away[2] = -10.0  # below the ground
     red, yellow = (1.0, 0.0, 0.0), (1.0, 1.0, 0.0)
-    marks = (
+    markers = (
         Arrow((-0.6, 0.0, 1.2), (-0.1, 0.0, 1.2), red),
-        Ball((0.4, 0.0, 0.6), 0.2, yellow),
+        Sphere((0.4, 0.0, 0.6), 0.2, yellow),
     )
     with SceneRenderer(humanoid, 160, 160) as renderer:
-        plain, marked, again = (renderer.draw(away, marks=m).astype(int) for m in ((), marks, ()))
+        plain, marked, again = (
+            renderer.draw(away, markers=m).astype(int) for m in ((), markers, ())
+        )
     assert (plain == again).all()
     changed = (plain != marked).any(axis=2)
     r, g, b = np.moveaxis(marked, 2, 0)

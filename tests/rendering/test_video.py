@@ -11,9 +11,10 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
-from isaacgymenvs_lite.marks import Ball
-from isaacgymenvs_lite.rendering.tracks import PoseRecorder, reference_track
+from isaacgymenvs_lite.rendering.markers import Sphere
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.viewers.reference_track import reference_track
 
 
 def pictures(number: int, height: int = 48, width: int = 64) -> list[np.ndarray]:
@@ -59,10 +60,10 @@ def test_a_video_of_a_task_moves_and_is_not_black(gl, make_env, tmp_path):
 
 def test_each_panel_has_marks_of_its_own(gl, humanoid):
     tracks = [np.repeat(humanoid.qpos0[None], 2, axis=0)] * 2
-    ball = Ball((0.5, 0.0, 0.8), 0.3, (1.0, 0.0, 0.0))
+    ball = Sphere((0.5, 0.0, 0.8), 0.3, (1.0, 0.0, 0.0))
     plain = list(draw_tracks(humanoid, tracks, width=64, height=64))
-    marks = [((ball,), ()), ((), (ball,))]
-    marked = list(draw_tracks(humanoid, tracks, marks=marks, width=64, height=64))
+    markers = [((ball,), ()), ((), (ball,))]
+    marked = list(draw_tracks(humanoid, tracks, markers=markers, width=64, height=64))
     for time, panel in ((0, 0), (1, 1)):
         changed = (plain[time] != marked[time]).any(axis=(0, 2)).nonzero()[0] // 64
         assert set(changed) == {panel}

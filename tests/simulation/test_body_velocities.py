@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.simulation.state_planes import StateConverter, StatePlanes
+from isaacgymenvs_lite.simulation.state_buffers import StateBuffers, StateConverter
 
 
 def _random_state(model: mujoco.MjModel, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -21,7 +21,7 @@ def _velocities(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Our linear and angular velocities, (n, B, 3) each."""
     layout = ModelLayout.from_model(model)
-    planes, converter = StatePlanes(layout, len(qpos)), StateConverter(model, layout)
+    planes, converter = StateBuffers(layout, len(qpos)), StateConverter(model, layout)
     converter.fill(planes, qpos, qvel)
     converter.fill_bodies(planes)
     assert not planes.has_body_velocities

@@ -11,7 +11,7 @@ import pytest
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.base.flight import (
+from isaacgymenvs_lite.tasks.base.hover import (
     compute_flight_failures,
     compute_flight_observations,
     draw_start_states,

@@ -17,7 +17,7 @@ def test_lines_tell_steps_and_episodes(caplog):
     )
     stepper = AutoresetTask(task, "test")
     progress = ProgressLines(stepper, 200, interval_s=0.0)
-    task.watchers.append(progress)
+    task.listeners.append(progress)
     stepper.reset()
     push = torch.ones(4, 1)
     for _ in range(80):  # pushed to one side, poles fall within some dozen steps
@@ -39,7 +39,7 @@ def test_lines_are_rare(caplog):
         seed=1, task="Cartpole", num_envs=4, sim_device="cpu", rl_device="cpu"
     )
     stepper = AutoresetTask(task, "test")
-    task.watchers.append(ProgressLines(stepper, 200, interval_s=3600.0))
+    task.listeners.append(ProgressLines(stepper, 200, interval_s=3600.0))
     stepper.reset()
     for _ in range(5):
         stepper.step(torch.zeros(4, 1))

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.making import make_from_config
+from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 NUM_ENVS = 6

@@ -9,7 +9,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.wrappers.task_video import TaskVideo
-from tests.watching.conftest import assert_is_a_film, frames_of
+from tests.viewers.conftest import assert_is_a_video, frames_of
 from tests.wrappers.conftest import MakeTask
 
 pytestmark = pytest.mark.usefixtures("gl")
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("gl")
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr("isaacgymenvs_lite.watching.film_maker._ALONE", (64, 48))
+    monkeypatch.setattr("isaacgymenvs_lite.viewers.video_writer._ALONE", (64, 48))
 
 
 def _lengths(folder: Path) -> dict[str, int]:
@@ -40,7 +40,7 @@ def test_steps_as_in_the_published_readme(make_cartpole: MakeTask, tmp_path: Pat
     _play(recorded, 12)
     # The second one was cut short by the end.
     assert _lengths(tmp_path / "videos") == {"rl-video-step-0": 8, "rl-video-step-10": 2}
-    assert_is_a_film(frames_of(tmp_path / "videos" / "rl-video-step-0.mp4")[0], 8)
+    assert_is_a_video(frames_of(tmp_path / "videos" / "rl-video-step-0.mp4")[0], 8)
 
 
 def test_episodes_of_environment_0(make_cartpole: MakeTask, tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
-from isaacgymenvs_lite import optional_packages, wrappers
+from isaacgymenvs_lite import wrappers
 from isaacgymenvs_lite.errors import MissingPackageError
+from isaacgymenvs_lite.utils import optional_packages
 
 LIBRARIES = {
     "Sb3VecEnvWrapper": ("stable_baselines3", "sb3"),

@@ -13,11 +13,11 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.reading import one_line
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.reading import one_line
 from isaacgymenvs_lite.motion.retargeting.bvh_channels import drop_inner_positions
-from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.utils import rotations
+from isaacgymenvs_lite.utils.optional_packages import import_package
 
 # What the library raises for a file that is damaged or is something else.
 _READ_ERRORS = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)

@@ -12,8 +12,8 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.limits import DofLimits
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.optional_packages import import_package
 from isaacgymenvs_lite.utils import rotations
+from isaacgymenvs_lite.utils.optional_packages import import_package
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20

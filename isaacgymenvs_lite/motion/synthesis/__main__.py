@@ -11,8 +11,8 @@ import mujoco
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import shipped_motions_dir
-from isaacgymenvs_lite.motion.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, clip_names, make_clip
 from isaacgymenvs_lite.motion.synthesis.generate import MODEL

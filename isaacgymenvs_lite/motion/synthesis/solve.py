@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.optional_packages import import_package
+from isaacgymenvs_lite.utils.optional_packages import import_package
 
 _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _MAX_ITERATIONS = 200

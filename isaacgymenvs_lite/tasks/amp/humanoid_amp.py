@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.tasks.amp.drawn_ahead import DrawnAhead
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
     HumanoidAMPBase,
 )
+from isaacgymenvs_lite.tasks.amp.prefetched_sampler import PrefetchedSampler
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     num_humanoid_obs,
@@ -81,7 +81,9 @@ class HumanoidAMP(HumanoidAMPBase):
             self._num_amp_obs_per_step(),
             device=self.device,
         )
-        self._starts = DrawnAhead(self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME))
+        self._starts = PrefetchedSampler(
+            self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME)
+        )
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:

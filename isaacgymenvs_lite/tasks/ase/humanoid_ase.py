@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.marks import Mark
 from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
@@ -143,9 +143,9 @@ class HumanoidASE(HumanoidAMP):
     def _task_reward(self) -> Tensor:
         return self.goal.reward()
 
-    def marks(self, env_id: int) -> tuple[Mark, ...]:
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return what pictures of an environment show beside the character."""
-        return self.goal.marks(env_id)
+        return self.goal.markers(env_id)
 
     @torch.inference_mode()
     def compute_reset(self) -> None:

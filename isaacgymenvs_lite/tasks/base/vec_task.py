@@ -20,13 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import StepListener
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.camera import TaskCamera
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
-from isaacgymenvs_lite.tasks.base.watcher import Watcher
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_threads
 
@@ -137,7 +137,7 @@ class VecTask(Env):
         progress_buf: (N,) int64, control steps of the running episode.
         timeout_buf: (N,) bool, ended by the time limit.
         extras: what `step` returns as infos; the same dictionary at every step.
-        watchers: told of every step; see `Watcher`.
+        listeners: told of every step; see `StepListener`.
         max_episode_length: control steps; a task must set it.
         keeps_final_observations: whether a task that starts episodes in the step that ended the one
             before observes the end, too; see `final_observations`.
@@ -174,7 +174,7 @@ class VecTask(Env):
             raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
         self.dt = float(_required(self.sim_params, "task.sim.dt"))
         self._failures_reported = 0
-        self.watchers: list[Watcher] = []
+        self.listeners: list[StepListener] = []
         self._camera = TaskCamera(self, *_PICTURE_SIZE)
         self.create_sim()
         self.allocate_buffers()
@@ -243,7 +243,7 @@ class VecTask(Env):
             if self.randomizer is not None:
                 self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
             self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
-            for watcher in self.watchers:
+            for watcher in self.listeners:
                 watcher.after_step()
             return (
                 self._observations(),
@@ -329,7 +329,7 @@ class VecTask(Env):
         modes = self.metadata["render_modes"]
         if mode not in modes:
             raise ConfigError(unknown("mode of render", mode, modes))
-        for watcher in self.watchers:
+        for watcher in self.listeners:
             watcher.render()
         if mode == "rgb_array" and (self.headless or self.virtual_screen_capture):
             return self._camera.draw((0,))[0]
@@ -338,12 +338,12 @@ class VecTask(Env):
     @property
     def is_watched(self) -> bool:
         """Whether a window or a page is open, for which a play goes on after its last episode."""
-        return any(getattr(watcher, "keeps_playing", False) for watcher in self.watchers)
+        return any(getattr(watcher, "keeps_playing", False) for watcher in self.listeners)
 
     def close(self) -> None:
         """Free the simulation and those who watch; the task cannot be stepped afterwards."""
-        while self.watchers:
-            self.watchers.pop().close()
+        while self.listeners:
+            self.listeners.pop().close()
         self._camera.close()
         self.simulation.close()
         release_torch_threads(self)

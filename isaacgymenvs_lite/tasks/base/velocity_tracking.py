@@ -27,7 +27,7 @@ _TRACKING_VARIANCE = 0.25  # (m/s)^2 and (rad/s)^2
 _START_POS_FACTORS = (0.5, 1.5)  # of the default joint angles
 _START_VEL_RAD_S = 0.1
 # Forces below this are no touch (N).
-TOUCH_N = 1.0
+CONTACT_THRESHOLD_N = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tens
     return along, turning
 
 
-def never_negative(terms: Terms) -> Terms:
+def clip_negative_total(terms: Terms) -> Terms:
     """Return the terms (N,) and one more, `clamp`, that lifts a negative sum to zero."""
     return {**terms, "clamp": total(terms).neg().clamp(min=0.0)}
 
@@ -186,7 +186,7 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
         raise ConfigError(f"task.env.defaultJointAngles={dict(named)}: expected numbers") from None
 
 
-def own_features(
+def proprioception(
     motion: BaseMotion, commands: Tensor, dof_pos: Tensor, dof_vel: Tensor, cfg: LearnConfig
 ) -> tuple[Tensor, ...]:
     """Return what a robot observes of itself, (3 to D, N) each, times the scales.
@@ -276,7 +276,7 @@ class VelocityTrackingTask(ClassicTask):
         self._torques = self.simulation.dof_forces.t()
 
     def own_groups(self) -> dict[str, int]:
-        """Return the parts of `own_features`, for `observation_groups`."""
+        """Return the parts of `proprioception`, for `observation_groups`."""
         num_dofs = self._layout.num_dofs
         motion = dict.fromkeys(("base_lin_vel", "base_ang_vel", "gravity", "commands"), 3)
         return motion | {"dof_pos": num_dofs, "dof_vel": num_dofs}
@@ -291,9 +291,9 @@ class VelocityTrackingTask(ClassicTask):
         return actions * self.env_cfg.control.action_scale + self.default_dof_pos
 
     def touches(self, body_ids: Tensor) -> Tensor:
-        """Return (K, N) bool: bodies (K,) are pushed by more than `TOUCH_N`."""
+        """Return (K, N) bool: bodies (K,) are pushed by more than `CONTACT_THRESHOLD_N`."""
         forces = self.simulation.contact_forces.permute(2, 1, 0).index_select(1, body_ids)
-        return forces.square().sum(0) > TOUCH_N * TOUCH_N
+        return forces.square().sum(0) > CONTACT_THRESHOLD_N * CONTACT_THRESHOLD_N
 
     def base_motion(self) -> BaseMotion:
         """See `compute_base_motion`."""

@@ -159,7 +159,7 @@ class SkrlAgent:
             close_environment_at_exit=False,
         )
         if not sys.stderr.isatty():
-            self.stepper.task.watchers.append(ProgressLines(self.stepper, steps))
+            self.stepper.task.listeners.append(ProgressLines(self.stepper, steps))
         SequentialTrainer(cfg=cfg, env=self._env, agents=self.agent).train()
         self.save(folder)
         self.agent.writer.close()

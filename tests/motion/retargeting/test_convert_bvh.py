@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.motion import convert as command
+from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.npz import load_npz
 from isaacgymenvs_lite.motion.retargeting.mapping import shipped_mappings
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.motion.npz import load_npz, save_npz
 from isaacgymenvs_lite.tasks.ase.humanoid_view_motion import HumanoidViewMotion
 
 # The library's interpolated rotations are of unit length to 2e-5 only (acos of a number near 1 in

@@ -417,7 +417,7 @@ def test_who_watches_is_told_to_show_and_a_window_is_no_picture(make_cart: MakeC
 
     cart, shown = make_cart(), Shown()
     cart.headless = False
-    cart.watchers.append(shown)
+    cart.listeners.append(shown)
     assert (cart.render(), cart.render(mode="human")) == (None, None)
     assert shown.shows == 2
     with pytest.raises(ConfigError, match=r"unknown mode of render 'rgb'.*human, rgb_array"):

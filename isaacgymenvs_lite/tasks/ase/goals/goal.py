@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.marks import Arrow, Colour, Mark, ground_arrow
+from isaacgymenvs_lite.rendering.markers import Arrow, Colour, Marker, arrow_on_ground
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 
@@ -100,7 +100,7 @@ class Goal:
         """
         del contact_body_ids
 
-    def marks(self, env_id: int) -> tuple[Mark, ...]:
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return what pictures of an environment show of its goal."""
         del env_id
         return ()
@@ -109,7 +109,7 @@ class Goal:
         """Return an arrow at the feet of the character, along `direction` (2,), unit."""
         x, y = self._simulation.root_states[env_id, :2].tolist()
         dx, dy = direction.tolist()
-        return ground_arrow((x, y), (dx, dy), colour)
+        return arrow_on_ground((x, y), (dx, dy), colour)
 
     def _rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
         return values if env_ids is None else values.index_select(0, env_ids)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.marks import FACE_COLOUR, GO_COLOUR, Mark
+from isaacgymenvs_lite.rendering.markers import FACE_COLOUR, GO_COLOUR, Marker
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range
@@ -143,7 +143,7 @@ class Heading(TimedGoal):
             self._dt_s,
         )
 
-    def marks(self, env_id: int) -> tuple[Mark, ...]:
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return an arrow where to go and one where to face."""
         return (
             self._ground_arrow(env_id, self.tar_dir[env_id], GO_COLOUR),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.marks import GO_COLOUR, Ball, Mark
+from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal
@@ -117,9 +117,9 @@ class Location(TimedGoal):
             self._dt_s,
         )
 
-    def marks(self, env_id: int) -> tuple[Mark, ...]:
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return the point, and an arrow to it, for it may lie outside of the picture."""
         x, y = self.tar_pos[env_id].tolist()
         direction = normalize(self.tar_pos[env_id] - self._root_states()[env_id, :2], eps=1e-12)
-        point = Ball((x, y, 0.0), math.sqrt(_NEAR_M2), GO_COLOUR)
+        point = Sphere((x, y, 0.0), math.sqrt(_NEAR_M2), GO_COLOUR)
         return (point, self._ground_arrow(env_id, direction, GO_COLOUR))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.marks import GO_COLOUR, Ball, Mark
+from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range
@@ -97,7 +97,7 @@ class Reach(TimedGoal):
         """Return (N,); see `compute_reach_reward`."""
         return compute_reach_reward(self._simulation.body_pos[:, self._body], self.tar_pos)
 
-    def marks(self, env_id: int) -> tuple[Mark, ...]:
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return the point."""
         x, y, z = self.tar_pos[env_id].tolist()
-        return (Ball((x, y, z), 0.08, GO_COLOUR),)
+        return (Sphere((x, y, z), 0.08, GO_COLOUR),)

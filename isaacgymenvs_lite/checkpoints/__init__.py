@@ -1,0 +1,1 @@
+"""Reads, checks and writes checkpoints, and packs the policies that ship with the project."""

@@ -1,0 +1,328 @@
+"""Checkpoints: written atomically, loaded without running code, found by name.
+
+rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
+a full unpickler (a stranger's file runs code). `install` puts the functions of this module in
+their place, for all agents.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.checkpoints.archive import (
+    ArchiveError,
+    ForbiddenNameError,
+    read_archive,
+)
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.run.folder import run_folders
+from isaacgymenvs_lite.utils.files import atomic_write
+
+log = logging.getLogger(__name__)
+
+LLC_KEY = "llc"
+"""Key of the checkpoint of a high level that says over which low level it was trained."""
+
+_COMPILED_PREFIX = "_orig_mod."
+# rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
+_OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
+# rl_games' SAC agent writes its networks apart.
+_SAC_KEYS = {"actor", "critic"}
+# What holds tensors by name.
+_STATE_DICTS = (
+    *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
+    *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
+)
+# What counts and what measures.
+_COUNTS = ("epoch", "frame")
+_NUMBERS = ("last_mean_rewards",)
+_MAX_SHOWN = 80
+
+
+def install() -> None:
+    """Make rl_games save and load through this module."""
+    from rl_games.algos_torch import torch_ext
+
+    torch_ext.save_checkpoint = save_checkpoint
+    torch_ext.load_checkpoint = load_checkpoint
+
+
+# --- writing -----------------------------------------------------------------------------------
+
+
+def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
+    """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
+
+    If the folder cannot be written (read-only, full), the failure is logged, the checkpoint goes
+    to a folder below the system's temporary one instead, and the training goes on: losing the
+    run would be worse than losing a file.
+
+    Returns:
+        The file that was written; None if none could be.
+    """
+    path = Path(f"{filename}.pth")
+    state = _plain_numbers(state)
+    try:
+        write_atomically(path, state)
+    except OSError as error:
+        return _rescue(path, state, error)
+    log.debug("saved %s", path)
+    return path
+
+
+def write_atomically(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint in one step, see `utils.files`.
+
+    Raises:
+        OSError: the folder cannot be written or is full; nothing of the attempt stays behind.
+    """
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        try:
+            torch.save(state, file)
+        except RuntimeError as error:
+            # torch's zip writer turns a failed write into a RuntimeError
+            raise OSError("the disk is full or broken") from error
+
+
+def _rescue(path: Path, state: dict[str, Any], error: OSError) -> Path | None:
+    reason = error.strerror or error
+    folder = Path(tempfile.gettempdir()) / "isaacgymenvs_lite_rescue" / path.parent.parent.name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / path.name, state)
+    except OSError as second_error:
+        log.error(
+            "cannot write the checkpoint %s (%s), nor below %s (%s); training goes on, free some"
+            " space before the next save",
+            path,
+            reason,
+            folder,
+            second_error.strerror or second_error,
+        )
+        return None
+    log.error(
+        "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
+        path,
+        reason,
+        folder / path.name,
+    )
+    return folder / path.name
+
+
+def _plain_numbers(value: Any) -> Any:
+    """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(value)
+    if isinstance(value, dict):
+        return type(value)((key, _plain_numbers(entry)) for key, entry in value.items())
+    if isinstance(value, (list, tuple)):
+        return type(value)(_plain_numbers(entry) for entry in value)
+    return value
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+def load_checkpoint(filename: str | Path) -> dict[str, Any]:
+    """Load a checkpoint on the CPU without running code from it; see `archive`.
+
+    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers stand beside the
+    model), and strips the parameter prefix of compiled models. Whether it fits the networks that
+    are to take it over is found out there: `learning.restoring`.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, holds anything but tensors and plain
+            containers, or is no checkpoint.
+    """
+    path = Path(filename)
+    if not path.is_file():
+        raise CheckpointError(f"checkpoint={filename}: no such file; give a .pth file or 'last'")
+    try:
+        state = read_archive(path)
+    except Exception as error:  # what bytes that are no checkpoint make the reader raise is open
+        raise CheckpointError(_refusal(path, error)) from error
+    if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
+        raise CheckpointError(
+            f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
+            " rl_games writes it"
+        )
+    wrong = next(_wrong_entries(state), None)
+    if wrong is not None:
+        raise CheckpointError(f"checkpoint={path}: {wrong}; expected a file that train.py wrote")
+    log.debug("loaded %s", path)
+    return _modernize(state)
+
+
+def _has_model(state: dict[str, Any]) -> bool:
+    return isinstance(state.get("model"), Mapping)
+
+
+def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
+    """Yield what is wrong with entries whose kind does not depend on the agent."""
+    for key in _STATE_DICTS:
+        entries = state.get(key, {})
+        if not isinstance(entries, dict):
+            yield f"{key} is a {type(entries).__name__}, expected tensors by name"
+            continue
+        for name, value in entries.items():
+            if not isinstance(name, str) or not isinstance(value, torch.Tensor):
+                kind = type(value).__name__
+                yield f"{key}.{short(name)} is a {kind}, expected a tensor"
+    for key in _COUNTS:
+        count = state.get(key, 0)
+        if type(count) is not int or count < 0:
+            yield f"{key} is {short(count)}, expected a number of at least 0"
+    for key in _NUMBERS:
+        number = state.get(key, 0.0)
+        if type(number) not in (int, float) or math.isnan(number):
+            yield f"{key} is {short(number)}, expected a number"
+    llc = state.get(LLC_KEY, {"checkpoint": "", "fingerprint": ""})
+    if not _is_reference(llc):
+        yield f"{LLC_KEY} is {short(llc)}, expected the file and the fingerprint of a low level"
+    policy = state.get("policy", {"settings": {}})
+    settings = policy.get("settings") if isinstance(policy, dict) else None
+    if not isinstance(settings, dict) or not all(isinstance(path, str) for path in settings):
+        yield f"policy is {short(policy)}, expected the settings of a packed policy"
+
+
+def _is_reference(llc: Any) -> bool:
+    keys = ("checkpoint", "fingerprint")
+    return isinstance(llc, dict) and all(isinstance(llc.get(key), str) for key in keys)
+
+
+def short(value: Any) -> str:
+    """Return a value of a stranger's file as one short line."""
+    if isinstance(value, (dict, list, tuple, torch.Tensor)):
+        return f"a {type(value).__name__}"
+    text = " ".join(str(value).split())
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
+
+
+def _refusal(path: Path, error: Exception) -> str:
+    if isinstance(error, ForbiddenNameError):
+        return (
+            f"checkpoint={path}: refused, nothing was run: {error}, but"
+            " a checkpoint needs only tensors and plain containers; do not trust this file"
+        )
+    if isinstance(error, OSError) and error.errno is not None and error.errno != errno.EINVAL:
+        return f"checkpoint={path}: cannot be read ({error.strerror})"
+    reason = f" ({error})" if isinstance(error, ArchiveError) else ""
+    return (
+        f"checkpoint={path}: damaged or no checkpoint{reason}; expected a .pth file that train.py"
+        " wrote"
+    )
+
+
+def _modernize(state: dict[str, Any]) -> dict[str, Any]:
+    for key in ("model", "assymetric_vf_nets"):
+        if key in state:
+            entries = state[key].items()
+            state[key] = {name.replace(_COMPILED_PREFIX, ""): value for name, value in entries}
+    if "model" not in state:
+        return state
+    model = state["model"]
+    for old, prefix in _OLD_NORMALIZERS.items():
+        statistics = state.get(old)
+        if isinstance(statistics, Mapping):
+            for key, value in statistics.items():
+                model.setdefault(f"{prefix}.{key}", value)
+    return state
+
+
+# --- finding -----------------------------------------------------------------------------------
+
+
+def checkpoint_of_tree(cfg: DictConfig, checkpoint: str, train_dir: str | Path) -> str:
+    """Return the path that `checkpoint` means to a composed tree, to train, play or export.
+
+    Args:
+        cfg: the tree; `last` is the newest checkpoint of its task and of its kind of network.
+        checkpoint: as `resolve_checkpoint`.
+        train_dir: folder of the run folders.
+
+    Raises:
+        CheckpointError: there is no such file.
+    """
+    network = OmegaConf.select(cfg, "train.params.network.name")
+    return resolve_checkpoint(checkpoint, train_dir, str(cfg.task.name), str(network or ""))
+
+
+def resolve_checkpoint(
+    checkpoint: str, train_dir: str | Path, task_name: str, network_name: str = ""
+) -> str:
+    """Return the path that the key `checkpoint` means.
+
+    Args:
+        checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, or the
+            name of a shipped policy.
+        train_dir: folder of the run folders.
+        task_name: the task whose runs `last` looks at; '': all.
+        network_name: of these, those with networks of this name; '': all. Several levels of a
+            hierarchy are trained on one task.
+
+    Raises:
+        CheckpointError: there is no such file.
+    """
+    if not checkpoint:
+        return ""
+    if checkpoint == "last":
+        return str(_newest(Path(train_dir), task_name, network_name))
+    policies = shipped_policies()
+    path = policies.get(checkpoint) or Path(checkpoint).expanduser()
+    if not path.is_file():
+        hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
+        names = f", or a shipped policy: {', '.join(policies)}" if policies else ""
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: no file {path.absolute()}{hint}; give a .pth file, or"
+            f" 'last' for the newest one of this task{names}"
+        )
+    return str(path.absolute())
+
+
+def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
+    wanted = {"task.name": task_name, "train.params.network.name": network_name}
+    wanted = {key: value for key, value in wanted.items() if value}
+    runs = [run for run in run_folders(train_dir) if _settings_of_run(run, wanted) == wanted]
+    files = [file for run in runs for file in run.glob("nn/*.pth")]
+    if not files:
+        task = f"task={task_name}" if task_name else "any task"
+        command = f"python train.py task={task_name or 'HumanoidAMP'}"
+        others = _tasks_of_checkpoints(train_dir) - {task_name}
+        hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
+        network = f" with the network {network_name}" if network_name else ""
+        raise CheckpointError(
+            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
+            f" train one first: {command}"
+        )
+    return max(files, key=lambda file: file.stat().st_mtime).absolute()
+
+
+def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
+    runs = [run for run in run_folders(train_dir) if any(run.glob("nn/*.pth"))]
+    names = [_settings_of_run(run, ["task.name"]) for run in runs]
+    return {str(found["task.name"]) for found in names if found and found["task.name"]}
+
+
+def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+    from omegaconf.errors import OmegaConfBaseException
+
+    from isaacgymenvs_lite.config.yaml_files import read_yaml
+
+    try:
+        cfg = read_yaml(run / "config.yaml")
+        return {key: OmegaConf.select(cfg, key) for key in keys}
+    except (ConfigError, OmegaConfBaseException):
+        return None  # no run folder of ours, or a damaged one: the others count

@@ -1,0 +1,100 @@
+"""Which low-level controller a high level was trained over: its checkpoint says so.
+
+A latent means something to one low-level controller only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.checkpoints.files import LLC_KEY
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.errors import CheckpointError
+
+log = logging.getLogger(__name__)
+
+SHIPPED_LLC = "locomotion_skills"
+"""Name of the low-level controller among the shipped policies."""
+
+
+def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[str, str]:
+    """Return {"checkpoint", "fingerprint"} of a low-level controller.
+
+    Args:
+        llc_checkpoint: a path, kept as an absolute one, or the name of a shipped policy.
+        weights: of its model.
+    """
+    is_shipped = llc_checkpoint in shipped_policies()
+    path = llc_checkpoint if is_shipped else str(Path(llc_checkpoint).expanduser().absolute())
+    return {"checkpoint": path, "fingerprint": _fingerprint(weights)}
+
+
+def _fingerprint(weights: Mapping[str, Tensor]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(weights):
+        digest.update(name.encode())
+        digest.update(weights[name].detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
+    """Return `reference` with the name of the shipped policy that has its weights.
+
+    Raises:
+        CheckpointError: none has.
+    """
+    for name, path in shipped_policies().items():
+        if _fingerprint(checkpoints.load_checkpoint(path)["model"]) == reference["fingerprint"]:
+            return {**reference, "checkpoint": name}
+    raise CheckpointError(
+        f"the policy was trained over the low-level controller {reference['checkpoint']}, which"
+        " does not ship; pack that one first"
+    )
+
+
+def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) -> str:
+    """Return the low-level controller of a training or a play.
+
+    Args:
+        llc_checkpoint: the key; None and '' leave it to the checkpoint that is loaded. If that
+            does not say, None means the shipped one, and '' stays ''.
+        params: the section `params` of the train file.
+
+    Raises:
+        CheckpointError: the checkpoint that is loaded cannot be read.
+    """
+    if llc_checkpoint:
+        return llc_checkpoint
+    if params.get("load_checkpoint"):
+        reference = checkpoints.load_checkpoint(params["load_path"]).get(LLC_KEY)
+        if reference:
+            return str(reference["checkpoint"])
+    return SHIPPED_LLC if llc_checkpoint is None else ""
+
+
+def warn_of_another_llc(
+    state: Mapping[str, Any], reference: Mapping[str, str], checkpoint: str
+) -> None:
+    """Warn if a high level's checkpoint was trained over another low level than the one in use.
+
+    Args:
+        state: of the high level's checkpoint.
+        reference: to the low-level controller in use.
+        checkpoint: the high level's, as the user gave it.
+    """
+    before = state.get(LLC_KEY)
+    if before and before["fingerprint"] != reference["fingerprint"]:
+        log.warning(
+            "checkpoint=%s was trained over the low-level controller %s, whose weights are not"
+            " those of %s: its latents may mean other skills here",
+            checkpoint,
+            before["checkpoint"],
+            reference["checkpoint"],
+        )

@@ -1,0 +1,266 @@
+"""Packed policies: a checkpoint without the state of its training, and with what it needs to play.
+
+A full checkpoint is of use only beside its run folder, whose config.yaml says which networks and
+which task it belongs to, and most of it is the optimiser's. A packed policy is one small file: the
+model with its normalisers (the critic too, so that it loads as any other checkpoint does), the
+normaliser of AMP observations, and under the key `policy` what `PolicyInfo` describes.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import logging
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint, write_atomically
+from isaacgymenvs_lite.checkpoints.llc_reference import LLC_KEY, shipped_reference
+from isaacgymenvs_lite.checkpoints.run_config import (
+    read_run_config,
+    run_config_file,
+    select,
+    units_of_config,
+    units_of_model,
+)
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
+from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
+
+log = logging.getLogger(__name__)
+
+MAX_BYTES = 5 * 2**20
+"""A packed policy is kept in the repository; this is the limit."""
+
+_INFO_KEY = "policy"
+# What of a checkpoint a player reads.
+_PLAYED = ("model", "amp_input_mean_std", "env_state")
+_CONFIG = "train.params.config"
+_CLIP = "task.env.motion_file"
+# Sections and keys that a policy must find as it was trained with.
+_NEEDED = (
+    "task.env",
+    "task.sim",
+    "train.params.algo",
+    "train.params.model",
+    "train.params.network",
+    *(f"{_CONFIG}.normalize_{what}" for what in ("input", "value", "amp_input")),
+    f"{_CONFIG}.amp_obs_steps",
+    f"{_CONFIG}.disc_reward",
+    f"{_CONFIG}.disc_reward_scale",
+    f"{_CONFIG}.enc_reward_scale",
+    *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
+    f"{_CONFIG}.clip_latents",
+    # A low level that ships says itself how it was trained, so that llc_config is of no use.
+    f"{_CONFIG}.llc_steps",
+)
+# Keys of those sections that are nobody's but the training's, or that have no effect.
+_NOT_NEEDED = (
+    "task.env.numEnvs",
+    "task.env.episodeLength",
+    "task.env.envSpacing",
+    "task.env.cameraFollow",
+    "task.env.enableDebugVis",
+    "task.sim.use_gpu_pipeline",
+    "task.sim.physx",
+)
+# Of the training's own settings, what says nothing elsewhere.
+_NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyInfo:
+    """What a packed policy says of itself.
+
+    Attributes:
+        task: name of the task it acts in.
+        clip: the motion it imitates, as `task.env.motion_file`; '' for tasks without.
+        units: hidden layers of its networks, {"mlp": [...], "disc": [...]}.
+        frames: environment steps it was trained for.
+        epochs: epochs it was trained for.
+        settings: path in the configuration tree -> value, all that playing needs.
+        training: `train.params.config` of the training, for the record.
+    """
+
+    task: str
+    clip: str
+    units: dict[str, list[int]]
+    frames: int
+    epochs: int
+    settings: dict[str, Any]
+    training: dict[str, Any]
+
+    def __str__(self) -> str:
+        """Return one line for users."""
+        layers = ", ".join(f"{name} {units}" for name, units in self.units.items())
+        of_clip = f" of {self.clip}" if self.clip else ""
+        return f"{self.task}{of_clip}, {self.frames / 1e6:.1f} M frames, {layers}"
+
+
+def read_policy_info(path: Path) -> PolicyInfo:
+    """Read what a packed policy says of itself; nothing of the file is run.
+
+    Raises:
+        CheckpointError: it cannot be read or is no packed policy.
+    """
+    info = load_checkpoint(path).get(_INFO_KEY)
+    names = {field.name for field in dataclasses.fields(PolicyInfo)}
+    if not isinstance(info, Mapping) or set(info) != names:
+        raise CheckpointError(
+            f"{path}: is no packed policy of this version; make one with python -m"
+            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+        )
+    return PolicyInfo(**info)
+
+
+def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `params` of a train file as a packed policy was trained with it.
+
+    Args:
+        params: of a train file of the same algorithm.
+        state: of a checkpoint; if it is no packed policy, `params` is returned as it is.
+    """
+    params = copy.deepcopy(dict(params))
+    if _INFO_KEY not in state:
+        return params
+    own: dict[str, Any] = {"network": {}, "config": dict(params["config"])}
+    for path, value in state[_INFO_KEY]["settings"].items():
+        *sections, key = path.split(".")
+        if sections[:2] == ["train", "params"] and sections[2:3] in (["network"], ["config"]):
+            place = own
+            for section in sections[2:]:
+                place = place.setdefault(section, {})
+            place[key] = value
+    return {**params, **own}
+
+
+def pack_policy(
+    checkpoint: str | Path, name: str, clip: str = "", folder: str | Path | None = None
+) -> Path:
+    """Write the packed policy of a full checkpoint and return its path.
+
+    Args:
+        checkpoint: a file in the folder nn/ of the run folder that train.py made.
+        name: of the policy; an older one of this name is replaced.
+        clip: the shipped clip that it imitates; '' takes the run's.
+        folder: where to write; None = assets/policies.
+
+    Raises:
+        CheckpointError: the checkpoint cannot be used, the result would be too big, or the policy
+            needs a low-level controller that does not ship.
+        ConfigError: no config.yaml beside it, a name that cannot be used, a clip that is not
+            shipped, or a folder that cannot be written.
+    """
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name) or name == "last":
+        raise ConfigError(
+            f"name={name}: expected small letters, digits, - and _; 'last' is the newest checkpoint"
+        )
+    checkpoint = Path(checkpoint)
+    state = load_checkpoint(checkpoint)
+    tree = _run_config(checkpoint, state["model"])
+    settings = _needed_settings(tree)
+    if _CLIP in settings:
+        settings[_CLIP] = _shipped_clip(clip or settings[_CLIP])
+    packed = {key: state[key] for key in _PLAYED if state.get(key) is not None}
+    if LLC_KEY in state:
+        packed[LLC_KEY] = shipped_reference(state[LLC_KEY])
+    info = PolicyInfo(
+        task=tree["task"]["name"],
+        clip=settings.get(_CLIP, ""),
+        units=units_of_config(tree),
+        frames=int(state.get("frame", 0)),
+        epochs=int(state.get("epoch", 0)),
+        settings=settings,
+        training=_training_record(tree["train"]["params"]["config"]),
+    )
+    packed[_INFO_KEY] = dataclasses.asdict(info)
+    path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
+    _write(path, packed)
+    log.info("%s: %s, %.2f MiB", path, info, path.stat().st_size / 2**20)
+    return path
+
+
+def _write(path: Path, packed: dict[str, Any]) -> None:
+    tensors = [*packed["model"].values(), *(packed.get("amp_input_mean_std") or {}).values()]
+    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+    if size > MAX_BYTES:
+        raise CheckpointError(
+            f"{path.name} would take {size / 2**20:.1f} MiB, the limit is"
+            f" {MAX_BYTES / 2**20:.0f} MiB; train smaller networks (train.params.network.mlp.units"
+            " and disc.units, [512,256] takes 2.4 MiB)"
+        )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, packed)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path} ({error.strerror or error})") from error
+
+
+# --- the settings of the run --------------------------------------------------------------------
+
+
+def _run_config(checkpoint: Path, model: Mapping[str, Any]) -> dict[str, Any]:
+    file = run_config_file(checkpoint)
+    if not file.is_file():
+        raise ConfigError(
+            f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
+            " the folder nn of the run folder that train.py made"
+        )
+    tree = read_run_config(file, model)
+    units = units_of_config(tree)
+    if units != units_of_model(model, units):
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: its layers are {units_of_model(model, units)}, those of"
+            f" {file} {units}; expected the config.yaml of its own run"
+        )
+    return tree
+
+
+def _needed_settings(tree: dict[str, Any]) -> dict[str, Any]:
+    return {
+        path: value
+        for section in _NEEDED
+        for path, value in _leaves(section, select(tree, section))
+        if not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
+    }
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the paths and values of all that is no dictionary, or an empty one."""
+    if isinstance(value, dict) and value:
+        for key, entry in value.items():
+            yield from _leaves(f"{path}.{key}", entry)
+    elif value is not None:
+        yield path, value
+
+
+def _shipped_clip(clip: str) -> str:
+    """Return a clip as it can be named on any machine.
+
+    Raises:
+        ConfigError: it is a file of this machine.
+    """
+    file = Path(clip)
+    if is_package_name(clip):
+        return clip
+    ours = file.parent in (Path(), shipped_motions_dir())
+    if not ours or file.stem not in shipped_motions():
+        choices = f"{', '.join(shipped_motions())}, {PREFIX}<name>"
+        raise ConfigError(
+            f"the policy imitates {clip}, which does not ship with the project; name the clip that"
+            f" it shall be shown beside with clip=NAME: {choices}"
+        )
+    return file.name
+
+
+def _training_record(config: dict[str, Any]) -> dict[str, Any]:
+    plain = (str, int, float, bool)
+    return {
+        key: value
+        for key, value in config.items()
+        if isinstance(value, plain) and key not in _NOT_RECORDED
+    }

@@ -1,0 +1,190 @@
+"""From arguments or a composed tree to a task."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from isaacgymenvs_lite.config import checkouts
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.devices import check_device, check_device_name
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
+from isaacgymenvs_lite.motion.loader import resolve_motion_file, shipped_motions_dir
+from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.rendering.display import check_display
+from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.tasks import find_task
+from isaacgymenvs_lite.tasks.base.assets import shipped_assets
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.registry import TaskMaker
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
+from isaacgymenvs_lite.viewers.window import Window
+
+
+def make_task(
+    *,
+    seed: int,
+    task: str,
+    num_envs: int | str,
+    sim_device: str,
+    rl_device: str,
+    graphics_device_id: int,
+    headless: bool,
+    multi_gpu: bool,
+    virtual_screen_capture: bool,
+    force_render: bool,
+    cfg: DictConfig | None,
+) -> VecTask:
+    """Make a task; see `isaacgymenvs_lite.make`."""
+    check_device_name(sim_device, "sim_device")
+    rl_device = check_device(rl_device, "rl_device")
+    if cfg is None:
+        cfg = compose(
+            [
+                f"task={task}",
+                f"num_envs={num_envs}" if num_envs != "" else "num_envs=''",
+                f"seed={seed}",
+                f"sim_device={sim_device}",
+                f"rl_device={rl_device}",
+                f"graphics_device_id={graphics_device_id}",
+                f"headless={headless}",
+                f"multi_gpu={multi_gpu}",
+                f"force_render={force_render}",
+            ]
+        )
+    else:
+        cfg = _with_checkout(cfg)
+    settings = check_config(cfg)
+    seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
+    # What is captured is drawn without a display: Isaac Gym opened its window on a virtual one.
+    opens_window = not headless and not virtual_screen_capture
+    if opens_window:
+        check_display()
+    if virtual_screen_capture:
+        ensure_gl()
+    env = make_from_config(
+        cfg,
+        sim_device=sim_device,
+        rl_device=rl_device,
+        graphics_device_id=graphics_device_id,
+        headless=headless,
+        virtual_screen_capture=virtual_screen_capture,
+        force_render=force_render,
+    )
+    if opens_window:
+        # As in Isaac Gym, the program ends with its window.
+        env.listeners.append(Window(env, Path("videos"), sys.exit, every_step=force_render))
+    limit_torch_threads(env, threads_for_envs(env.num_envs), settings.num_threads)
+    return env
+
+
+def _with_checkout(cfg: DictConfig) -> DictConfig:
+    """Return a tree that a script's own Hydra composed, with the checkout of its task file.
+
+    A train.py of another project knows no such key, and its clips are in its own folders.
+    """
+    if checkouts.KEY in cfg or not HydraConfig.initialized():
+        return cfg
+    runtime = HydraConfig.get().runtime
+    (folder,) = (source.path for source in runtime.config_sources if source.provider == "main")
+    task_file = Path(folder, "task", f"{runtime.choices.get('task')}.yaml").resolve()
+    if not task_file.is_file():
+        return cfg
+    cfg = cfg.copy()
+    with open_dict(cfg):
+        cfg[checkouts.KEY] = str(checkouts.checkout_of(task_file))
+    return cfg
+
+
+def make_from_config(
+    cfg: DictConfig,
+    *,
+    sim_device: str,
+    rl_device: str,
+    graphics_device_id: int = -1,
+    headless: bool = True,
+    virtual_screen_capture: bool = False,
+    force_render: bool = False,
+) -> VecTask:
+    """Make the task that a composed tree describes.
+
+    Raises:
+        ConfigError: `cfg.task.name` is no task, or a key or value of it cannot be used.
+        MotionFileError: a motion clip that cannot be used.
+    """
+    task_cfg: Any = OmegaConf.to_container(cfg.task, resolve=True)
+    maker = find_task(str(task_cfg["name"]))
+    if checkout := cfg.get(checkouts.KEY):
+        _find_files(task_cfg["env"], Path(checkout).expanduser().absolute(), maker)
+    return maker(
+        cfg=task_cfg,
+        rl_device=rl_device,
+        sim_device=sim_device,
+        graphics_device_id=graphics_device_id,
+        headless=headless,
+        virtual_screen_capture=virtual_screen_capture,
+        force_render=force_render,
+    )
+
+
+def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
+    """Replace the clip and the model that `task.env` names by where they are, in place.
+
+    The working folder goes first, then the checkout that the task file belongs to, then what comes
+    with this project.
+
+    Raises:
+        MotionFileError: there is no such clip; says where was looked.
+        ConfigError: there is no such model, either.
+    """
+    clip = env.get("motion_file")
+    if isinstance(clip, str) and clip and not is_package_name(clip):
+        folders = [Path(), *checkouts.clip_folders(checkout, clip), shipped_motions_dir()]
+        env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
+    asset = env.get("asset")
+    if isinstance(asset, dict) and isinstance(asset.get("assetFileName"), str):
+        folder = _folder_of_model(asset, checkout, getattr(maker, "published_assets", ()))
+        if folder is not None:
+            asset["assetRoot"] = str(folder)
+
+
+def _folder_of_model(
+    asset: dict[str, Any], checkout: Path, published: Collection[str]
+) -> Path | None:
+    """Return where in a checkout a model lies that is none of this project's, None for those."""
+    name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
+    ours = not name or (assets_dir() / name).is_file() or name in published
+    if ours or (Path(root) / name).is_file():
+        return None
+    folders = [] if ".." in Path(name).parts else checkouts.model_folders(checkout, root)
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder
+    looked = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
+    raise ConfigError(
+        f"task.env.asset.assetFileName='{name}': no such file in {looked}; shipped:"
+        f" {shipped_assets()}"
+    )
+
+
+def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
+    """Seed Python, numpy and torch; with `torch_deterministic` forbid nondeterministic kernels."""
+    random.seed(seed)
+    np.random.seed(seed)
+    torch.manual_seed(seed)
+    torch.cuda.manual_seed_all(seed)
+    if torch_deterministic:
+        torch.use_deterministic_algorithms(True)
+        torch.backends.cudnn.benchmark = False
+        torch.backends.cudnn.deterministic = True

@@ -1,0 +1,191 @@
+"""The one loop that plays a policy: used by the players, in training and in benchmarks."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.config.train_params import player_class_note
+from isaacgymenvs_lite.evaluation.pose_error import (
+    EpisodeRecorder,
+    ImitationResult,
+    PoseErrorMetric,
+    ReferencePoses,
+)
+
+log = logging.getLogger(__name__)
+
+Policy = Callable[[dict[str, Tensor]], Tensor]
+"""Observations -> actions (N, A) as the task's `step` takes them."""
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What a policy reached, as means over episodes.
+
+    Attributes:
+        num_episodes: the same number in every environment.
+        reward: sum of the task's rewards of an episode.
+        steps: control steps of an episode.
+        style_reward: discriminator's reward per step, None without a discriminator.
+        imitation: pose error and falls, None for tasks without reference motions.
+    """
+
+    num_episodes: int
+    reward: float
+    steps: float
+    style_reward: float | None
+    imitation: ImitationResult | None
+
+    def __str__(self) -> str:
+        """Return one line for users."""
+        parts = [
+            f"{self.num_episodes} episodes",
+            f"reward {self.reward:.2f}",
+            f"episode length {self.steps:.1f} steps",
+        ]
+        if self.style_reward is not None:
+            parts.append(f"style reward {self.style_reward:.3f} per step")
+        if self.imitation is not None:
+            parts.append(str(self.imitation))
+        return "; ".join(parts)
+
+
+class _ImitationProbe:
+    """Records body positions of a task with reference motions."""
+
+    def __init__(self, env: Any, episodes_per_env: int) -> None:
+        self._sim = env.simulation
+        self._metric = PoseErrorMetric(ReferencePoses.from_motion_lib(env.motion_lib, env.dt))
+        self._recorder = EpisodeRecorder(
+            env.num_envs,
+            len(self._sim.body_names),
+            env.max_episode_length,
+            env.device,
+            episodes_per_env=episodes_per_env,
+        )
+        self._device = env.device
+
+    def record(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        self._recorder.record(self._sim.body_pos, self._sim.root_states[:, 3:7])
+        ids = dones.to(self._device).nonzero().flatten()
+        self._recorder.finish(ids, infos["terminate"].to(self._device)[ids].bool())
+
+    def result(self) -> ImitationResult:
+        return self._metric.evaluate(self._recorder.episodes)
+
+
+def evaluate(
+    env: Any,
+    policy: Policy,
+    num_episodes: int,
+    style_reward: Callable[[Tensor], Tensor] | None = None,
+    on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
+) -> EvaluationResult:
+    """Play at least `num_episodes` episodes and measure them.
+
+    Every environment plays the same number of episodes: whoever stops at the first n that end
+    counts short episodes too often.
+
+    Args:
+        env: a task (`VecTask`) whose agent asks for resets (`reset_done`).
+        policy: what acts.
+        num_episodes: at least 1; rounded up to a multiple of the number of environments.
+        style_reward: maps `infos["amp_obs"]` (N, F) to rewards (N, 1).
+        on_step: called with the dones (N,) and infos of each step, before resets.
+    """
+    episodes_per_env = max(1, -(-num_episodes // env.num_envs))
+    probe = _ImitationProbe(env, episodes_per_env) if hasattr(env, "motion_lib") else None
+    left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
+    totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
+    env.reset()
+    while bool((left > 0).any()):
+        rewards, dones, infos = _step(env, policy)
+        playing = left > 0
+        totals[0] += rewards[playing].double().sum().item()
+        totals[1] += int(playing.sum())
+        if style_reward is not None:
+            totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
+        if probe is not None:
+            probe.record(dones, infos)
+        if on_step is not None:
+            on_step(dones, infos)
+        left -= (dones != 0).to(left.dtype)
+    count = episodes_per_env * env.num_envs
+    return EvaluationResult(
+        num_episodes=count,
+        reward=totals[0].item() / count,
+        steps=totals[1].item() / count,
+        style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
+        imitation=None if probe is None else probe.result(),
+    )
+
+
+def _step(env: Any, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Start the episodes that are due and act; return rewards (N,), dones (N,) and infos."""
+    obs, _ = env.reset_done()
+    with torch.no_grad():
+        actions = policy(obs)
+    _, rewards, dones, infos = env.step(actions)
+    return rewards, dones, infos
+
+
+def play_on(
+    env: Any,
+    policy: Policy,
+    on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
+) -> None:
+    """Play for as long as a window or a page is open, and measure nothing; Ctrl-C ends it.
+
+    Args:
+        env: a task that `evaluate` has played.
+        policy: what acts.
+        on_step: as `evaluate`.
+    """
+    if not getattr(env, "is_watched", False):  # an environment of one's own need not have it
+        return
+    log.info("playing on for whoever looks on; Ctrl-C ends it")
+    with contextlib.suppress(KeyboardInterrupt):
+        while env.is_watched:
+            _, dones, infos = _step(env, policy)
+            if on_step is not None:
+                on_step(dones, infos)
+
+
+DEFAULT_EPISODES = 32
+# Published train files say a hundred thousand and more: until the window is closed.
+_WITHOUT_END = 10_000
+
+
+def episodes_to_play(player_config: Mapping[str, Any]) -> int:
+    """Return `player.games_num` of a train file, or a number that comes to an end.
+
+    Logs what else the section asks for in vain.
+    """
+    if note := player_class_note(player_config):
+        log.info("%s", note)
+    asked = int(player_config.get("games_num", DEFAULT_EPISODES))
+    if asked < _WITHOUT_END:
+        return asked
+    log.info(
+        "train.params.config.player.games_num=%d means without end; without a window %d episodes"
+        " are played",
+        asked,
+        DEFAULT_EPISODES,
+    )
+    return DEFAULT_EPISODES
+
+
+def evaluate_and_log(
+    env: Any, policy: Policy, num_episodes: int, **probes: Any
+) -> EvaluationResult:
+    """Play as `evaluate` does, and tell a user in one line what was reached."""
+    result = evaluate(env, policy, num_episodes, **probes)
+    log.info("played %s", result)
+    return result

@@ -1,0 +1,285 @@
+"""How closely a character imitates its reference clips: the pose error in metres of the AMP paper.
+
+A frame's error is the mean over the bodies of the distance between the root-relative position of
+a body of the character and of the reference, both turned into their heading frames. An episode is
+aligned with the repeated clip by subsequence dynamic time warping, because the policy chooses its
+own phase and tempo. `docs/imitation_metric.md` tells how to read the numbers.
+
+References:
+    Peng et al., "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control",
+    2021, https://arxiv.org/abs/2104.02180 (section 8: the pose error).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.evaluation.time_warping import Alignment, align
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
+
+# The reference is repeated until a character this many times as fast as the clip fits.
+_MAX_TEMPO = 2
+# Upper limit of the cost tensors of one chunk of episodes, in bytes.
+_CHUNK_BYTES = 200 * 2**20
+
+
+def root_relative_pose(body_pos_w: Tensor, root_rot_w: Tensor) -> Tensor:
+    """Return body positions relative to the root, in the heading frame of the root.
+
+    Args:
+        body_pos_w: (..., J, 3) m, positions in the world, z up; body 0 is the root.
+        root_rot_w: (..., 4), rotation of the root, xyzw.
+
+    Returns:
+        (..., J, 3) m; the x axis is where the root heads, z is up, body 0 is at the origin.
+    """
+    heading = calc_heading(root_rot_w).unsqueeze(-1)
+    return rotate_about_z(heading.cos(), -heading.sin(), body_pos_w - body_pos_w[..., :1, :])
+
+
+class ReferencePoses:
+    """The reference clips, one pose per control step; a clip repeats for ever.
+
+    Args:
+        clips: for each clip the poses (F, J, 3) m, F >= 1, of `root_relative_pose`, sampled at
+            the control step. A clip that closes must not repeat its first pose at the end.
+
+    Raises:
+        ValueError: no clip, or clips of differing or wrong shapes, or numbers that are not finite.
+    """
+
+    def __init__(self, clips: Sequence[Tensor | npt.NDArray[np.floating]]) -> None:
+        self.clips = tuple(torch.as_tensor(c, dtype=torch.float32, device="cpu") for c in clips)
+        if not self.clips:
+            raise ValueError("the reference needs at least one clip, got none")
+        self.num_bodies = self.clips[0].shape[1] if self.clips[0].ndim == 3 else 0
+        for i, clip in enumerate(self.clips):
+            if clip.ndim != 3 or clip.shape[1:] != (self.num_bodies, 3) or clip.numel() == 0:
+                raise ValueError(
+                    f"clip {i} has the shape {tuple(clip.shape)}; expected (F, J, 3), all clips of"
+                    " the same J"
+                )
+            if not clip.isfinite().all():
+                raise ValueError(f"clip {i} has poses that are not finite")
+
+    @classmethod
+    def from_motion_lib(cls, motion_lib: MotionLib, dt_s: float) -> ReferencePoses:
+        """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... < its length.
+
+        The end is left out: in a clip that closes, the last pose is the first one.
+        """
+        clips = []
+        for motion_id in range(motion_lib.num_motions()):
+            length_s = float(motion_lib.get_motion_length([motion_id]))
+            # A length of a whole number of steps may come out a rounding error longer.
+            num_frames = max(1, math.ceil(length_s / dt_s - 1e-4))
+            ids = torch.full((num_frames,), motion_id)
+            times_s = torch.arange(num_frames, dtype=torch.float64) * dt_s
+            root_rot_w = motion_lib.get_motion_state(ids, times_s)[1]
+            clips.append(root_relative_pose(motion_lib.get_body_pos(ids, times_s), root_rot_w))
+        return cls(clips)
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One recorded episode.
+
+    Attributes:
+        poses: (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step.
+        fell: whether it ended early by a fall.
+    """
+
+    poses: Tensor
+    fell: bool
+
+
+class EpisodeRecorder:
+    """Collects episodes of a fixed set of environments, the same number from each.
+
+    The same number, because whoever takes the episodes in the order of their ends takes the
+    short ones. What an environment does after its last episode is not kept.
+
+    Args:
+        num_envs: environments N, rows of what `record` gets.
+        num_bodies: bodies J.
+        max_steps: longest episode in control steps; later steps of an episode are not kept.
+        device: where the tensors given to `record` are.
+        episodes_per_env: how many episodes to keep of each environment.
+        wait_for_reset: begin with the environment's next episode: for environments that are in
+            the middle of one.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        num_bodies: int,
+        max_steps: int,
+        device: str | torch.device,
+        episodes_per_env: int = 1,
+        wait_for_reset: bool = False,
+    ) -> None:
+        self.episodes: list[Episode] = []
+        self._max_steps = max_steps
+        # The slot after the last one takes what is not kept, so that `record` needs no branch.
+        shape = (num_envs, max_steps + 1)
+        self._body_pos_w = torch.zeros(*shape, num_bodies, 3, device=device)
+        self._root_rot_w = torch.zeros(*shape, 4, device=device)
+        self._rows = torch.arange(num_envs, device=device)
+        self._slots = torch.full((num_envs,), max_steps if wait_for_reset else 0, device=device)
+        self._left = [episodes_per_env] * num_envs
+        self._waiting = [wait_for_reset] * num_envs
+
+    @property
+    def complete(self) -> bool:
+        """Whether every environment has given its episodes."""
+        return not any(self._left)
+
+    def record(self, body_pos_w: Tensor, root_rot_w: Tensor) -> None:
+        """Keep one control step: (N, J, 3) m and (N, 4) xyzw, in the world. Call before resets."""
+        self._body_pos_w[self._rows, self._slots] = body_pos_w
+        self._root_rot_w[self._rows, self._slots] = root_rot_w
+        self._slots.add_(1).clamp_(max=self._max_steps)
+
+    def finish(self, env_ids: Tensor, fell: Tensor) -> None:
+        """End the episodes of the environments `env_ids` (n,); `fell` (n,) bool tells how."""
+        if self.complete or env_ids.numel() == 0:
+            return
+        slots = self._slots.tolist()
+        for env, has_fallen in zip(env_ids.tolist(), fell.tolist(), strict=True):
+            if self._left[env] == 0:
+                continue
+            num_steps = slots[env]
+            if not self._waiting[env] and num_steps > 0:
+                poses = root_relative_pose(
+                    self._body_pos_w[env, :num_steps], self._root_rot_w[env, :num_steps]
+                )
+                self.episodes.append(Episode(poses.cpu(), bool(has_fallen)))
+                self._left[env] -= 1
+            self._waiting[env] = False
+            self._slots[env] = 0 if self._left[env] else self._max_steps
+
+
+@dataclass(frozen=True, eq=False)
+class ImitationResult:
+    """What `PoseErrorMetric` found; nan where no episode could be measured.
+
+    Attributes:
+        pose_error_m: mean of `per_episode` in m, over the episodes that could be measured.
+        per_episode: (E,) m; nan for an episode with poses that are not finite.
+        nearest_clip: (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
+        tempo: mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a
+            frozen pose, at most about 2. A low pose error says little when this is near 0.
+        no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
+            not be measured counts as a fall.
+        mean_episode_steps: mean length in control steps.
+        num_episodes: E.
+    """
+
+    pose_error_m: float
+    per_episode: npt.NDArray[np.float64]
+    nearest_clip: npt.NDArray[np.int64]
+    tempo: float
+    no_fall_share: float
+    mean_episode_steps: float
+    num_episodes: int
+
+    def __str__(self) -> str:
+        return f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}, {self.falls()}"
+
+    def falls(self) -> str:
+        """Return for users how the episodes ended."""
+        return (
+            f"{self.no_fall_share:.0%} of {self.num_episodes} episodes without a fall, "
+            f"{self.mean_episode_steps:.0f} steps on average"
+        )
+
+
+class PoseErrorMetric:
+    """The pose error of episodes against reference clips; an episode counts with its nearest.
+
+    Args:
+        reference: the clips, sampled at the episodes' control step.
+    """
+
+    def __init__(self, reference: ReferencePoses) -> None:
+        self.reference = reference
+
+    def evaluate(self, episodes: Sequence[Episode]) -> ImitationResult:
+        """Measure E >= 1 episodes.
+
+        Raises:
+            ValueError: no episode, or one that is not (T >= 1, J, 3) with the reference's J.
+        """
+        if not episodes:
+            raise ValueError("there is no episode to measure; record at least one")
+        expected = (self.reference.num_bodies, 3)
+        for episode in episodes:
+            if episode.poses.shape[1:] != expected or len(episode.poses) == 0:
+                raise ValueError(
+                    f"an episode has poses {tuple(episode.poses.shape)}; expected (T, J, 3) with"
+                    f" T >= 1 and the reference's J = {self.reference.num_bodies}"
+                )
+        errors = np.full(len(episodes), np.nan)
+        advances = np.full(len(episodes), np.nan)
+        nearest = np.full(len(episodes), -1, dtype=np.int64)
+        lengths = np.array([len(episode.poses) for episode in episodes])
+        finite = [bool(episode.poses.isfinite().all()) for episode in episodes]
+        measurable = np.flatnonzero(finite)
+        for clip_id, clip in enumerate(self.reference.clips):
+            for ids in _chunks(measurable, lengths, len(clip)):
+                found = _align_with_clip([episodes[i].poses for i in ids], clip)
+                nearer = ~(errors[ids] <= found.mean_cost)
+                errors[ids[nearer]] = found.mean_cost[nearer]
+                advances[ids[nearer]] = found.advance[nearer]
+                nearest[ids[nearer]] = clip_id
+        no_fall = [ok and not episode.fell for ok, episode in zip(finite, episodes, strict=True)]
+        return ImitationResult(
+            pose_error_m=_mean(errors[measurable]),
+            per_episode=errors,
+            nearest_clip=nearest,
+            tempo=_mean(advances[measurable] / np.maximum(lengths[measurable] - 1, 1)),
+            no_fall_share=float(np.mean(no_fall)),
+            mean_episode_steps=float(lengths.mean()),
+            num_episodes=len(episodes),
+        )
+
+
+def _mean(values: npt.NDArray[np.float64]) -> float:
+    return float(values.mean()) if len(values) else math.nan
+
+
+def _chunks(
+    ids: npt.NDArray[np.int64], lengths: npt.NDArray[np.int64], num_frames: int
+) -> Iterator[npt.NDArray[np.int64]]:
+    """Yield parts of `ids`, of similar lengths each, whose cost tensors fit `_CHUNK_BYTES`."""
+    ids = ids[np.argsort(-lengths[ids], kind="stable")]
+    while len(ids):
+        # Two float32 tensors of the size of the cost: the sum and one body's distances.
+        size = max(1, _CHUNK_BYTES // (8 * num_frames * int(lengths[ids[0]])))
+        yield ids[:size]
+        ids = ids[size:]
+
+
+def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor) -> Alignment:
+    """Align episodes [(T_e, J, 3)] with a clip (F, J, 3), repeated as often as they need."""
+    lengths = np.array([len(poses) for poses in episodes])
+    # (T, E, J, 3), filled up with zeros, which `align` leaves out.
+    padded = torch.nn.utils.rnn.pad_sequence(list(episodes))
+    num_rows, num_episodes, num_bodies, _ = padded.shape
+    cost = torch.zeros(num_rows, len(clip), num_episodes)
+    for body in range(num_bodies):
+        frames = clip[:, body].expand(num_rows, -1, -1)
+        # Without the matrix product, which would cancel small distances to noise of 0.3 mm.
+        cost += torch.cdist(frames, padded[:, :, body], compute_mode="donot_use_mm_for_euclid_dist")
+    cost /= num_bodies
+    # Room for a start at any of the clip's frames and for `_MAX_TEMPO` from there.
+    num_columns = len(clip) + _MAX_TEMPO * (lengths - 1)
+    return align(cost.numpy(), lengths, num_columns)

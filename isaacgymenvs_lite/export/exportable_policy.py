@@ -1,0 +1,249 @@
+"""Trained policies as plain functions of tensors, to be written into files of other runtimes.
+
+A graph is what a player does in a step without its surroundings: deterministic, in float32, on one
+thread, with the task's clamp of observations and the normalisers inside. It shares its parameters
+with the player.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from rl_games.algos_torch.players import rescale_actions
+from torch import Tensor, nn
+
+from isaacgymenvs_lite.learning.gen_amp_players import GenAMPPlayerContinuous
+from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
+from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticNetwork
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
+from isaacgymenvs_lite.learning.sac import SACPlayer
+from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, latents_of_actions
+
+
+@dataclass(frozen=True)
+class TensorSpec:
+    """An input or an output of a graph: one tensor of n rows.
+
+    Attributes:
+        name: of the tensor.
+        shape: with n left out.
+        batch_axis: where n stands in the shape.
+        dtype: of the tensor.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    batch_axis: int = 0
+    dtype: torch.dtype = torch.float32
+
+    def sample(self, n: int, scale: float = 1.0) -> Tensor:
+        """Return n random rows: normal with this standard deviation, or fair booleans."""
+        size = (*self.shape[: self.batch_axis], n, *self.shape[self.batch_axis :])
+        if self.dtype == torch.bool:
+            return torch.rand(size) < 0.5
+        return scale * torch.randn(size, dtype=self.dtype)
+
+
+class PolicyGraph(nn.Module):
+    """A function of tensors: `forward` takes the inputs and returns the outputs, in their order.
+
+    Args:
+        player: an rl_games player whose policy it is.
+
+    Attributes:
+        inputs: the first is `obs`, (n, O), raw as the task returns it.
+        outputs: the first is `action`, (n, A), as the task's `step` applies it.
+    """
+
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
+
+    def __init__(self, player: Any) -> None:
+        super().__init__()
+        env = player.env
+        # rl_games' normalisers are scripted, which no exporter reads.
+        replace_normalizers(player.model)
+        self._clip_obs = env.clip_obs
+        self._clip_actions = env.clip_actions
+        self.inputs = (TensorSpec("obs", (env.num_obs,)),)
+        self.outputs = (TensorSpec("action", (env.num_actions,)),)
+
+    def _clamped_obs(self, obs: Tensor) -> Tensor:
+        return obs.clamp(-self._clip_obs, self._clip_obs)
+
+    def _clamped_action(self, action: Tensor) -> Tensor:
+        return action.clamp(-self._clip_actions, self._clip_actions)
+
+
+class _MeanActor(nn.Module):
+    """Raw observations (n, O), and latents (n, Z) if the network hears any, to mean actions (n, A).
+
+    Args:
+        model: an rl_games model with `norm_obs` and `a2c_network`.
+        low: (A,) limits of the actions.
+        high: (A,)
+        clip: whether actions are clamped to +-1 and mapped to the limits.
+    """
+
+    def __init__(self, model: nn.Module, low: Tensor, high: Tensor, clip: bool) -> None:
+        super().__init__()
+        self._model: Any = model
+        self._clip = clip
+        self.register_buffer("_low", low)
+        self.register_buffer("_high", high)
+
+    def forward(self, obs: Tensor, *latents: Tensor) -> Tensor:
+        network, obs = self._model.a2c_network, self._model.norm_obs(obs)
+        # The class's own functions: those of an instance may be a `NetworkExecutor`'s.
+        if isinstance(network, ActorCriticNetwork):
+            mu, _ = type(network).eval_actor(network, obs, *latents)
+        else:
+            mu = type(network).forward(network, {"obs": obs, "is_train": False})[0]
+        return self.within_limits(mu)
+
+    def step(self, obs: Tensor, states: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return the actions and the next states of a recurrent network."""
+        network, obs = self._model.a2c_network, self._model.norm_obs(obs)
+        inputs = {"obs": obs, "is_train": False, "rnn_states": states}
+        outputs = type(network).forward(network, inputs)
+        return self.within_limits(outputs[0]), outputs[-1]
+
+    def within_limits(self, mu: Tensor) -> Tensor:
+        if not self._clip:
+            return mu
+        return rescale_actions(self._low, self._high, mu.clamp(-1.0, 1.0))
+
+
+def _actor_of(player: Any) -> _MeanActor:
+    return _MeanActor(player.model, player.actions_low, player.actions_high, player.clip_actions)
+
+
+class FeedForwardGraph(PolicyGraph):
+    """PPO and AMP: obs -> action."""
+
+    def __init__(self, player: Any) -> None:
+        super().__init__(player)
+        self._actor = _actor_of(player)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Return `outputs` of `inputs`."""
+        return self._clamped_action(self._actor(self._clamped_obs(obs)))
+
+
+class SACGraph(PolicyGraph):
+    """SAC: obs -> action, the squashed mean."""
+
+    def __init__(self, player: Any) -> None:
+        super().__init__(player)
+        self._model = player.model
+        self._range = tuple(player.action_range)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Return `outputs` of `inputs`."""
+        normalized = self._model.norm_obs(self._clamped_obs(obs))
+        mu, _ = self._model.sac_network.actor.trunk(normalized).chunk(2, dim=-1)
+        return self._clamped_action(torch.tanh(mu).clamp(*self._range))
+
+
+class SkillGraph(PolicyGraph):
+    """GenAMP: obs, latent -> action. The latent (n, Z) need not be of length 1."""
+
+    def __init__(self, player: Any) -> None:
+        super().__init__(player)
+        self._actor = _actor_of(player)
+        self.inputs += (TensorSpec("latent", (player.latent_dim,)),)
+
+    def forward(self, obs: Tensor, latent: Tensor) -> Tensor:
+        """Return `outputs` of `inputs`."""
+        action = self._actor(self._clamped_obs(obs), F.normalize(latent, dim=-1))
+        return self._clamped_action(action)
+
+
+class HierarchyGraph(PolicyGraph):
+    """HRL, both levels: obs, latent, decide -> action, latent.
+
+    Where `decide` (n,) bool is True the high level chooses a new latent (n, Z); elsewhere the one
+    that came in stays. It shall be True in the first step of an episode and in every `llc_steps`-th
+    after it.
+    """
+
+    def __init__(self, player: Any) -> None:
+        super().__init__(player)
+        self._high_level = _actor_of(player)
+        llc: LowLevelPolicy = player.llc
+        space = player.env.action_space
+        low, high = (torch.from_numpy(limit.copy()) for limit in (space.low, space.high))
+        self._low_level = _MeanActor(llc.model, low, high, clip=True)
+        self._num_character_obs = llc.num_character_obs
+        latent = TensorSpec("latent", (llc.latent_dim,))
+        self.inputs += (latent, TensorSpec("decide", (), dtype=torch.bool))
+        self.outputs += (TensorSpec("latent_out", latent.shape),)
+
+    def forward(self, obs: Tensor, latent: Tensor, decide: Tensor) -> tuple[Tensor, Tensor]:
+        """Return `outputs` of `inputs`."""
+        obs = self._clamped_obs(obs)
+        chosen = latents_of_actions(self._high_level(obs))
+        latent = torch.where(decide.unsqueeze(-1), chosen, latent)
+        action = self._low_level(obs[:, : self._num_character_obs], latent)
+        return self._clamped_action(action), latent
+
+
+class RecurrentGraph(PolicyGraph):
+    """PPO with memory; states (layers, n, units) are zero at the start of an episode.
+
+    A network whose critic has a memory of its own keeps it in the training.
+    """
+
+    state_names: tuple[str, ...]
+
+    def __init__(self, player: Any) -> None:
+        super().__init__(player)
+        self._actor = _actor_of(player)
+        self._separate = bool(player.model.a2c_network.separate)
+        layers, _, units = player.model.get_default_rnn_state()[0].shape
+        names = self.state_names
+        self.inputs += tuple(TensorSpec(name, (layers, units), 1) for name in names)
+        self.outputs += tuple(TensorSpec(f"{name}_out", (layers, units), 1) for name in names)
+
+    def _step(self, obs: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        critic = tuple(torch.zeros_like(state) for state in states) if self._separate else ()
+        action, after = self._actor.step(self._clamped_obs(obs), (*states, *critic))
+        return (self._clamped_action(action), *after[: len(states)])
+
+
+class LSTMGraph(RecurrentGraph):
+    """obs, hidden, cell -> action, hidden, cell."""
+
+    state_names = ("hidden", "cell")
+
+    def forward(self, obs: Tensor, hidden: Tensor, cell: Tensor) -> tuple[Tensor, ...]:
+        """Return `outputs` of `inputs`."""
+        return self._step(obs, hidden, cell)
+
+
+class GRUGraph(RecurrentGraph):
+    """obs, hidden -> action, hidden."""
+
+    state_names = ("hidden",)
+
+    def forward(self, obs: Tensor, hidden: Tensor) -> tuple[Tensor, ...]:
+        """Return `outputs` of `inputs`."""
+        return self._step(obs, hidden)
+
+
+def make_exportable_policy(player: Any) -> PolicyGraph:
+    """Return the policy of a player whose checkpoint is loaded, on the CPU."""
+    if isinstance(player, HRLPlayer):
+        kind: type[PolicyGraph] = HierarchyGraph
+    elif isinstance(player, GenAMPPlayerContinuous):
+        kind = SkillGraph
+    elif isinstance(player, SACPlayer):
+        kind = SACGraph
+    elif player.is_rnn:
+        kind = LSTMGraph if player.model.a2c_network.rnn_name == "lstm" else GRUGraph
+    else:
+        kind = FeedForwardGraph
+    return kind(player).eval().requires_grad_(False)

@@ -1,0 +1,127 @@
+"""The names of IsaacGymEnvs' `utils.utils`."""
+
+from __future__ import annotations
+
+import functools
+import getpass
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.env_factory import seed_everything
+
+__all__ = [
+    "ensure_dir_exists",
+    "flatten_dict",
+    "get_username",
+    "nested_dict_get_attr",
+    "nested_dict_set_attr",
+    "project_tmp_dir",
+    "retry",
+    "safe_ensure_dir_exists",
+    "set_np_formatting",
+    "set_seed",
+]
+
+log = logging.getLogger(__name__)
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+_LONGEST_PAUSE_S = 30.0
+
+
+def set_np_formatting() -> None:
+    """Let numpy print whole rows with two digits."""
+    np.set_printoptions(edgeitems=30, linewidth=4000, precision=2, threshold=10000)
+
+
+def set_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
+    """Seed Python, numpy and torch, another one in each process; return the seed.
+
+    Args:
+        seed: -1 draws one.
+        torch_deterministic: forbid nondeterministic kernels.
+        rank: of this process.
+    """
+    resolved = resolve_seed(seed, torch_deterministic, rank)
+    seed_everything(resolved, torch_deterministic)
+    return resolved
+
+
+def retry(
+    times: int, exceptions: type[Exception] | tuple[type[Exception], ...]
+) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
+    """Return a decorator that calls a function again when it fails, `times` times at most.
+
+    Args:
+        times: further calls after a failure; before the k-th there is a pause of 2^(k - 1) s, of
+            30 s at most. What the last call raises comes through.
+        exceptions: what counts as a failure.
+    """
+
+    def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
+        @functools.wraps(function)
+        def again(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+            for attempt in range(times):
+                try:
+                    return function(*args, **kwargs)
+                except exceptions as error:
+                    log.warning("%s failed (%s), attempt %d", function, error, attempt + 1)
+                    time.sleep(min(2.0**attempt, _LONGEST_PAUSE_S))
+            return function(*args, **kwargs)
+
+        return again
+
+    return decorate
+
+
+def flatten_dict(d: Mapping[str, Any], prefix: str = "", separator: str = ".") -> dict[str, Any]:
+    """Return nested dictionaries as one, whose keys are paths: {"a": {"b": 1}} as {"a.b": 1}."""
+    flat: dict[str, Any] = {}
+    for key, value in d.items():
+        path = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= flatten_dict(value, f"{path}{separator}", separator)
+        else:
+            flat[path] = value
+    return flat
+
+
+def nested_dict_set_attr(d: dict[str, Any], key: str, val: Any) -> None:
+    """Set what a path such as "a.b" means in nested dictionaries, which exist but for the last."""
+    parent, _, name = key.rpartition(".")
+    (nested_dict_get_attr(d, parent) if parent else d)[name] = val
+
+
+def nested_dict_get_attr(d: Mapping[str, Any], key: str) -> Any:
+    """Return what a path such as "a.b" means in nested dictionaries."""
+    return functools.reduce(lambda level, name: level[name], key.split("."), d)
+
+
+def ensure_dir_exists(path: str) -> str:
+    """Make a folder, and those above it, unless it exists; return its path."""
+    Path(path).mkdir(parents=True, exist_ok=True)
+    return path
+
+
+safe_ensure_dir_exists = ensure_dir_exists
+
+
+def get_username() -> str:
+    """Return the user's name, or number where the system has no name for it."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
+
+
+def project_tmp_dir() -> str:
+    """Make and return the folder `ige_<user>` among the system's temporary files."""
+    return safe_ensure_dir_exists(str(Path(tempfile.gettempdir()) / f"ige_{get_username()}"))

@@ -1,0 +1,1 @@
+"""Networks and normalisers that several agents are built from."""

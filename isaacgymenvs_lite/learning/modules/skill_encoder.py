@@ -1,0 +1,134 @@
+"""The skill encoder: how well a motion tells which latent made it, as reward and as loss.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+The network itself stays inside the actor-critic network, as the discriminator's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.amp_config import GenAMPParams
+from isaacgymenvs_lite.learning.cpu.row_slices import evaluate_in_chunks
+
+
+class EncoderNetwork(Protocol):
+    """What this module needs of a network (GenAMPBuilder's has it)."""
+
+    def eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return unit vectors (n, Z) for normalised AMP observations (n, F)."""
+        ...
+
+    def get_enc_weights(self) -> list[Tensor]:
+        """Return all weight matrices, flat."""
+        ...
+
+
+class SkillEncoder:
+    """Judges which latent the policy acted under.
+
+    Args:
+        network: holds the encoder's layers.
+        normalize: of AMP observations (n, F), the discriminator's.
+        params: weights and scales.
+    """
+
+    def __init__(
+        self,
+        network: EncoderNetwork,
+        normalize: Callable[[Tensor], Tensor],
+        params: GenAMPParams,
+    ) -> None:
+        self._network = network
+        self._normalize = normalize
+        self._params = params
+
+    def reward(self, amp_obs: Tensor, latents: Tensor) -> Tensor:
+        """Return max(q(x) . z, 0) * enc_reward_scale, (..., 1).
+
+        Args:
+            amp_obs: x, (..., F), raw.
+            latents: z, (..., Z), those that the policy acted under.
+        """
+        return self.reward_of(self.read(amp_obs), latents)
+
+    def reward_of(self, found: Tensor, latents: Tensor) -> Tensor:
+        """As `reward`, of the latents (..., Z) that were read."""
+        agreement = (found * latents).sum(dim=-1, keepdim=True)
+        return agreement.clamp(min=0.0) * self._params.enc_reward_scale
+
+    def read(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents q(x) (..., Z), unit vectors, of AMP observations (..., F)."""
+        return evaluate_in_chunks(
+            lambda rows: self._network.eval_enc(self._normalize(rows)), amp_obs
+        )
+
+    def loss(
+        self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return the encoder's loss and what is worth logging.
+
+        mean of -q . z, weight decay and, with `gradient`, the gradient penalty.
+
+        Args:
+            found: q, (K, Z) of the policy's AMP observations.
+            latents: z, (K, Z).
+            gradient: (K, F) of -q . z by the normalised AMP observations, differentiable.
+
+        Returns:
+            `enc_loss`, the weighted sum, and `enc_grad_penalty`, unweighted, if there is one.
+        """
+        loss = -(found.float() * latents).sum(dim=-1).mean()
+        if self._params.enc_weight_decay != 0.0:
+            squares = [weights.square().sum() for weights in self._network.get_enc_weights()]
+            loss = loss + self._params.enc_weight_decay * torch.stack(squares).sum()
+        if gradient is None:
+            return {"enc_loss": loss}
+        penalty = gradient.float().square().sum(dim=-1).mean()
+        loss = loss + self._params.enc_grad_penalty * penalty
+        return {"enc_loss": loss, "enc_grad_penalty": penalty.detach()}
+
+
+class SkillRewards:
+    """The rewards of a skill: of the discriminator and of the encoder, for agents and players.
+
+    Comes before AMP's class, whose rewards it extends.
+    """
+
+    model: Any
+    encoder: SkillEncoder
+    # AMP's class has them.
+    _calc_disc_rewards: Any
+    _reward_latents: Any
+
+    @property
+    def _disc_is_conditional(self) -> bool:
+        return self.model.a2c_network.disc_is_conditional
+
+    def _calc_amp_rewards(
+        self, amp_obs: Tensor, ase_latents: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Return {"disc_rewards", "enc_rewards"}, (..., 1) each.
+
+        Args:
+            amp_obs: (..., F), raw.
+            ase_latents: (..., Z), which the policy acted under; None: those of `_reward_latents`.
+        """
+        latents = self._reward_latents()[0] if ase_latents is None else ase_latents
+        of_disc = (latents,) if self._disc_is_conditional else ()
+        return {
+            "disc_rewards": self._calc_disc_rewards(amp_obs, *of_disc),
+            "enc_rewards": self._calc_enc_rewards(amp_obs, latents),
+        }
+
+    def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
+        """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
+        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
+
+    def _eval_enc(self, amp_obs: Tensor) -> Tensor:
+        """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""
+        return self.encoder.read(amp_obs)

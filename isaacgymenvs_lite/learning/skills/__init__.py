@@ -1,0 +1,1 @@
+"""Latents of skills and the low-level policy that a high level steers."""

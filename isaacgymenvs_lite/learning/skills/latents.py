@@ -1,0 +1,140 @@
+"""Skill latents: unit vectors, and when each environment gets a new one.
+
+Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+
+
+def sample_latents(n: int, latent_dim: int, device: str | torch.device = "cpu") -> Tensor:
+    """Return n unit vectors (n, latent_dim), uniform on the sphere."""
+    return F.normalize(torch.randn(n, latent_dim, device=device), dim=-1)
+
+
+def latent_space(latent_dim: int) -> gymnasium.spaces.Box:
+    """Return the action space of a policy that chooses latents."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (latent_dim,), np.float32)
+
+
+class LatentSchedule:
+    """The latents of N environments, each kept for a random number of control steps.
+
+    Args:
+        num_envs: N.
+        latent_dim: numbers in a latent.
+        steps_min: least number of steps that a latent is kept, at least 1.
+        steps_max: above the largest number.
+        device: where the latents live.
+        draw: n -> latents (n, latent_dim), unit vectors; None: random ones.
+
+    Attributes:
+        latents: (N, latent_dim), those of now; replaced, never written into.
+        change_at: (N,) control steps of the episodes after which the next ones follow.
+
+    Raises:
+        ConfigError: steps_min is not below steps_max, or below 1.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        latent_dim: int,
+        steps_min: int,
+        steps_max: int,
+        device: str | torch.device = "cpu",
+        draw: Callable[[int], Tensor] | None = None,
+    ) -> None:
+        if not 1 <= steps_min < steps_max:
+            raise ConfigError(
+                f"train.params.config.latent_steps_min={steps_min},"
+                f" latent_steps_max={steps_max}: expected 1 <= min < max"
+            )
+        self._steps = (steps_min, steps_max)
+        self._device = device
+        self._draw = draw or (lambda n: sample_latents(n, latent_dim, device))
+        self.latents = sample_latents(num_envs, latent_dim, device)
+        self.change_at = self._draw_steps(num_envs)
+
+    def restart(self, env_ids: Tensor, latents: Tensor | None = None) -> None:
+        """Give new episodes in environments (n,) new latents, or these (n, latent_dim)."""
+        if len(env_ids) == 0:
+            return
+        self._renew(env_ids, self._draw(len(env_ids)) if latents is None else latents)
+        self.change_at[env_ids] = self._draw_steps(len(env_ids))
+
+    def is_over(self, progress: Tensor) -> Tensor:
+        """Return (N,) bool: the latent ends before the step after `progress` (N,) steps."""
+        return self.change_at <= progress
+
+    def advance(self, progress: Tensor) -> None:
+        """Renew the latents that are over after `progress` (N,) control steps of the episodes."""
+        env_ids = self.is_over(progress).nonzero().flatten()
+        if len(env_ids) == 0:
+            return
+        self._renew(env_ids, self._draw(len(env_ids)))
+        self.change_at[env_ids] += self._draw_steps(len(env_ids))
+
+    def _renew(self, env_ids: Tensor, latents: Tensor) -> None:
+        # A copy: the rollout keeps the latents of earlier steps.
+        self.latents = self.latents.clone()
+        self.latents[env_ids] = latents
+
+    def _draw_steps(self, n: int) -> Tensor:
+        return torch.randint(*self._steps, (n,), device=self._device)
+
+
+class EvaluationLatents:
+    """The latents of a task that is played or evaluated; call it before each policy step.
+
+    Args:
+        schedule: when and what; its latents must not be used otherwise.
+        interpolate: move from latent to latent along the sphere instead of jumping.
+    """
+
+    def __init__(self, schedule: LatentSchedule, interpolate: bool = False) -> None:
+        self._schedule = schedule
+        self._interpolate = interpolate
+        self._before = schedule.latents
+        self._since = torch.zeros(len(schedule.latents), device=schedule.latents.device)
+
+    def __call__(self, progress: Tensor) -> Tensor:
+        """Return latents (N, Z) after `progress` (N,) control steps of the episodes."""
+        schedule = self._schedule
+        is_new = progress == 0
+        changes = is_new | schedule.is_over(progress)
+        target = schedule.latents
+        schedule.restart(is_new.nonzero().flatten())
+        schedule.advance(progress)
+        if not self._interpolate:
+            return schedule.latents
+        # An episode starts at its first latent, and every later way where the last one ended.
+        start = torch.where(is_new.unsqueeze(-1), schedule.latents, target)
+        self._before = torch.where(changes.unsqueeze(-1), start, self._before)
+        self._since = torch.where(changes, progress.to(self._since.dtype), self._since)
+        share = (progress - self._since) / (schedule.change_at - self._since)
+        return interpolate_on_sphere(self._before, schedule.latents, share)
+
+
+def interpolate_on_sphere(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
+    """Return unit vectors (n, Z) on the great circles from `start` to `end` (n, Z).
+
+    Args:
+        start: unit vectors.
+        end: unit vectors, not opposite to them.
+        share: (n,) of the angle, 0 gives `start`, 1 `end`.
+    """
+    cosine = (start * end).sum(dim=-1, keepdim=True).clamp(-1.0, 1.0)
+    angle, share = cosine.acos(), share.unsqueeze(-1)
+    way = torch.sin((1.0 - share) * angle) * start + torch.sin(share * angle) * end
+    # Where both are the same, sin(angle) is 0 and either will do.
+    return torch.where(angle < 1e-4, start, F.normalize(way, dim=-1))

@@ -1,0 +1,305 @@
+"""The frozen low-level controller of a hierarchy: latents in, actions out.
+
+The agent that trains a high-level policy and the player that plays one share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+import torch.nn.functional as F
+from rl_games.algos_torch.players import rescale_actions
+from torch import Tensor
+
+from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC, make_reference
+from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_amp_params
+from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
+from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
+from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
+from isaacgymenvs_lite.learning.modules.discriminator import (
+    AMPObsShape,
+    StyleDiscriminator,
+    disc_obs_size,
+)
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
+from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
+from isaacgymenvs_lite.learning.restoring import Fitting, Parts
+
+_NETWORKS = ("gen_amp", "ase")
+_RL_DEVICES = ("cpu", "cuda:0")
+
+
+@dataclass(frozen=True)
+class LowLevelSizes:
+    """What the task tells a low-level controller.
+
+    Attributes:
+        num_obs: numbers in an observation, the task's features included.
+        num_task_obs: of these, the last ones, which describe the task.
+        amp_obs: of the AMP observation.
+        action_space: of the task.
+    """
+
+    num_obs: int
+    num_task_obs: int
+    amp_obs: AMPObsShape
+    action_space: gymnasium.spaces.Box
+
+    @classmethod
+    def from_task(cls, env: Any) -> LowLevelSizes:
+        """Return those of a task (`VecTask`).
+
+        Raises:
+            ConfigError: it has no AMP observations.
+        """
+        if not hasattr(env, "amp_observation_space"):
+            raise ConfigError(
+                "train.params.algo: a hierarchy needs a task with reference motions"
+                " (amp_observation_space), such as task=HumanoidAMP"
+            )
+        return cls(
+            num_obs=env.observation_space.shape[0],
+            num_task_obs=env.get_task_obs_size(),
+            amp_obs=AMPObsShape.from_task(env),
+            action_space=env.action_space,
+        )
+
+
+class LowLevelPolicy:
+    """A trained GenAMP policy that never changes: evaluation mode, no gradients.
+
+    Args:
+        llc_config: the train file that it was trained with; see `load_train_file`. What a packed
+            policy says of its networks and latents comes before it.
+        llc_checkpoint: its checkpoint, or the name of a shipped policy.
+        sizes: of the task.
+        device: where it computes.
+
+    Attributes:
+        latent_dim: numbers in a latent.
+        params: the GenAMP keys of the train file.
+        discriminator: its style reward.
+        encoder: reads latents in motion.
+        reference: what a checkpoint of the high level says of it; see `llc_reference`.
+
+    Raises:
+        ConfigError: the train file is not of a GenAMP policy.
+        CheckpointError: the checkpoint does not fit the file or the task.
+    """
+
+    def __init__(
+        self,
+        llc_config: str,
+        llc_checkpoint: str,
+        sizes: LowLevelSizes,
+        device: str | torch.device,
+    ) -> None:
+        file = find_llc_checkpoint(llc_checkpoint)
+        state = checkpoints.load_checkpoint(file)
+        train_params = _train_params(llc_config, state)
+        network = train_params.get("network") or {}
+        if network.get("name") not in _NETWORKS or "latent_dim" not in train_params["config"]:
+            raise ConfigError(
+                f"llc_config={llc_config}: no skill policy (network: name:"
+                f" {network.get('name')}); expected the train file of a low-level controller, with"
+                f" network: name: {' or '.join(_NETWORKS)} and config: latent_dim"
+            )
+        self.params = read_amp_params(train_params["config"], GenAMPParams)
+        self.latent_dim = self.params.latent_dim
+        self._sizes = sizes
+        self._num_judged = disc_obs_size(sizes.amp_obs, self.params)
+        self._device = torch.device(device)
+        self.model = self._build_model(network, train_params["config"])
+        self.discriminator = StyleDiscriminator(
+            self.model.a2c_network,
+            self._num_judged,
+            self.params,
+            GenAMPAgent.default_disc_reward,
+            self._device,
+        )
+        self.encoder = SkillEncoder(
+            self.model.a2c_network, self.discriminator.normalize, self.params
+        )
+        self._load(state, llc_checkpoint, llc_config)
+        self.reference = make_reference(llc_checkpoint, self.model.state_dict())
+        # In the precision that it was trained in.
+        precision = train_params["config"].get("mixed_precision", False)
+        attach_executor(self.model.a2c_network, self._device, precision)
+        self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
+        self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
+
+    def _build_model(self, network: dict[str, Any], config: dict[str, Any]) -> Any:
+        builder = GenAMPBuilder()
+        builder.load(network)
+        model = ModelGenAMPContinuous(builder).build(
+            {
+                "actions_num": self._sizes.action_space.shape[0],
+                "input_shape": (self.num_character_obs,),
+                "num_seqs": 1,
+                "value_size": 1,
+                "normalize_value": config.get("normalize_value", False),
+                "normalize_input": config["normalize_input"],
+                "amp_input_shape": (self._num_judged,),
+                "amp_latent_shape": (self.latent_dim,),
+            }
+        )
+        replace_normalizers(model)
+        return model.to(self._device).eval().requires_grad_(False)
+
+    def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
+        self._check_sizes(state["model"], checkpoint, llc_config)
+        modules: dict[str, Any] = {"model": self.model}
+        if self.discriminator.normalizer is not None:
+            modules["amp_input_mean_std"] = self.discriminator.normalizer
+        fitting = Fitting(
+            f"llc_checkpoint={checkpoint}",
+            f"does not fit llc_config={llc_config}, expected the train file it was trained with",
+        )
+        fitted = fitting.parts(state, Parts(modules))
+        for key, module in modules.items():
+            module.load_state_dict(fitted[key])
+
+    def _check_sizes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
+        """Explain the usual misfits in the user's words."""
+        own = self.model.state_dict()
+        for key, what, source in (
+            ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
+            ("a2c_network.mu.bias", "actions", "the task has"),
+            ("a2c_network._disc_mlp.0.weight", "AMP observation", "the task has"),
+            ("a2c_network._enc.bias", "latent", f"{llc_config} says"),
+        ):
+            if key not in weights:
+                raise CheckpointError(
+                    f"llc_checkpoint={checkpoint}: no low-level controller (it has no {key});"
+                    " expected a checkpoint of algo: name: gen_amp"
+                )
+            there, here = (int((0, *tensors[key].shape)[-1]) for tensors in (weights, own))
+            if there != here:
+                raise CheckpointError(
+                    f"llc_checkpoint={checkpoint}: was trained with {there} numbers of {what},"
+                    f" {source} {here}: another humanoid or another observation; train a"
+                    " low-level controller for this task, or choose the task that it was trained on"
+                )
+
+    @property
+    def num_character_obs(self) -> int:
+        """Numbers in an observation without the task's features."""
+        return self._sizes.num_obs - self._sizes.num_task_obs
+
+    @property
+    def num_task_obs(self) -> int:
+        """Numbers in an observation that describe the task, the last ones."""
+        return self._sizes.num_task_obs
+
+    def extract_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (n, O) without the task's features, the last ones."""
+        return obs[:, : self.num_character_obs]
+
+    def actions(self, obs: Tensor, latents: Tensor) -> Tensor:
+        """Return mean actions (n, A) within the task's limits.
+
+        Args:
+            obs: (n, O), raw, with or without the task's features.
+            latents: (n, Z), unit vectors.
+        """
+        with torch.no_grad():
+            normalized = self.model.norm_obs(self.extract_obs(obs))
+            mu, _ = self.model.a2c_network.eval_actor(normalized, amp_latents=latents)
+        return rescale_actions(self._low, self._high, mu.clamp(-1.0, 1.0))
+
+    def policy_under(
+        self,
+        choose: Callable[[Tensor], Tensor],
+        steps: int,
+        act: Callable[[Tensor, Tensor], Tensor] | None = None,
+    ) -> Callable[[Tensor], Tensor]:
+        """Return a policy from raw observations (n, O) to actions (n, A), one step at a time.
+
+        Args:
+            choose: observations (n, O) -> latents (n, Z), unit vectors; asked every `steps` steps.
+            steps: control steps under one latent.
+            act: observations and what `choose` returned -> actions (n, A); None: `actions`.
+        """
+        chosen, step, actions_of = torch.empty(0), 0, act or self.actions
+
+        def policy(obs: Tensor) -> Tensor:
+            nonlocal chosen, step
+            if step % steps == 0:
+                chosen = choose(obs)
+            step += 1
+            return actions_of(obs, chosen)
+
+        return policy
+
+    def style_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
+        """Return style rewards (n, 1) of raw AMP observations (n, F).
+
+        Args:
+            amp_obs: raw.
+            latents: (n, Z), unit vectors that the motion shall express, for a conditional
+                discriminator; None: those that the encoder reads in it.
+        """
+        if not self.model.a2c_network.disc_is_conditional:
+            return self.discriminator.reward(amp_obs)
+        if latents is None:
+            latents = self.encoder.read(amp_obs)
+        return self.discriminator.reward(amp_obs, latents)
+
+
+def find_llc_checkpoint(llc_checkpoint: str) -> Path:
+    """Return the file of a low-level controller: a path, or the name of a shipped policy.
+
+    Raises:
+        CheckpointError: none is given, or there is no such file.
+    """
+    shipped = shipped_policies()
+    path = shipped.get(llc_checkpoint) or Path(llc_checkpoint).expanduser()
+    if llc_checkpoint and path.is_file():
+        return path
+    what = f"={llc_checkpoint}: no file {path.absolute()}" if llc_checkpoint else " is not given"
+    ships = f", or llc_checkpoint={SHIPPED_LLC}, which ships" if SHIPPED_LLC in shipped else ""
+    raise CheckpointError(
+        f"train.params.config.llc_checkpoint{what}; expected a low-level controller: the path of a"
+        " checkpoint that python train.py task=HumanoidASE has written to"
+        f" runs/HumanoidASE_<time>/nn{ships}"
+    )
+
+
+def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
+    """Return the section `params` that a checkpoint was trained with.
+
+    A packed policy says itself what it needs. Networks of a train file may depend on where it
+    learned: of its variants the one whose layers are those of the checkpoint.
+    """
+    variants = [
+        with_packed_settings(load_train_file(llc_config, rl_device=device)["params"], state)
+        for device in _RL_DEVICES
+    ]
+    for params in variants:
+        scale_units(params.get("network") or {})
+    return next((params for params in variants if _fits(params, state["model"])), variants[0])
+
+
+def _fits(params: dict[str, Any], weights: dict[str, Tensor]) -> bool:
+    units = ((params.get("network") or {}).get("mlp") or {}).get("units")
+    first = weights.get("a2c_network.critic_mlp._mlp.0.weight")
+    if first is None or first.ndim != 2 or not units:
+        return False
+    return units[0] == first.shape[0]
+
+
+def latents_of_actions(actions: Tensor) -> Tensor:
+    """Return the unit vectors (n, Z) that high-level actions (n, Z) point to."""
+    return F.normalize(actions, dim=-1)

@@ -1,0 +1,207 @@
+"""Reads clips in DeepMimic's text format (JSON).
+
+A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 numbers}: duration (s), root position,
+root rotation, and the rotations of 12 joints whose tree is that of our humanoid. Its axes are x
+forward, y up, z to the right; ours are x forward, y to the left, z up.
+
+A "wrap" clip is meant to be continued by its own first frame, displaced and turned by one cycle.
+Here it is a plain clip that ends with its last frame.
+
+The format moves no hands: they keep their zero pose, in which a sword is at a right angle to the
+forearm. Sword and shield are not kept above the ground.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.reading import read_json
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
+
+_log = logging.getLogger(__name__)
+
+NUM_COLUMNS = 44
+DURATION, ROOT_POSITION, ROOT_ROTATION = 0, slice(1, 4), slice(4, 8)
+# The first column of the quaternion (w, x, y, z) of a body's joint, and the column of an angle.
+BALL_COLUMNS = {
+    "torso": 8,
+    "head": 12,
+    "right_thigh": 16,
+    "right_foot": 21,
+    "right_upper_arm": 25,
+    "left_thigh": 30,
+    "left_foot": 35,
+    "left_upper_arm": 39,
+}
+HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
+MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
+# Durations that differ by less than this part of the usual one are rounded numbers.
+_DURATION_TOLERANCE = 1e-3
+# Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
+_LENGTH_TOLERANCE = 0.5
+# A lift of less is rounding.
+_TOLD_LIFT_M = 5e-4
+
+
+def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
+    """Read the DeepMimic clip in the file at `path` for the body `skeleton`.
+
+    Args:
+        path: a text file in DeepMimic's format.
+        skeleton: the humanoid; gives the lengths of the limbs.
+        name: the name of the clip, by default the path.
+
+    Raises:
+        MotionFileError: see `clip_from_deepmimic`.
+    """
+    return clip_from_deepmimic(read_json(path), skeleton, name or str(path))
+
+
+def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
+    """Make a clip from the content of a DeepMimic file.
+
+    Frames of unequal duration are resampled to equal ones. If a foot goes below the ground the
+    whole clip is lifted by a constant, so that the lowest corner of a foot just touches it.
+    Velocities are differences, smoothed as in poselib's files.
+
+    Raises:
+        MotionFileError: no rows of 44 finite numbers, fewer than two, a duration that is not
+            above 0, quaternions far from unit length; the skeleton lacks joints of DeepMimic's.
+    """
+    rows = _rows(data, name)
+    _check_joints(skeleton, name)
+    root = _vector(rows[:, ROOT_POSITION])
+    local = np.zeros((len(rows), skeleton.num_bodies, 4))
+    local[..., 3] = 1.0
+    local[:, 0] = _quaternion(rows[:, ROOT_ROTATION], "root", name)
+    for body, column in BALL_COLUMNS.items():
+        quaternion = _quaternion(rows[:, column : column + 4], body, name)
+        local[:, skeleton.body_names.index(body)] = quaternion
+    for body, column in HINGE_COLUMNS.items():
+        # The hinge turns about z to the right, which is our -y: the angle changes its sign.
+        half = -0.5 * rows[:, column]
+        local[:, skeleton.body_names.index(body), 1] = np.sin(half)
+        local[:, skeleton.body_names.index(body), 3] = np.cos(half)
+    fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
+    root = _lifted(skeleton, local, root, name)
+    return MotionClip.from_poses(
+        name,
+        fps,
+        skeleton.body_names,
+        skeleton.parent_indices,
+        skeleton.local_translation,
+        local,
+        root,
+    )
+
+
+def _rows(data: dict[str, Any], name: str) -> npt.NDArray[np.float64]:
+    """Return the frames (T, 44)."""
+    try:
+        rows = np.array(data.get("Frames"), dtype=np.float64)
+    except (TypeError, ValueError):
+        rows = np.zeros((0, 0))
+    if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
+        raise MotionFileError(
+            f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
+            f"found the keys {', '.join(sorted(data)) or 'nothing'}"
+        )
+    if not np.isfinite(rows).all():
+        raise MotionFileError(f"{name}: the frames hold numbers that are NaN or infinite")
+    if len(rows) < 2:
+        raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
+    # The last frame lasts 0 s in most files: nothing comes after it.
+    if (rows[:-1, DURATION] <= 0.0).any():
+        frame = int((rows[:-1, DURATION] <= 0.0).argmax())
+        raise MotionFileError(
+            f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected more than 0"
+        )
+    return rows
+
+
+def _check_joints(skeleton: Skeleton, name: str) -> None:
+    missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
+    if missing:
+        raise MotionFileError(
+            f"{name}: a DeepMimic clip moves bodies that this humanoid has not: {missing}"
+        )
+
+
+def _vector(xyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Turn vectors (..., 3) from y up to z up: (x, y, z) -> (x, -z, y)."""
+    return np.stack((xyz[..., 0], -xyz[..., 2], xyz[..., 1]), axis=-1)
+
+
+def _quaternion(wxyz: npt.NDArray[np.float64], body: str, name: str) -> npt.NDArray[np.float64]:
+    """Turn quaternions (T, 4) w x y z, y up, into unit quaternions x y z w, z up."""
+    length = np.linalg.norm(wxyz, axis=-1, keepdims=True)
+    deviation = float(np.abs(length - 1.0).max())
+    if deviation > _LENGTH_TOLERANCE:
+        raise MotionFileError(
+            f"{name}: the rotations of '{body}' are no quaternions "
+            f"(length off by {deviation:.3g}, allowed {_LENGTH_TOLERANCE:g})"
+        )
+    xyzw = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz / length)).numpy()
+    return np.concatenate((_vector(xyzw[:, :3]), xyzw[:, 3:]), axis=-1)
+
+
+def _equal_durations(
+    durations: npt.NDArray[np.float64],
+    local: npt.NDArray[np.float64],
+    root: npt.NDArray[np.float64],
+    name: str,
+) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return fps, rotations and root positions in frames of equal duration, same first and last.
+
+    Args:
+        durations: (T - 1,) s, from each frame to the next.
+        local: (T, J, 4), local rotations.
+        root: (T, 3) m, root positions.
+        name: the clip's name for the log.
+    """
+    usual = float(np.median(durations))
+    total = float(durations.sum())
+    if np.abs(durations - usual).max() <= _DURATION_TOLERANCE * usual:
+        return len(durations) / total, local, root
+    num_steps = max(1, round(total / usual))
+    _log.info("%s: frames of unequal duration resampled to %.2f Hz", name, num_steps / total)
+    times = np.concatenate(([0.0], durations.cumsum()))
+    new_times = np.linspace(0.0, total, num_steps + 1)
+    before = np.searchsorted(times, new_times, side="right").clip(1, len(durations)) - 1
+    blend = torch.from_numpy((new_times - times[before]) / durations[before]).view(-1, 1, 1)
+    start, end = torch.from_numpy(local[before]), torch.from_numpy(local[before + 1])
+    turns = rotations.quat_unit(rotations.slerp(start, end, blend)).numpy()
+    places = np.stack([np.interp(new_times, times, axis) for axis in root.T], axis=-1)
+    return num_steps / total, turns, places
+
+
+def _lifted(
+    skeleton: Skeleton,
+    local: npt.NDArray[np.float64],
+    root: npt.NDArray[np.float64],
+    name: str,
+) -> npt.NDArray[np.float64]:
+    """Return the root positions (T, 3) m, raised so that no corner of a foot is below z = 0."""
+    if not skeleton.foot_body_ids:
+        return root
+    positions, turns = kinematics.forward_kinematics(
+        skeleton.parent_indices, skeleton.local_translation, local, root
+    )
+    lowest_m = kinematics.lowest_point_height(
+        skeleton.foot_body_ids, skeleton.foot_corners, positions, turns
+    )
+    if lowest_m >= 0.0:
+        return root
+    if lowest_m < -_TOLD_LIFT_M:
+        _log.info("%s: lifted by %.3f m, its feet went below the ground", name, -lowest_m)
+    return root - np.array([0.0, 0.0, lowest_m])

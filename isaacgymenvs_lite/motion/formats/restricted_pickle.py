@@ -1,0 +1,225 @@
+"""Reads the pickled dictionary of a poselib `.npy` file without running anything from the file.
+
+A pickle is a program that may call any function it can name: `numpy.load(allow_pickle=True)` runs
+whatever code a stranger put there. Here the names that occur in real clips stand for inert
+classes of this module, every other name is refused when it is met, and the arrays are made
+afterwards from the raw bytes. No function of numpy is ever called by the file.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.formats.reading import one_line
+from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
+
+# Numbers, booleans and unicode strings; the second part is the size in bytes (U: in characters).
+_PLAIN_DTYPE = re.compile(r"(f[248]|[iu][1248]|b1|U\d{1,4})")
+_OBJECT_DTYPE = "O8"
+_MAX_SHARING = 4
+_MAX_VALUES = 1_000_000
+_MAX_DEPTH = 64
+
+
+class _PickledDtype:
+    """Stands for a numpy.dtype: keeps its name and byte order."""
+
+    order = "="
+
+    def __init__(self, name: Any = "", *_flags: Any) -> None:
+        self.name = str(name)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.order = str(state[1])
+
+    def resolve(self) -> np.dtype[Any]:
+        """Return the dtype; ValueError if it is none of plain numbers or text."""
+        if not _PLAIN_DTYPE.fullmatch(self.name) or self.order not in ("<", ">", "=", "|"):
+            raise ValueError(f"an array of type '{self.order}{self.name}'")
+        return np.dtype(self.order + self.name)
+
+
+class _PickledArray:
+    """Stands for a numpy.ndarray: keeps shape, type and raw content."""
+
+    shape: tuple[int, ...] = ()
+    dtype: Any = None
+    is_fortran = False
+    content: Any = None
+
+    def __init__(self, *_args: Any) -> None:
+        pass  # The arguments of numpy's _reconstruct describe an empty array.
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        _version, shape, self.dtype, is_fortran, self.content = state
+        self.shape = tuple(int(size) for size in shape)
+        self.is_fortran = bool(is_fortran)
+
+    def single_object(self) -> Any:
+        """Return the item of a 0-d object array; ValueError if it is something else."""
+        is_object = isinstance(self.dtype, _PickledDtype) and self.dtype.name == _OBJECT_DTYPE
+        if not is_object or self.shape != () or not isinstance(self.content, list):
+            raise ValueError("no 0-d array of one object")
+        return self.content[0]
+
+    def resolve(self) -> npt.NDArray[Any]:
+        """Return the array; ValueError if type, shape and content do not fit together."""
+        if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
+            raise ValueError("an array of objects or an unfinished array")
+        dtype = self.dtype.resolve()
+        if min(self.shape, default=0) < 0 or (
+            math.prod(self.shape) * dtype.itemsize != len(self.content)
+        ):
+            raise ValueError(f"an array of shape {self.shape} in {len(self.content)} bytes")
+        order = "F" if self.is_fortran else "C"
+        return np.frombuffer(self.content, dtype=dtype).reshape(self.shape, order=order).copy()
+
+
+class _PickledScalar:
+    """Stands for a numpy scalar: keeps type and raw content."""
+
+    def __init__(self, dtype: Any = None, content: Any = None, *_args: Any) -> None:
+        self.dtype = dtype
+        self.content = content
+
+    def resolve(self) -> float | int | bool | str:
+        """Return the Python number or text; ValueError if type and content do not fit."""
+        if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
+            raise ValueError("a scalar that is no number")
+        values = np.frombuffer(self.content, dtype=self.dtype.resolve())
+        if values.size != 1:
+            raise ValueError(f"a scalar in {len(self.content)} bytes")
+        return values[0].item()
+
+
+def _make_dictionary(*entries: Any) -> dict[Any, Any]:
+    if entries:
+        raise ValueError("a dictionary that is filled when it is made")
+    return {}
+
+
+def _allowed_names() -> dict[tuple[str, str], Any]:
+    names: dict[tuple[str, str], Any] = {
+        ("collections", "OrderedDict"): _make_dictionary,
+        ("numpy", "ndarray"): _PickledArray,
+        ("numpy", "dtype"): _PickledDtype,
+    }
+    for module in ("numpy.core.multiarray", "numpy._core.multiarray"):  # numpy 1 and numpy 2
+        names[module, "_reconstruct"] = _PickledArray
+        names[module, "scalar"] = _PickledScalar
+    return names
+
+
+class _RestrictedUnpickler(LimitedUnpickler):
+    """Resolves the names of real clips to the classes above and refuses all others."""
+
+    _names = _allowed_names()
+
+    def __init__(self, stream: io.BytesIO, path: Path) -> None:
+        super().__init__(stream)
+        self._path = path
+
+    def find_class(self, module: str, name: str) -> Any:
+        found = self._names.get((module, name))
+        if found is None:
+            raise MotionFileError(
+                f"{self._path}: refused, nothing was run: the file asks for "
+                f"{module}.{name}, but a clip needs only numpy arrays; "
+                "get the clip from a source that you trust"
+            )
+        return found
+
+    def build(self, instance: Any, state: Any) -> None:
+        """Give an array or a type its state."""
+        if not isinstance(instance, (_PickledArray, _PickledDtype)):
+            raise ValueError("a state of something that has none")
+        instance.__setstate__(state)
+
+
+def load_object_npy(path: str | Path) -> Any:
+    """Return the content of a `.npy` file that holds one pickled object.
+
+    Returns:
+        Dictionaries, lists, text, numbers and numpy arrays.
+
+    Raises:
+        MotionFileError: the file asks for a name outside numpy's arrays, is empty or damaged, or
+            is no `.npy` file of one object.
+    """
+    path = Path(path)
+    stream = io.BytesIO(path.read_bytes())
+    _skip_header(stream, path)
+    try:
+        array = _RestrictedUnpickler(stream, path).load()
+        if not isinstance(array, _PickledArray):
+            raise ValueError("no numpy array")
+        return _Resolver(len(stream.getbuffer())).resolve(array.single_object())
+    except MotionFileError:
+        raise
+    except Exception as error:  # A damaged pickle raises anything: IndexError, EOFError, ...
+        raise MotionFileError(
+            f"{path}: its pickled content is damaged or is no clip ({type(error).__name__}: "
+            f"{one_line(error)}); expected a poselib SkeletonMotion, get the file again"
+        ) from error
+
+
+def _skip_header(stream: io.BytesIO, path: Path) -> None:
+    """Read the numpy header and check that it announces one object."""
+    size = len(stream.getbuffer())
+    expected = "expected a poselib clip (.npy of one pickled SkeletonMotion)"
+    if size == 0:
+        raise MotionFileError(f"{path}: the file is empty, {expected}")
+    readers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    try:
+        version = np.lib.format.read_magic(stream)
+        shape, _, dtype = readers[version](stream)
+    except (ValueError, KeyError, EOFError) as error:
+        raise MotionFileError(
+            f"{path}: has no readable numpy header ({size} bytes, {one_line(error)}), {expected}"
+        ) from error
+    if dtype != np.dtype(object) or shape != ():
+        raise MotionFileError(f"{path}: holds an array of {dtype} of shape {shape}, {expected}")
+
+
+class _Resolver:
+    """Replaces the stand-ins in nested containers by the arrays and numbers they stand for.
+
+    Containers and arrays may be named more than once in a file, but not so often that a small file
+    becomes a large clip.
+
+    Args:
+        size: of the file in bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._bytes_left = _MAX_SHARING * size
+        self._values_left = _MAX_VALUES
+
+    def resolve(self, value: Any, depth: int = 0) -> Any:
+        """Return the value; ValueError if it is too large or too deep."""
+        self._values_left -= 1
+        if self._values_left < 0 or depth > _MAX_DEPTH:
+            raise ValueError("more values, or deeper ones, than a clip has")
+        if isinstance(value, _PickledArray):
+            self._bytes_left -= len(value.content or b"")
+            if self._bytes_left < 0:
+                raise ValueError("arrays that are larger than the file")
+            return value.resolve()
+        if isinstance(value, _PickledScalar):
+            return value.resolve()
+        if isinstance(value, dict):
+            return {key: self.resolve(item, depth + 1) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.resolve(item, depth + 1) for item in value]
+        return value

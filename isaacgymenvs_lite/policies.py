@@ -1,0 +1,63 @@
+"""Packs a policy: python -m isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME [clip=CLIP].
+
+`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The result goes to
+assets/policies, or to the folder out=FOLDER, and then plays by its name:
+
+    python train.py test=True checkpoint=NAME
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
+from isaacgymenvs_lite.checkpoints.packed import pack_policy
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackSettings:
+    """Arguments of `pack`."""
+
+    checkpoint: str = setting()
+    """A .pth file in the folder nn/ of a run, or `last`."""
+    name: str = setting()
+    """Of the policy."""
+    clip: str = setting("")
+    """The shipped clip that it imitates; '': the run's."""
+    out: str = setting("")
+    """Folder; '': assets/policies."""
+    task: str = setting("HumanoidAMP")
+    """Whose runs `last` looks at."""
+    runs: str = setting("runs")
+    """Folder of the runs, for `last`."""
+
+
+def pack(settings: PackSettings) -> None:
+    """Pack a checkpoint.
+
+    Raises:
+        UserError: it cannot be packed.
+    """
+    checkpoint = resolve_checkpoint(settings.checkpoint, settings.runs, settings.task)
+    if not checkpoint:
+        raise ConfigError("checkpoint= is empty; expected a .pth file of a run, or 'last'")
+    pack_policy(Path(checkpoint), settings.name, settings.clip, settings.out or None)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.policies", description=__doc__
+    )
+    parser.add_argument("command", choices=["pack"])
+    return run_command(parser, PackSettings, pack, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

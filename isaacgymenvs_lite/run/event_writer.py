@@ -1,0 +1,146 @@
+"""Writes TensorBoard events without ever blocking or stopping a training run.
+
+tensorboardX hands events to a thread through a queue of ten. When the disk is full the thread
+dies, and then `add_scalar` waits for ever, and so does the end of the process. Here events are
+written by the caller, a failure is logged once, and what was not written is tried again later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+from tensorboardX.proto.event_pb2 import Event  # type: ignore[attr-defined]  # made at run time
+from tensorboardX.record_writer import masked_crc32c
+
+_log = logging.getLogger(__name__)
+
+# Events that wait for a full disk, in bytes; later ones are dropped. About 20,000 scalars.
+_MAX_WAITING_BYTES = 2**20
+_FLUSH_S = 10.0
+# An event file of tensorboardX without any scalar is smaller than this.
+_HEADER_BYTES = 100
+
+
+class RetryingEventWriter:
+    """Stands in for tensorboardX's `EventFileWriter`; see `install`.
+
+    Args:
+        logdir: folder of the event file; made again if it vanishes.
+    """
+
+    def __init__(self, logdir: str | os.PathLike[str]) -> None:
+        self._logdir = Path(logdir)
+        self._waiting = bytearray()
+        self._dropped = 0
+        self._failing = False
+        self._fd: int | None = None
+        self._next_flush = 0.0
+        self.reopen()
+
+    def get_logdir(self) -> str:
+        """Return the folder of the event file."""
+        return str(self._logdir)
+
+    def add_event(self, event: Event) -> None:
+        """Take an event; it reaches the file within ten seconds, or when the disk has room."""
+        if len(self._waiting) < _MAX_WAITING_BYTES:
+            self._waiting += _record(event.SerializeToString())
+        else:
+            self._dropped += 1
+        if time.monotonic() >= self._next_flush:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits. An OSError is logged when it begins and when it is over."""
+        self._next_flush = time.monotonic() + _FLUSH_S
+        try:
+            self._write()
+        except OSError as error:
+            if not self._failing:
+                _log.warning(
+                    "TensorBoard scalars cannot be written to %s (%s); training goes on, "
+                    "the scalars are kept until the folder can be written again",
+                    self._logdir,
+                    error.strerror,
+                )
+            self._failing = True
+        else:
+            if self._failing:
+                _log.warning("TensorBoard scalars are written again, %d are lost", self._dropped)
+            self._failing, self._dropped = False, 0
+
+    def close(self) -> None:
+        """Flush and close the file; may be called twice."""
+        self.flush()
+        self._close_file()
+
+    def reopen(self) -> None:
+        """Begin a new file at the next flush."""
+        self._close_file()
+        version = Event(wall_time=time.time(), file_version="brain.Event:2")
+        self._header = _record(version.SerializeToString())
+
+    def _write(self) -> None:
+        if self._fd is not None and os.fstat(self._fd).st_nlink == 0:
+            self._close_file()  # somebody removed the file: what goes there is lost
+        if not self._waiting:
+            return
+        if self._fd is None:
+            self._logdir.mkdir(parents=True, exist_ok=True)
+            host, now = socket.gethostname(), time.time_ns() // 10**9
+            path = self._logdir / f"events.out.tfevents.{now}.{host}.{os.getpid()}"
+            self._fd = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND, 0o666)
+        good = os.fstat(self._fd).st_size
+        data = bytes(self._waiting) if good else self._header + bytes(self._waiting)
+        try:
+            written = 0
+            while written < len(data):
+                written += os.write(self._fd, data[written:])
+        except OSError:
+            # Half a record would end the file for every reader.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, good)
+            raise
+        self._waiting.clear()
+
+    def _close_file(self) -> None:
+        if self._fd is not None:
+            with contextlib.suppress(OSError):
+                os.close(self._fd)
+        self._fd = None
+
+
+def install(writer: Any) -> None:
+    """Let a tensorboardX `SummaryWriter` write through an `RetryingEventWriter`, its API unchanged.
+
+    Its own event file, which holds a header only so far, is closed and removed. Call it before the
+    first scalar.
+
+    Args:
+        writer: rl_games' `agent.writer`.
+    """
+    file_writer = writer.file_writer
+    old = file_writer.event_writer
+    if isinstance(old, RetryingEventWriter):
+        return
+    with contextlib.suppress(OSError):
+        old.close()
+        for header in Path(old.get_logdir()).glob("events.out.tfevents.*"):
+            if header.stat().st_size <= _HEADER_BYTES:
+                header.unlink()
+    # FileWriter's exit handler closes `event_writer`: from now on this one, which cannot hang.
+    file_writer.event_writer = RetryingEventWriter(old.get_logdir())
+
+
+def _record(data: bytes) -> bytes:
+    """Frame an event as a TFRecord: length, its checksum, data, its checksum."""
+    length = struct.pack("<Q", len(data))
+    checksums = (struct.pack("<I", masked_crc32c(part)) for part in (length, data))
+    return length + next(checksums) + data + next(checksums)

@@ -1,0 +1,115 @@
+"""The imitation metric, measured now and then in training."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
+from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
+
+log = logging.getLogger(__name__)
+
+
+def clip_spread_m(reference: ReferencePoses) -> float:
+    """Return the mean distance in m of a clip's poses from their average; the least of all clips.
+
+    Near 0 where a clip stands still, so that a policy that does may imitate it.
+    """
+    return min((clip - clip.mean(dim=0)).norm(dim=-1).mean().item() for clip in reference.clips)
+
+
+class ImitationObserver(AlgoObserver):
+    """Every so many epochs plays the mean policy and writes `imitation/pose_error_m`.
+
+    The episodes start from the same states each time (a fixed seed of their own), on simulations
+    of their own, so that training is not disturbed and numbers compare over time. The first one
+    tells what an evaluation costs; later ones are put off while all together would take more than
+    2% of the time trained.
+
+    Args:
+        make_env: makes the evaluation's task, given its number of environments.
+        frequency: epochs between evaluations; 0 = never.
+        num_episodes: episodes of one evaluation, all at the same time.
+
+    Attributes:
+        last: the newest result, None before the first evaluation.
+        last_frame: environment steps trained before it.
+        clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
+    """
+
+    MAX_TIME_SHARE = 0.02
+    _SEED = 1234
+
+    def __init__(self, make_env: Callable[[int], Any], frequency: int, num_episodes: int) -> None:
+        super().__init__()
+        self._make_env = make_env
+        self._frequency = frequency
+        self._num_episodes = num_episodes
+        self._env: Any = None
+        self._spent_s = 0.0
+        self._evaluations = 0
+        self._epochs = 0
+        self._due = False
+        self.last: EvaluationResult | None = None
+        self.last_frame: int | None = None
+        self.clip_spread_m = math.nan
+
+    def after_init(self, algo: Any) -> None:
+        """Take the agent and start the clock."""
+        self._algo = algo
+        self._start_s = time.monotonic()
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """Evaluate if it is time."""
+        del total_time
+        if self._frequency == 0:
+            return
+        self._epochs += 1
+        self._due |= self._epochs % self._frequency == 0
+        trained_s = time.monotonic() - self._start_s - self._spent_s
+        # The last evaluation tells what the next one will cost.
+        expected_s = self._spent_s / max(1, self._evaluations)
+        if not self._due or self._spent_s + expected_s > self.MAX_TIME_SHARE * trained_s:
+            return
+        self._due = False
+        start = time.monotonic()
+        self.last, self.last_frame = self._evaluate(), frame
+        self._spent_s += time.monotonic() - start
+        self._evaluations += 1
+        self._write(self.last, frame)
+
+    def _evaluate(self) -> EvaluationResult:
+        with torch.random.fork_rng(enabled=True):
+            if self._env is None:
+                self._env = env = self._make_env(self._num_episodes)
+                reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
+                self.clip_spread_m = clip_spread_m(reference)
+            torch.manual_seed(self._SEED)
+            return evaluate(self._env, self._policy(), self._num_episodes)
+
+    def _policy(self) -> Callable[[dict[str, Tensor]], Tensor]:
+        if hasattr(self._algo, "mean_policy"):
+            return self._algo.mean_policy(self._env)
+        return self._means_of_rl_games
+
+    def _means_of_rl_games(self, obs: dict[str, Tensor]) -> Tensor:
+        algo = self._algo
+        means = algo.get_action_values(algo.obs_to_tensors(obs))["mus"].float()
+        return algo.preprocess_actions(means)
+
+    def _write(self, result: EvaluationResult, frame: int) -> None:
+        writer = self._algo.writer
+        writer.add_scalar("imitation/episode_steps", result.steps, frame)
+        if result.imitation is not None:
+            writer.add_scalar("imitation/pose_error_m", result.imitation.pose_error_m, frame)
+            writer.add_scalar("imitation/no_fall_share", result.imitation.no_fall_share, frame)
+            writer.add_scalar("imitation/tempo", result.imitation.tempo, frame)
+        log.info("after %d frames: %s", frame, result)

@@ -1,0 +1,104 @@
+"""The figures of an epoch, read from the agent once for all who show or judge them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rl_games.algos_torch.torch_ext import AverageMeter
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class EpochMetrics:
+    """What is known after an epoch; None where the agent or the task does not have it.
+
+    Attributes:
+        epoch: number of the epoch.
+        frame: environment steps trained before it, those of resumed runs included.
+        episode_steps: mean length of the last episodes in control steps.
+        episode_reward: mean sum of the task's rewards of the last episodes.
+        fall_rate: share of the last episodes that ended before the time limit, 0 to 1.
+        train_info: `CommonAgent.train_info_means`; empty for rl_games' own agents.
+    """
+
+    epoch: int
+    frame: int
+    episode_steps: float | None = None
+    episode_reward: float | None = None
+    fall_rate: float | None = None
+    train_info: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def style_reward(self) -> float | None:
+        """Mean style reward per step."""
+        return self.train_info.get("disc_reward_mean")
+
+    @property
+    def disc_agent_acc(self) -> float | None:
+        """Share of the policy's samples that the discriminator takes for the policy's."""
+        return self.train_info.get("disc_agent_acc")
+
+    @property
+    def disc_demo_acc(self) -> float | None:
+        """Share of the clips' samples that the discriminator takes for the clips'."""
+        return self.train_info.get("disc_demo_acc")
+
+    @property
+    def disc_accuracy(self) -> float | None:
+        """Mean of the two accuracies: 0.5 is guessing."""
+        if self.disc_agent_acc is None or self.disc_demo_acc is None:
+            return None
+        return 0.5 * (self.disc_agent_acc + self.disc_demo_acc)
+
+
+class MetricsObserver(AlgoObserver):
+    """Keeps the newest `EpochMetrics` and writes `info/fall_rate` and `info/disc_acc`.
+
+    Falls are averaged over the same last episodes as rl_games' mean length and reward
+    (`games_to_track`). Stands before the observers that read `latest`.
+
+    Attributes:
+        latest: figures of the newest epoch, None before the first one has ended.
+    """
+
+    latest: EpochMetrics | None = None
+
+    def after_init(self, algo: Any) -> None:
+        """Take the agent."""
+        self._algo = algo
+        self._falls = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        """Count how the episodes of `done_indices` (n, 1) ended."""
+        rows = done_indices.flatten()
+        if "terminate" in infos:
+            self._falls.update(infos["terminate"][rows].bool().unsqueeze(1))
+        elif "time_outs" in infos:
+            self._falls.update(~infos["time_outs"][rows].bool().unsqueeze(1))
+
+    def after_clear_stats(self) -> None:
+        """Forget the episodes, as the agent's meters just did."""
+        self._falls.clear()
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """Read the figures of the epoch."""
+        del total_time
+        algo = self._algo
+        has_episodes = algo.game_lengths.current_size > 0
+        self.latest = latest = EpochMetrics(
+            epoch=epoch_num,
+            frame=frame,
+            episode_steps=algo.game_lengths.mean.item() if has_episodes else None,
+            episode_reward=algo.game_rewards.mean.flatten()[0].item() if has_episodes else None,
+            fall_rate=self._falls.mean.item() if self._falls.current_size > 0 else None,
+            train_info=algo.train_info_means() if hasattr(algo, "train_info_means") else {},
+        )
+        for tag, value in (
+            ("info/fall_rate", latest.fall_rate),
+            ("info/disc_acc", latest.disc_accuracy),
+        ):
+            if value is not None:
+                algo.writer.add_scalar(tag, value, frame)

@@ -1,0 +1,225 @@
+"""From MuJoCo's coordinates to the float32 state that tasks read, and back.
+
+The state of many environments is kept component-major: one contiguous plane (a number per
+environment) for each component. Reductions and rotations over components, which is most of what
+tasks do, then run along memory, in a fraction of the time that rows of three or four numbers take.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.simulation.body_velocities import BodyVelocities
+from isaacgymenvs_lite.simulation.forward_kinematics import ForwardKinematics
+from isaacgymenvs_lite.simulation.free_bodies import (
+    QPOS_SIZE,
+    QVEL_SIZE,
+    STATE_SIZE,
+    Doubles,
+    fill_free_states,
+    free_joint_coordinates,
+)
+from isaacgymenvs_lite.simulation.kinematic_tree import MIN_LENGTH, Floats, KinematicTree
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.utils.rotations import quat_log
+
+
+class StateBuffers:
+    """The state of n environments with B bodies, D degrees of freedom and K objects, float32.
+
+    All is zero at first; names and units as in `SimulationBackend`, with the environments last.
+
+    Attributes:
+        root_states: (13, n).
+        dof_pos: (D, n).
+        dof_vel: (D, n).
+        velocities: (6 + D, n) of the root, then `dof_vel`.
+        qpos: (Q, n) MuJoCo's, of all but the objects.
+        body_pos: (3, B, n).
+        body_rot: (4, B, n).
+        contact_forces: (3, B, n).
+        object_states: (13, K, n).
+        object_contact_forces: (3, K, n).
+        body_lin_vel: (3, B, n).
+        body_ang_vel: (3, B, n).
+        bodies_are_current: whether `body_pos` and `body_rot` are those of the rest; made on demand.
+        has_body_velocities: whether the body velocities are; they are made on demand, too.
+    """
+
+    def __init__(self, layout: ModelLayout, num_envs: int) -> None:
+        num_dofs, num_bodies = layout.num_dofs, len(layout.body_names)
+        num_objects = len(layout.object_names)
+        first_dof_pos = STATE_SIZE + num_dofs
+        first_qpos = first_dof_pos + num_dofs
+        first_body = first_qpos + layout.num_qpos
+        first_object = first_body + 10 * num_bodies
+        num_rows = first_object + (STATE_SIZE + 3) * num_objects
+        # One piece of memory, so that environments are replaced in one operation.
+        self._all = np.zeros((num_rows, num_envs), dtype=np.float32)
+        self.root_states = self._all[:STATE_SIZE]
+        self.dof_vel = self._all[STATE_SIZE:first_dof_pos]
+        self.velocities = self._all[7:first_dof_pos]
+        self.dof_pos = self._all[first_dof_pos:first_qpos]
+        self.qpos = self._all[first_qpos:first_body]
+        bodies = self._all[first_body:first_object].reshape(10, num_bodies, num_envs)
+        self.body_pos, self.body_rot, self.contact_forces = bodies[:3], bodies[3:7], bodies[7:]
+        objects = self._all[first_object:].reshape(STATE_SIZE + 3, num_objects, num_envs)
+        self.object_states, self.object_contact_forces = objects[:STATE_SIZE], objects[STATE_SIZE:]
+        self._body_velocities = np.zeros((6, num_bodies, num_envs), dtype=np.float32)
+        self.body_lin_vel, self.body_ang_vel = self._body_velocities[:3], self._body_velocities[3:]
+        self.bodies_are_current = False
+        self.has_body_velocities = False
+
+    def replace(self, env_ids: npt.NDArray[np.integer], others: StateBuffers) -> None:
+        """Put the n environments of `others` in place of `env_ids` (n,).
+
+        Where these have bodies and their velocities the others must have them, too.
+        """
+        _replace_columns(self._all, env_ids, others._all)
+        if self.has_body_velocities:
+            _replace_columns(self._body_velocities, env_ids, others._body_velocities)
+
+    def replace_objects(
+        self,
+        env_ids: npt.NDArray[np.integer],
+        object_ids: npt.NDArray[np.integer],
+        states: Floats,
+    ) -> None:
+        """Put k objects of n environments into `states` (13, k, n), without contact forces."""
+        places = object_ids[:, None], env_ids
+        self.object_states[:, *places] = states
+        self.object_contact_forces[:, *places] = 0.0
+
+
+def _replace_columns(mine: Floats, columns: npt.NDArray[np.integer], theirs: Floats) -> None:
+    # torch's is several times as fast as numpy's indexing.
+    ids = torch.from_numpy(columns)
+    torch.from_numpy(mine).index_copy_(mine.ndim - 1, ids, torch.from_numpy(theirs))
+
+
+def as_tensor(planes: Floats) -> Tensor:
+    """Return planes (d, n) or (d, B, n) as a tensor (n, d) or (n, B, d) on the same memory."""
+    return torch.from_numpy(planes.T)
+
+
+class StateConverter:
+    """Makes planes from rows of qpos and qvel, and such rows from states.
+
+    Args:
+        model: the compiled model.
+        layout: its layout.
+    """
+
+    def __init__(self, model: mujoco.MjModel, layout: ModelLayout) -> None:
+        self._layout = layout
+        tree = KinematicTree(model, len(layout.body_names))
+        self._kinematics = ForwardKinematics(tree)
+        self._body_velocities = BodyVelocities(tree)
+        self._ball_qpos = layout.ball_qpos.T
+        self._ball_dofs = layout.ball_dofs.T
+        self._objects_qpos0 = model.qpos0[layout.num_qpos :].copy()
+
+    @np.errstate(all="ignore")  # a simulation may be on its way to infinity
+    def fill(self, planes: StateBuffers, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
+        """Fill in all but the contact forces and the bodies.
+
+        Args:
+            planes: of n environments.
+            qpos_rows: (n, nq) in MuJoCo's conventions.
+            qvel_rows: (n, nv) in MuJoCo's conventions.
+        """
+        layout = self._layout
+        planes.bodies_are_current = planes.has_body_velocities = False
+        qpos = planes.qpos
+        qpos[:] = qpos_rows.T[: layout.num_qpos]
+        planes.dof_vel[:] = qvel_rows.T[layout.dof_vel_adr : layout.num_qvel]
+        if layout.has_free_root:
+            fill_free_states(planes.root_states, qpos[:7], qvel_rows.T[:6])
+        planes.dof_pos[layout.scalar_dofs] = qpos[layout.scalar_qpos]
+        if self._ball_qpos.size > 0:
+            quats = torch.from_numpy(qpos[self._ball_qpos]).permute(2, 1, 0)
+            planes.dof_pos[self._ball_dofs] = quat_log(quats).permute(2, 1, 0).numpy()
+        if layout.object_names:
+            planes.object_states[:] = self.states_of_objects(*self.of_objects(qpos_rows, qvel_rows))
+
+    @np.errstate(all="ignore")
+    def fill_bodies(self, planes: StateBuffers) -> None:
+        """Fill in where the bodies are, from what `fill` has filled in."""
+        planes.bodies_are_current = True
+        self._kinematics(planes.qpos, planes.body_pos, planes.body_rot)
+
+    @np.errstate(all="ignore")
+    def fill_body_velocities(self, planes: StateBuffers) -> None:
+        """Fill in the body velocities, from what `fill_bodies` has filled in."""
+        planes.has_body_velocities = True
+        # The velocities of a root that is not free are no part of qvel.
+        qvel = planes.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]
+        self._body_velocities(
+            planes.qpos,
+            qvel,
+            planes.body_pos,
+            planes.body_rot,
+            planes.body_lin_vel,
+            planes.body_ang_vel,
+        )
+
+    def of_objects(self, qpos_rows: Doubles, qvel_rows: Doubles) -> tuple[Doubles, Doubles]:
+        """Return the objects' parts (n, K, 7) and (n, K, 6) of qpos (n, nq) and qvel (n, nv).
+
+        They look into the same memory.
+        """
+        layout = self._layout
+        shape = (len(qpos_rows), len(layout.object_names))
+        return (
+            qpos_rows[:, layout.num_qpos :].reshape(*shape, QPOS_SIZE),
+            qvel_rows[:, layout.num_qvel :].reshape(*shape, QVEL_SIZE),
+        )
+
+    @np.errstate(all="ignore")
+    def states_of_objects(self, qpos: Doubles, qvel: Doubles) -> Floats:
+        """Return the states (13, k, n) of k objects with qpos (n, k, 7) and qvel (n, k, 6)."""
+        states = np.empty((STATE_SIZE, *qpos.T.shape[1:]), dtype=np.float32)
+        fill_free_states(states, qpos.T, qvel.T)
+        return states
+
+    @np.errstate(all="ignore")
+    def object_rows(self, states: Tensor) -> tuple[Doubles, Doubles]:
+        """Return qpos (n, k, 7) and qvel (n, k, 6) of k objects with states (n, k, 13)."""
+        qpos, qvel = free_joint_coordinates(states.numpy().T.astype(np.float64))
+        return qpos.T, qvel.T
+
+    @np.errstate(all="ignore")
+    def rows(
+        self, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
+    ) -> tuple[Doubles, Doubles]:
+        """Return qpos (n, nq) and qvel (n, nv) of the states of n environments.
+
+        The objects are at their places in the model, at rest.
+
+        Args:
+            root_states: (n, 13) as `SimulationBackend.root_states`.
+            dof_pos: (n, D) as `SimulationBackend.dof_pos`.
+            dof_vel: (n, D) as `SimulationBackend.dof_vel`.
+        """
+        layout = self._layout
+        angles = dof_pos.numpy().T.astype(np.float64)
+        num_objects = len(layout.object_names)
+        qpos = np.empty((layout.num_qpos + QPOS_SIZE * num_objects, len(dof_pos)))
+        qvel = np.empty((layout.num_qvel + QVEL_SIZE * num_objects, len(dof_pos)))
+        if layout.has_free_root:
+            root = root_states.numpy().T.astype(np.float64)
+            qpos[:7], qvel[:6] = free_joint_coordinates(root)
+        qpos[layout.scalar_qpos] = angles[layout.scalar_dofs]
+        if self._ball_qpos.size > 0:
+            vectors = angles[self._ball_dofs]
+            length = np.sqrt(np.square(vectors).sum(axis=0))
+            xyz = vectors * (np.sin(0.5 * length) / np.maximum(length, MIN_LENGTH))
+            qpos[self._ball_qpos] = np.concatenate((xyz, np.cos(0.5 * length)[None]))
+        qvel[layout.dof_vel_adr : layout.num_qvel] = dof_vel.numpy().T
+        qpos[layout.num_qpos :] = self._objects_qpos0[:, None]
+        qvel[layout.num_qvel :] = 0.0
+        return qpos.T, qvel.T

@@ -1,0 +1,133 @@
+"""What Quadcopter and Ingenuity share: a free body that shall hover at a target.
+
+Formulas as IsaacGymEnvs, over named quantities of N environments; the spin that is paid for is
+that about the vertical of the world, not about the body's own axis. PhysX limits the angular
+velocity in every physics step; MuJoCo has no limit, here it holds at the end of a control step.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartTask
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+
+HOME_M = (0.0, 0.0, 1.0)
+"""Where the body is in the model, and about where it starts."""
+# From there to where an episode starts.
+_START_ASIDE_M = (-1.5, 1.5)
+_START_ABOVE_M = (-0.2, 1.5)
+
+_MAX_ANGULAR_VELOCITY_RAD_S = 4.0 * math.pi
+
+_DISTANCE_SCALE = 1.0 / 3.0
+_VELOCITY_SCALE = 1.0 / 2.0
+_ANGULAR_VELOCITY_SCALE = 1.0 / math.pi
+
+
+def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tensor:
+    """Return (N, 13): way to the target, rotation xyzw, velocity, angular velocity, all scaled.
+
+    Args:
+        to_target: (N, 3) m, in world axes.
+        root_states: (N, 13) of the body.
+    """
+    return torch.cat(
+        (
+            to_target * _DISTANCE_SCALE,
+            root_states[:, 3:7],
+            root_states[:, 7:10] * _VELOCITY_SCALE,
+            root_states[:, 10:] * _ANGULAR_VELOCITY_SCALE,
+        ),
+        dim=-1,
+    )
+
+
+def compute_hover_reward(
+    to_target: Tensor, root_rot: Tensor, spin: Tensor, upright_weight: float
+) -> Terms:
+    """Return the terms (N,) of the reward: at the target; there, upright; there, not spinning.
+
+    Args:
+        to_target: (N, 3) m.
+        root_rot: (N, 4) xyzw.
+        spin: (N,) angular velocity about the vertical (rad/s).
+        upright_weight: of being upright.
+    """
+    near = 1.0 / (1.0 + to_target.square().sum(-1))
+    x, y = root_rot[:, 0], root_rot[:, 1]
+    tilt = 2.0 * (x * x + y * y)  # 1 less the height of the body's z axis
+    return {
+        "target": near,
+        "upright": near * upright_weight / (1.0 + tilt.square()),
+        "spin": near / (1.0 + spin.square()),
+    }
+
+
+def compute_flight_failures(
+    to_target: Tensor, height: Tensor, max_distance_m: float, min_height_m: float
+) -> Tensor:
+    """Return (N,) bool: too far from the target, or too low.
+
+    Args:
+        to_target: (N, 3) m.
+        height: (N,) m.
+        max_distance_m: beyond it the episode ends.
+        min_height_m: below it the episode ends.
+    """
+    return (to_target.norm(dim=-1) > max_distance_m) | (height < min_height_m)
+
+
+def draw_start_states(env_ids: Tensor) -> Tensor:
+    """Return states (n, 13) of bodies at rest and upright, near `HOME_M`."""
+    states = torch.zeros(len(env_ids), 13, device=env_ids.device)
+    states[:, :2] = uniform(env_ids, *_START_ASIDE_M, (2,))
+    states[:, 2] = HOME_M[2] + uniform(env_ids, *_START_ABOVE_M)
+    states[:, 6] = 1.0
+    return states
+
+
+class HoverTask(FreshStartTask):
+    """N bodies that shall hover at a target."""
+
+    max_distance_m: ClassVar[float]
+    min_height_m: ClassVar[float]
+
+    def advance(self) -> None:
+        """Slow down what turns too fast; faster bodies would gain energy from large time steps."""
+        sim = self.simulation
+        turning = sim.root_states[:, 10:].square().sum(-1)
+        env_ids = (turning > _MAX_ANGULAR_VELOCITY_RAD_S**2).nonzero().flatten()
+        if len(env_ids) == 0:
+            return
+        root = sim.root_states.index_select(0, env_ids)
+        root[:, 10:] *= (
+            _MAX_ANGULAR_VELOCITY_RAD_S / turning.index_select(0, env_ids).sqrt()[:, None]
+        )
+        dof_pos, dof_vel = (dofs.index_select(0, env_ids) for dofs in (sim.dof_pos, sim.dof_vel))
+        sim.write_state(env_ids, root, dof_pos, dof_vel)
+
+    @abstractmethod
+    def to_target(self) -> Tensor:
+        """Return the ways (N, 3) from the bodies to their targets (m)."""
+
+    def observation_groups(self) -> dict[str, int]:
+        """See `compute_flight_observations`."""
+        return {"to_target": 3, "root_rot_xyzw": 4, "root_lin_vel": 3, "root_ang_vel": 3}
+
+    def observe(self) -> Tensor:
+        """See `compute_flight_observations`."""
+        return compute_flight_observations(self.to_target(), self.simulation.root_states)
+
+    def compute_failures(self) -> Tensor:
+        """See `compute_flight_failures`."""
+        height = self.simulation.root_states[:, 2]
+        return compute_flight_failures(
+            self.to_target(), height, self.max_distance_m, self.min_height_m
+        )

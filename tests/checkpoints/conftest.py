@@ -1,0 +1,74 @@
+"""A tiny training, and a folder that stands for the shipped policies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.checkpoints import shipped
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.runner import run
+
+_CONFIG = "train.params.config"
+TINY_TRAINING = (
+    "num_envs=4",
+    "num_threads=1",
+    "rl_device=cpu",
+    "max_iterations=2",
+    "train.params.network.mlp.units=[16,8]",
+    "train.params.network.disc.units=[12,6]",
+    f"{_CONFIG}.learning_rate=1e-3",
+    f"{_CONFIG}.mixed_precision=False",
+    f"{_CONFIG}.horizon_length=4",
+    f"{_CONFIG}.mini_epochs=1",
+    f"{_CONFIG}.amp_batch_size=16",
+    f"{_CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{_CONFIG}.amp_replay_buffer_size=64",
+    f"{_CONFIG}.imitation_frequency=0",
+)
+_TINY = (
+    "task=HumanoidAMP",
+    "task.env.episodeLength=20",
+    "task.env.localRootObs=True",  # not the default: a policy must find it as it was
+    *TINY_TRAINING,
+)
+
+
+@pytest.fixture(scope="session")
+def full_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The checkpoint of two epochs on the shipped walk, in its run folder."""
+    folder = tmp_path_factory.mktemp("project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(compose(_TINY))
+    (run_folder,) = (folder / "runs").iterdir()
+    return run_folder / "nn" / "HumanoidAMP.pth"
+
+
+@pytest.fixture
+def shipped_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder in place of assets/policies."""
+    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    folder = shipped.shipped_policies_dir()
+    folder.mkdir(parents=True)
+    return folder
+
+
+@pytest.fixture
+def edited_run(full_checkpoint: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Return edit(old, new, ...), a checkpoint beside a config.yaml with these texts replaced."""
+
+    def edit(*texts: str) -> Path:
+        config = (full_checkpoint.parents[1] / "config.yaml").read_text()
+        for old, new in zip(texts[::2], texts[1::2], strict=True):
+            assert old in config
+            config = config.replace(old, new)
+        copy = tmp_path / "run" / "nn" / "copy.pth"
+        copy.parent.mkdir(parents=True)
+        copy.write_bytes(full_checkpoint.read_bytes())
+        (tmp_path / "run" / "config.yaml").write_text(config)
+        return copy
+
+    return edit

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.checkpoints import packed
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
+from isaacgymenvs_lite.checkpoints.packed import MAX_BYTES, pack_policy, read_policy_info
+from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.env_factory import seed_everything
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.registration import build_runner
+from isaacgymenvs_lite.runner import Session
+
+
+class Recording(Session):
+    """A play of five steps: actions and style rewards."""
+
+    def __init__(self, cfg: DictConfig) -> None:
+        super().__init__(cfg, check_config(cfg), 1)
+
+    def _play(self) -> None:
+        runner = build_runner()
+        with contextlib.redirect_stdout(io.StringIO()):
+            runner.load({"params": self._params})
+            player: Any = runner.create_player()
+        player.restore(self._checkpoint)
+        seed_everything(5)
+        env: Any = self._task
+        env.reset()
+        self.actions, self.rewards = [], []
+        for _ in range(5):
+            obs, _ = env.reset_done()
+            self.actions.append(player.act(obs))
+            infos = env.step(self.actions[-1])[3]
+            if (judge := player._style_reward_function()) is not None:
+                self.rewards.append(judge(infos["amp_obs"]))
+
+
+def play(cfg: DictConfig) -> Recording:
+    session = Recording(cfg)
+    session.run()
+    return session
+
+
+def test_a_packed_policy_acts_and_judges_as_the_checkpoint(full_checkpoint, shipped_dir):
+    """Bit by bit; the full one with its run's settings, the packed one with what it carries."""
+    pack_policy(full_checkpoint, "tiny")
+    stored = OmegaConf.load(full_checkpoint.parents[1] / "config.yaml")
+    assert isinstance(stored, DictConfig)
+    stored.update({"test": True, "checkpoint": str(full_checkpoint)})
+    fixed = ("test=True", "checkpoint=tiny", "num_envs=4", "num_threads=1", "rl_device=cpu")
+    full, tiny = play(stored), play(compose([*playing_overrides("tiny"), *fixed]))
+    assert full._checkpoint != tiny._checkpoint
+    for name in ("actions", "rewards"):
+        for expected, value in zip(getattr(full, name), getattr(tiny, name), strict=True):
+            assert torch.equal(expected, value), name
+    assert full.actions[0].abs().sum() > 0
+
+
+def test_a_packed_policy_holds_no_state_of_its_training(full_checkpoint, shipped_dir):
+    path = pack_policy(full_checkpoint, "tiny")
+    assert path == shipped_dir / "tiny.pth"
+    state = load_checkpoint(path)
+    assert set(state) == {"model", "amp_input_mean_std", "policy"}
+    assert path.stat().st_size < 0.6 * full_checkpoint.stat().st_size
+
+
+def test_what_a_packed_policy_says_of_itself(full_checkpoint, shipped_dir):
+    info = read_policy_info(pack_policy(full_checkpoint, "tiny"))
+    assert (info.task, info.clip) == ("HumanoidAMP", "walk.npz")
+    assert info.units == {"mlp": [16, 8], "disc": [12, 6]}
+    assert (info.frames, info.epochs) == (32, 2)  # 4 environments * 4 steps * 2 epochs
+    assert info.training["learning_rate"] == 1e-3
+    assert info.training["gamma"] == 0.99
+    assert "train_dir" not in info.training
+    assert info.settings["task.env.localRootObs"] is True
+    assert info.settings["train.params.algo.name"] == "amp_continuous"
+    # sizes and devices are those of whoever plays it
+    for path in ("task.env.numEnvs", "task.env.episodeLength", "task.sim.physx.num_threads"):
+        assert path not in info.settings
+    assert str(info) == ("HumanoidAMP of walk.npz, 0.0 M frames, mlp [16, 8], disc [12, 6]")
+
+
+def test_networks_of_a_run_on_a_gpu_are_told_by_the_model(edited_run, shipped_dir):
+    """The default units depend on the device of whoever resolves them."""
+    units = '${if:${contains:"cuda",${.....rl_device}},[%s],[%s]}'
+    explicit, default = "        - 16\n        - 8\n", units % ("16,8", "4,2")
+    checkpoint = edited_run(f"units:\n{explicit}", f"units: {default}\n")
+    assert read_policy_info(pack_policy(checkpoint, "tiny")).units["mlp"] == [16, 8]
+
+
+def test_a_configuration_of_another_network_is_refused(edited_run, shipped_dir):
+    checkpoint = edited_run("        - 16\n        - 8\n", "        - 32\n")
+    with pytest.raises(CheckpointError, match=r"\[16, 8\].*config\.yaml.*\[32\]") as caught:
+        pack_policy(checkpoint, "tiny")
+    assert "\n" not in str(caught.value)
+    assert list(shipped_dir.iterdir()) == []
+
+
+def test_a_checkpoint_without_its_run_is_refused(full_checkpoint, shipped_dir, tmp_path):
+    (tmp_path / "alone.pth").write_bytes(full_checkpoint.read_bytes())
+    with pytest.raises(ConfigError, match=r"no config\.yaml"):
+        pack_policy(tmp_path / "alone.pth", "tiny")
+
+
+@pytest.mark.parametrize("content", ["", "task: 3\n", "rl_device: cpu\ntask: {env: {a: 1}}\n"])
+def test_a_damaged_configuration_is_refused(content, edited_run, shipped_dir):
+    checkpoint = edited_run()
+    (checkpoint.parents[1] / "config.yaml").write_text(content)
+    with pytest.raises(ConfigError, match=r"config\.yaml") as caught:
+        pack_policy(checkpoint, "tiny")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_clip_of_this_machine_only_is_refused_or_replaced(edited_run, shipped_dir):
+    checkpoint = edited_run("motion_file: walk.npz", "motion_file: /home/me/mine.npy")
+    with pytest.raises(ConfigError, match=r"/home/me/mine\.npy.*clip=.*run, .*walk"):
+        pack_policy(checkpoint, "tiny")
+    with pytest.raises(ConfigError, match="wlak"):
+        pack_policy(checkpoint, "tiny", clip="wlak")
+    info = read_policy_info(pack_policy(checkpoint, "tiny", clip="run"))
+    assert info.clip == info.settings["task.env.motion_file"] == "run"
+
+
+@pytest.mark.parametrize("name", ["", "last", "Walk", "../walk", "a b", ".walk"])
+def test_a_name_that_cannot_be_used_is_refused(name, full_checkpoint, shipped_dir):
+    with pytest.raises(ConfigError, match=f"name={name}: expected"):
+        pack_policy(full_checkpoint, name)
+
+
+def test_a_policy_that_is_too_big_is_refused(full_checkpoint, shipped_dir, monkeypatch):
+    monkeypatch.setattr(packed, "MAX_BYTES", 20_000)
+    with pytest.raises(CheckpointError, match=r"would take 0\.0 MiB, the limit.*units"):
+        pack_policy(full_checkpoint, "tiny")
+    assert list(shipped_dir.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_refused(full_checkpoint, tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(ConfigError, match=r"cannot write .*taken"):
+        pack_policy(full_checkpoint, "tiny", folder=tmp_path / "taken")
+
+
+def test_a_full_checkpoint_is_no_packed_policy(full_checkpoint):
+    with pytest.raises(CheckpointError, match="is no packed policy") as caught:
+        read_policy_info(full_checkpoint)
+    assert "\n" not in str(caught.value)
+
+
+# --- what ships -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_policy_plays_anywhere(name):
+    path = shipped_policies()[name]
+    assert path.stat().st_size < MAX_BYTES
+    info = read_policy_info(path)
+    assert not Path(info.clip).is_absolute()
+    assert info.frames > 0
+    fixed = ("test=True", f"checkpoint={name}", "num_envs=2", "num_threads=1", "rl_device=cpu")
+    actions = torch.stack(play(compose([*playing_overrides(name), *fixed])).actions)
+    assert actions.isfinite().all()

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
+from isaacgymenvs_lite.checkpoints.packed import pack_policy
+from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.runner import run
+
+
+@pytest.fixture
+def tiny(full_checkpoint, shipped_dir) -> str:
+    """The name of a shipped policy with networks of [16, 8]."""
+    pack_policy(full_checkpoint, "tiny")
+    return "tiny"
+
+
+def test_a_policy_brings_its_settings_along(tiny):
+    cfg = compose(complete_arguments(["test=True", "checkpoint=tiny", "num_envs=2"]))
+    assert cfg.task.name == "HumanoidAMP"
+    assert cfg.train.params.network.mlp.units == [16, 8]
+    assert cfg.train.params.network.disc.units == [12, 6]
+    assert cfg.task.env.localRootObs is True
+    assert cfg.num_envs == 2
+
+
+def test_its_networks_are_the_same_where_a_gpu_is(tiny):
+    cfg = compose(complete_arguments(["test=True", "checkpoint=tiny", "rl_device=cuda:0"]))
+    assert cfg.train.params.network.mlp.units == [16, 8]
+    assert cfg.train.params.network.disc.units == [12, 6]
+
+
+def test_what_was_typed_wins(tiny):
+    typed = ["task.env.motion_file=run.npz", "test=True", "checkpoint=tiny", "task=HumanoidAMP"]
+    completed = complete_arguments(typed)
+    assert completed[-4:] == typed
+    assert [word for word in completed if word.startswith("task=")] == ["task=HumanoidAMP"]
+    assert compose(completed).task.env.motion_file == "run.npz"
+
+
+def test_options_keep_their_places(tiny):
+    """Hydra's parser takes overrides in one piece."""
+    typed = ["--cfg", "job", "test=true", "checkpoint=tiny"]
+    completed = complete_arguments(typed)
+    assert completed[:2] == typed[:2]
+    assert completed[-2:] == typed[2:]
+    assert len(completed) > 20
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["checkpoint=tiny"],  # training from it is refused later, for want of an optimiser
+        ["test=False", "checkpoint=tiny"],
+        ["test=True", "checkpoint=other"],
+        ["test=True", "checkpoint=last"],
+        ["test=True"],
+        ["--help"],
+        [],
+    ],
+)
+def test_other_command_lines_stay_as_they_are(typed, tiny):
+    assert complete_arguments(typed) == typed
+
+
+def test_a_policy_is_played_by_its_name(tiny, tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    games = "+train.params.config.player.games_num=2"
+    typed = ["test=True", "checkpoint=tiny", "num_envs=2", "num_threads=1", "rl_device=cpu", games]
+    with caplog.at_level(logging.INFO):
+        run(compose(complete_arguments(typed)))
+    (line,) = [message for message in caplog.messages if message.startswith("played ")]
+    assert "pose error" in line
+    assert not (tmp_path / "runs").exists()
+
+
+def test_training_does_not_start_from_a_policy(tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["checkpoint=tiny", "num_envs=2", "num_threads=1", "rl_device=cpu"]
+    units = ["train.params.network.mlp.units=[16,8]", "train.params.network.disc.units=[12,6]"]
+    with pytest.raises(CheckpointError, match=r"optimizer.*cannot go on") as caught:
+        run(compose([*words, *units]))
+    assert "\n" not in str(caught.value)
+    assert list((tmp_path / "runs").rglob("*")) == []
+
+
+def test_a_name_becomes_the_shipped_file(tiny, shipped_dir, tmp_path):
+    path = resolve_checkpoint("tiny", tmp_path, "HumanoidAMP")
+    assert path == str(shipped_dir / "tiny.pth")
+
+
+def test_a_wrong_name_lists_the_policies(tiny, tmp_path):
+    with pytest.raises(CheckpointError, match="a shipped policy: tiny") as caught:
+        resolve_checkpoint("tyni", tmp_path, "HumanoidAMP")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *(None, True, False, 3, -2.5, 1e-06),
+        *("walk.npz", "", "None", "true", "3", "it's", "it\\'s", "a,b", "a b", "%{x}", "c:\\d"),
+        *([1, 2], [], ["a", "b c"], [0.0, 0.0, -9.81], {}, {"name": "default"}),
+    ],
+    ids=repr,
+)
+def test_values_survive_the_command_line(value: Any):
+    cfg = compose([f"++task.env.something={as_override(value)}"])
+    stored = OmegaConf.to_container(cfg.task.env)
+    assert isinstance(stored, dict)
+    assert stored["something"] == value
+    assert type(stored["something"]) is type(value)

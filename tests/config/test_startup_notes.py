@@ -1,0 +1,98 @@
+import pytest
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys, startup_notes
+
+
+def test_defaults_have_nothing_without_effect():
+    assert physx_only_keys(compose()) == []
+
+
+@pytest.mark.parametrize("task", ["HumanoidASE", "HumanoidHeading", "HumanoidASEGetup"])
+def test_a_task_file_that_builds_on_another_has_nothing_without_effect(task):
+    assert physx_only_keys(compose([f"task={task}"])) == []
+    assert physx_only_keys(compose([f"task={task}", "task.env.envSpacing=1"])) == [
+        "task.env.envSpacing"
+    ]
+
+
+def test_keys_that_have_an_effect_are_not_named():
+    assert physx_only_keys(compose(["num_threads=3", "num_envs=5", "sim_device=cpu"])) == []
+
+
+def test_keys_given_on_the_command_line():
+    cfg = compose(
+        [
+            *("solver_type=0", "graphics_device_id=1", "task.env.envSpacing=3"),
+            *("task.env.plane.restitution=0.5", "task.sim.physx.rest_offset=0.1"),
+        ]
+    )
+    assert physx_only_keys(cfg) == [
+        "solver_type",
+        "graphics_device_id",
+        "task.env.envSpacing",
+        "task.env.plane.restitution",
+        "task.sim.physx.rest_offset",
+    ]
+
+
+def test_key_given_its_default_is_not_named():
+    assert physx_only_keys(compose(["solver_type=1", "task.env.envSpacing=5"])) == []
+
+
+def test_file_of_a_user_is_compared_with_ours_of_that_class(config_dir):
+    # Its class is HumanoidAMP; only contact_offset differs from our HumanoidAMP.yaml.
+    cfg = compose(["task=Mine", "train=Published"], config_dir)
+    assert physx_only_keys(cfg) == ["task.sim.physx.contact_offset"]
+
+
+def test_task_that_we_ship_no_file_for(config_dir):
+    file = config_dir / "task" / "Mine.yaml"
+    file.write_text(file.read_text().replace("name: HumanoidAMP", "name: Other"))
+    cfg = compose(["task=Mine", "train=Published"], config_dir)
+    assert physx_only_keys(cfg) == ["task.env.envSpacing", "task.sim.physx.*"]
+
+
+def test_sizes_that_the_cpu_made_smaller():
+    note = cpu_defaults_note(compose(["rl_device=cpu"]))
+    assert note == (
+        "defaults for learning on a CPU (on a GPU): "
+        "numEnvs 1024 (4096), minibatch_size 4096 (32768), amp_minibatch_size 512 (4096), "
+        "amp_replay_buffer_size 200000 (1000000), amp_replay_keep_prob 0.1 (0.01), "
+        "amp_input_memory 1000000 (all), disc_grad_penalty 2 (5), mini_epochs 3 (6), "
+        "learning_rate 0.0002 (5e-05), "
+        "mlp.units 512-256 (1024-512), disc.units 512-256 (1024-512)"
+    )
+    assert cpu_defaults_note(compose(["rl_device=cuda:0"])) is None
+
+
+def test_sizes_that_the_user_gave_are_not_named(config_dir):
+    note = cpu_defaults_note(compose(["rl_device=cpu", "num_envs=64"]))
+    assert note is not None
+    assert "numEnvs" not in note
+    published = compose(["rl_device=cpu", "train=Published", "num_envs=64"], config_dir)
+    assert cpu_defaults_note(published) is None
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("solver_type=0", "no effect here, PhysX or viewer only: solver_type"),
+    ],
+)
+def test_startup_notes(override, expected):
+    assert startup_notes(compose(["rl_device=cuda:0"]), "check it") == []
+    notes = startup_notes(compose(["rl_device=cuda:0", override]), "check it")
+    assert len(notes) == 1
+    assert notes[0].startswith(expected)
+
+
+def test_the_list_of_cpu_defaults_is_for_those_who_ask():
+    notes = startup_notes(compose(["rl_device=cpu"]), "check it")
+    assert notes == ["11 defaults are for learning on a CPU, listed by: check it"]
+
+
+def test_notes_change_nothing():
+    cfg = compose(["rl_device=cpu"])
+    startup_notes(cfg, "check it")
+    assert cfg == compose(["rl_device=cpu"])

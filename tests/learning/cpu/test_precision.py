@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.cpu import precision
+from isaacgymenvs_lite.learning.cpu.precision import (
+    measure_bfloat16_speedup,
+    resolve_mixed_precision,
+)
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda:0"])
+@pytest.mark.parametrize("value", [True, False])
+def test_a_plain_choice_is_taken(value, device, monkeypatch):
+    monkeypatch.setattr(precision, "measure_bfloat16_speedup", lambda: pytest.fail("measured"))
+    assert resolve_mixed_precision(value, device) is value
+
+
+@pytest.mark.parametrize(("speedup", "chosen"), [(0.6, False), (1.05, False), (4.0, True)])
+def test_auto_takes_what_is_clearly_faster(speedup, chosen, monkeypatch, caplog):
+    monkeypatch.setattr(precision, "measure_bfloat16_speedup", lambda: speedup)
+    with caplog.at_level("INFO"):
+        assert resolve_mixed_precision("auto", "cpu") is chosen
+    assert ("bfloat16" if chosen else "float32") in caplog.text.split("using ")[1]
+
+
+def test_auto_on_a_gpu_is_the_published_value(monkeypatch):
+    monkeypatch.setattr(precision, "measure_bfloat16_speedup", lambda: pytest.fail("measured"))
+    assert resolve_mixed_precision("auto", "cuda:0") is False
+
+
+@pytest.mark.parametrize("value", ["bf16", 1, None, "True"])
+def test_another_value_is_refused(value):
+    with pytest.raises(ConfigError, match=r"mixed_precision=.*expected True, False or auto"):
+        resolve_mixed_precision(value, "cpu")
+
+
+def test_the_measurement_leaves_the_random_numbers_alone():
+    torch.manual_seed(3)
+    before = torch.get_rng_state()
+    assert measure_bfloat16_speedup() > 0.0
+    assert torch.equal(torch.get_rng_state(), before)

@@ -1,0 +1,179 @@
+import importlib.util
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.formats import deepmimic
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+
+# Zero joints: the soles are 0.421546 + 0.409870 + 0.05 m under the pelvis.
+SOLE_DEPTH_M = 0.881416
+
+
+def frame(
+    duration_s: float = 0.1, x: float = 0.0, height: float = 1.0, z: float = 0.0
+) -> list[float]:
+    """Return a frame of 44 numbers with all joints at zero."""
+    upright = [1.0, 0.0, 0.0, 0.0]
+    leg, arm = [*upright, 0.0, *upright], [*upright, 0.0]
+    return [duration_s, x, height, z, *upright, *upright, *upright, *leg, *arm, *leg, *arm]
+
+
+def walk() -> dict:
+    """Three frames of 0.1 s, 0.1 m forward each, 1 m up and 0.3 m to the right."""
+    return {"Loop": "wrap", "Frames": [frame(x=0.1 * i, z=0.3) for i in range(3)]}
+
+
+def test_root_moves_forward_and_up(humanoid: Skeleton) -> None:
+    clip = deepmimic.clip_from_deepmimic(walk(), humanoid, "walk")
+    assert clip.fps == pytest.approx(10.0)
+    # x forward, y up, z to the right become x forward, y to the left, z up.
+    expected = [[0.0, -0.3, 1.0], [0.1, -0.3, 1.0], [0.2, -0.3, 1.0]]
+    np.testing.assert_allclose(clip.root_translation, expected, atol=1e-12)
+    # 0.1 m per 0.1 s.
+    np.testing.assert_allclose(clip.linear_velocity_w[:, 0], [[1.0, 0.0, 0.0]] * 3, atol=1e-9)
+
+
+def test_joint_rotations_change_axes(humanoid: Skeleton) -> None:
+    data = walk()
+    half = 0.2
+    for row in data["Frames"]:
+        # By 0.4 rad about: the hip z (to the right), the neck y (up), the left shoulder x.
+        row[16:20] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+        row[12:16] = [np.cos(half), 0.0, np.sin(half), 0.0]
+        row[39:43] = [np.cos(half), np.sin(half), 0.0, 0.0]
+        row[20], row[34], row[29], row[43] = -0.5, -0.6, 0.7, 0.8  # knees and elbows
+    clip = deepmimic.clip_from_deepmimic(data, humanoid, "walk")
+
+    def rotation(body: str) -> np.ndarray:
+        return clip.local_rotation[1, clip.body_names.index(body)]
+
+    turn = {"sin": np.sin(half), "cos": np.cos(half)}
+    expected = {
+        "right_thigh": [0.0, -turn["sin"], 0.0, turn["cos"]],
+        "head": [0.0, 0.0, turn["sin"], turn["cos"]],
+        "left_upper_arm": [turn["sin"], 0.0, 0.0, turn["cos"]],
+        "right_shin": [0.0, np.sin(0.25), 0.0, np.cos(0.25)],
+        "left_shin": [0.0, np.sin(0.3), 0.0, np.cos(0.3)],
+        "right_lower_arm": [0.0, np.sin(-0.35), 0.0, np.cos(0.35)],
+        "left_lower_arm": [0.0, np.sin(-0.4), 0.0, np.cos(0.4)],
+        "right_hand": [0.0, 0.0, 0.0, 1.0],
+        "left_thigh": [0.0, 0.0, 0.0, 1.0],
+    }
+    for body, quaternion in expected.items():
+        np.testing.assert_allclose(rotation(body), quaternion, atol=1e-12, err_msg=body)
+    # A hip that turns to the front lifts the shin forward: 0.4 rad about -y.
+    positions, _ = clip.global_poses()
+    knee = positions[1, clip.body_names.index("right_shin")]
+    hip = positions[1, clip.body_names.index("right_thigh")]
+    swing = 0.421546 * np.array([np.sin(0.4), 0.0, -np.cos(0.4)])
+    np.testing.assert_allclose(knee - hip, swing, atol=1e-6)
+
+
+def test_hands_and_what_they_hold_keep_their_zero_pose(humanoid: Skeleton, armed: Skeleton) -> None:
+    plain = deepmimic.clip_from_deepmimic(walk(), humanoid, "walk")
+    clip = deepmimic.clip_from_deepmimic(walk(), armed, "walk")
+    assert clip.body_names == armed.body_names
+    for body, name in enumerate(armed.body_names):
+        if name in humanoid.body_names:
+            of_plain = plain.local_rotation[:, humanoid.body_names.index(name)]
+            np.testing.assert_array_equal(clip.local_rotation[:, body], of_plain, err_msg=name)
+        else:
+            assert name in ("sword", "shield")
+            assert (clip.local_rotation[:, body] == [0.0, 0.0, 0.0, 1.0]).all(), name
+
+
+def test_clip_below_the_ground_is_lifted_by_a_constant(humanoid: Skeleton, caplog) -> None:
+    data = {"Frames": [frame(height=0.85), frame(height=0.80), frame(height=0.95)]}
+    with caplog.at_level(logging.INFO):
+        clip = deepmimic.clip_from_deepmimic(data, humanoid, "walk")
+    lift = SOLE_DEPTH_M - 0.80
+    expected = np.array([0.85, 0.80, 0.95]) + lift
+    np.testing.assert_allclose(clip.root_translation[:, 2], expected, atol=1e-6)
+    assert "walk: lifted by 0.081 m" in caplog.text
+
+
+def test_unequal_durations_are_resampled(humanoid: Skeleton, caplog) -> None:
+    times_s = [0.0, 0.1, 0.2, 0.4, 0.5]
+    rows = [frame(x=t) for t in times_s]
+    for row, duration in zip(rows, [0.1, 0.1, 0.2, 0.1, 0.0], strict=True):
+        row[0] = duration
+    for row, t in zip(rows, times_s, strict=True):
+        row[20] = -t  # the right knee bends by 1 rad/s
+    with caplog.at_level(logging.INFO):
+        clip = deepmimic.clip_from_deepmimic({"Frames": rows}, humanoid, "walk")
+    # 0.5 s in steps of the usual 0.1 s.
+    assert clip.fps == pytest.approx(10.0)
+    even = np.arange(6) / 10.0
+    np.testing.assert_allclose(clip.root_translation[:, 0], even, atol=1e-12)
+    knee = clip.local_rotation[:, clip.body_names.index("right_shin")]
+    np.testing.assert_allclose(2.0 * np.arcsin(knee[:, 1]), even, atol=1e-12)
+    assert "resampled to 10.00 Hz" in caplog.text
+
+
+def _with(column: int, value: float) -> dict:
+    data = walk()
+    data["Frames"][1][column] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"Loop": "wrap"}, "expected 'Frames' with rows of 44 numbers; found the keys Loop"),
+        ({"Frames": [[0.1] * 43] * 3}, "rows of 44 numbers"),
+        ({"Frames": [[0.1] * 44, [0.1] * 43]}, "rows of 44 numbers"),
+        ({"Frames": [frame()]}, "holds 1 frame"),
+        (_with(0, 0.0), "frame 1 lasts 0 s"),
+        (_with(2, float("nan")), "NaN or infinite"),
+        (_with(16, 0.1), "'right_thigh' are no quaternions"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path: Path, humanoid, data: dict, message: str) -> None:
+    path = tmp_path / "clip.txt"
+    path.write_text(json.dumps(data))
+    with pytest.raises(MotionFileError, match=message) as raised:
+        deepmimic.load_deepmimic(path, humanoid)
+    assert str(raised.value).startswith(str(path))
+
+
+def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> None:
+    path = tmp_path / "clip.txt"
+    for text, message in (("walk!", "no JSON text"), ("[1]", "a JSON list")):
+        path.write_text(text)
+        with pytest.raises(MotionFileError, match=message):
+            deepmimic.load_deepmimic(path, humanoid)
+
+
+def test_body_without_the_joints_is_refused(tiny: Skeleton) -> None:
+    with pytest.raises(MotionFileError, match=r"bodies that this humanoid has not: .*torso"):
+        deepmimic.clip_from_deepmimic(walk(), tiny, "walk")
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("pybullet_data") is None, reason="pybullet_data is not installed"
+)
+def test_real_walk_goes_forward_on_the_ground(humanoid: Skeleton) -> None:
+    ((clip, _),) = load_clips("deepmimic:walk")
+    assert clip.num_frames == 39
+    forward_m = clip.root_translation[-1, 0] - clip.root_translation[0, 0]
+    assert forward_m == pytest.approx(1.24, abs=0.01)
+    positions, turns = clip.global_poses()
+    lowest_m = kinematics.lowest_point_height(
+        humanoid.foot_body_ids, humanoid.foot_corners, positions, turns
+    )
+    assert lowest_m == pytest.approx(0.0, abs=1e-9)
+    # 1.24 m in 38 frames of 1/30 s.
+    assert clip.linear_velocity_w[:, 0, 0].mean() == pytest.approx(0.98, abs=0.02)
+    # One foot is always on the ground: an ankle, 0.05 m above its sole, stays below 0.1 m even
+    # when the foot rolls over heel or toes.
+    assert positions[:, [11, 14], 2].min(axis=1).max() < 0.1
+    # Knees bend to the back (+y), elbows to the front (-y).
+    assert (clip.local_rotation[:, [10, 13], 1] > 0.0).all()
+    assert (clip.local_rotation[:, [4, 7], 1] < 0.0).all()

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
+from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
+from isaacgymenvs_lite.run import ImitationObserver
+from isaacgymenvs_lite.run.imitation import clip_spread_m
+
+
+class TimedImitation(ImitationObserver):
+    """An evaluation that takes `cost_s` of the fake clock."""
+
+    def __init__(self, clock: Any, result: EvaluationResult, frequency: int, cost_s: float) -> None:
+        super().__init__(lambda num_envs: None, frequency, 16)
+        self.clock, self.result, self.cost_s = clock, result, cost_s
+        self.evaluated_at: list[float] = []
+
+    def _evaluate(self) -> EvaluationResult:
+        self.clock.now_s += self.cost_s
+        self.evaluated_at.append(self.clock.now_s)
+        return self.result
+
+
+def train(observer: TimedImitation, agent: Any, epochs: int, epoch_s: float) -> None:
+    """Epochs of a given length; after each the share of the time is within the budget."""
+    observer.after_init(agent)
+    start_s = observer.clock.now_s
+    for epoch in range(1, epochs + 1):
+        observer.clock.now_s += epoch_s
+        observer.after_print_stats(1000 * epoch, epoch, 0.0)
+        count = len(observer.evaluated_at)
+        spent_s = count * observer.cost_s
+        trained_s = observer.clock.now_s - start_s - spent_s
+        # What the first one costs is not known before.
+        assert count <= 1 or spent_s <= 0.02 * trained_s + 1e-6, epoch
+
+
+def test_cheap_evaluations_come_every_so_many_epochs(clock, agent, result):
+    observer = TimedImitation(clock, result, 10, 0.1)
+    train(observer, agent, epochs=100, epoch_s=2.0)
+    assert len(observer.evaluated_at) == 10
+    tags = agent.writer.scalars
+    assert tags["imitation/pose_error_m"][0] == (10_000, 0.123)
+    assert [x for x, _ in tags["imitation/pose_error_m"]] == list(range(10_000, 101_000, 10_000))
+    assert tags["imitation/no_fall_share"][0] == (10_000, 0.9)
+    assert tags["imitation/tempo"][0] == (10_000, 1.02)
+    assert tags["imitation/episode_steps"][0] == (10_000, 90.5)
+    assert observer.last is result
+    assert observer.last_frame == 100_000
+
+
+def test_dear_evaluations_are_put_off(clock, agent, result):
+    observer = TimedImitation(clock, result, 10, 5.0)
+    train(observer, agent, epochs=1000, epoch_s=1.0)
+    # one per 250 s of training, the first one after 10 epochs
+    assert 3 <= len(observer.evaluated_at) <= 5
+
+
+def test_an_evaluation_that_was_put_off_comes_as_soon_as_it_may(clock, agent, result):
+    observer = TimedImitation(clock, result, 100, 3.0)
+    train(observer, agent, epochs=350, epoch_s=1.0)
+    # after 100 s; due again after 200, allowed after 300: 6 s of 300
+    after_s = [at - 100.0 for at in observer.evaluated_at]
+    assert after_s[0] == pytest.approx(103.0)
+    assert after_s[1] == pytest.approx(300.0 + 3.0 + 3.0, abs=1.0)
+
+
+def test_frequency_zero_means_never(clock, agent, result):
+    observer = TimedImitation(clock, result, 0, 0.0)
+    train(observer, agent, epochs=50, epoch_s=100.0)
+    assert observer.evaluated_at == []
+    assert agent.writer.scalars == {}
+
+
+def test_a_task_without_references_has_no_pose_error(clock, agent, result):
+    observer = TimedImitation(clock, result, 1, 0.0)
+    observer._evaluate = lambda: EvaluationResult(16, 100.0, 90.5, None, None)
+    train(observer, agent, epochs=1, epoch_s=1.0)
+    assert set(agent.writer.scalars) == {"imitation/episode_steps"}
+
+
+def test_spread_is_the_mean_distance_from_the_average_pose():
+    # body 1 at x = 0 and 0.4 m, the root at the origin: 0.2 m and 0 m from the average
+    moving = torch.tensor([[[0.0, 0, 0], [0.0, 0, 0]], [[0.0, 0, 0], [0.4, 0, 0]]])
+    assert clip_spread_m(ReferencePoses([moving])) == pytest.approx(0.1)
+
+
+def test_a_clip_that_stands_still_has_no_spread_and_decides():
+    moving, standing = torch.rand(5, 2, 3), torch.ones(4, 2, 3)
+    assert clip_spread_m(ReferencePoses([moving, standing])) == 0.0

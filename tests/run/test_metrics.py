@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.run import EpochMetrics, MetricsObserver
+
+
+@pytest.fixture
+def figures(agent) -> MetricsObserver:
+    observer = MetricsObserver()
+    observer.after_init(agent)
+    return observer
+
+
+def end(observer: MetricsObserver, rows: list[int], **infos: list[int]) -> None:
+    """A step of four environments after which the episodes of `rows` have ended."""
+    flags = {name: torch.tensor(values) for name, values in infos.items()}
+    # rl_games gives done indices as a column
+    observer.process_infos(flags, torch.tensor(rows, dtype=torch.int64).view(-1, 1))
+
+
+def test_figures_of_an_epoch(figures, agent):
+    agent.game_lengths.update(torch.tensor([[100.0], [110.0]]))
+    agent.game_rewards.update(torch.tensor([[5.0], [6.0]]))
+    end(figures, [0, 2], terminate=[1, 1, 0, 0], time_outs=[0, 0, 1, 0])
+    assert figures.latest is None
+    figures.after_print_stats(16000, 3, 12.5)
+    latest = figures.latest
+    assert latest == EpochMetrics(3, 16000, 105.0, 5.5, 0.5, agent.train_info)
+    assert latest is not None
+    assert latest.style_reward == 0.4567
+    assert latest.disc_accuracy == pytest.approx(0.8)
+    assert agent.writer.scalars == {
+        "info/fall_rate": [(16000, 0.5)],
+        "info/disc_acc": [(16000, pytest.approx(0.8))],
+    }
+
+
+def test_before_the_first_episode_has_ended_nothing_is_said_of_episodes(figures, agent):
+    end(figures, [], terminate=[0, 0, 0, 0])
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest == EpochMetrics(1, 16000, train_info=agent.train_info)
+    assert set(agent.writer.scalars) == {"info/disc_acc"}
+
+
+def test_the_last_episodes_count_as_in_the_mean_length(figures, agent):
+    """Of three episodes that are tracked, two are newer."""
+    end(figures, [0, 1, 2], terminate=[1, 1, 1, 0])
+    end(figures, [0, 3], terminate=[0, 1, 1, 0])
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate == pytest.approx(1 / 3)
+
+
+def test_without_terminate_what_is_no_time_out_is_a_fall(figures):
+    end(figures, [0, 1], time_outs=[1, 0, 0, 0])
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate == 0.5
+
+
+def test_a_task_that_tells_neither_has_no_fall_rate(figures):
+    end(figures, [0, 1], other=[1, 0, 0, 0])
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate is None
+
+
+def test_falls_are_forgotten_with_the_agents_meters(figures):
+    end(figures, [0, 1], terminate=[1, 1, 0, 0])
+    figures.after_clear_stats()
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate is None
+
+
+def test_an_agent_without_a_discriminator(figures, agent, monkeypatch):
+    monkeypatch.delattr(type(agent), "train_info_means")
+    figures.after_print_stats(16000, 1, 12.5)
+    latest = figures.latest
+    assert latest == EpochMetrics(1, 16000)
+    assert latest is not None
+    assert latest.style_reward is None
+    assert latest.disc_accuracy is None
+    assert agent.writer.scalars == {}

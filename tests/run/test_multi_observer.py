@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rl_games.common.algo_observer import AlgoObserver
+
+from isaacgymenvs_lite.run import MultiObserver
+
+
+def test_calls_reach_all_observers_in_order():
+    heard = []
+
+    class Listener(AlgoObserver):
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.name = name
+
+        def before_init(self, *args: Any) -> None:
+            heard.append((self.name, "before_init", args))
+
+        def after_init(self, *args: Any) -> None:
+            heard.append((self.name, "after_init", args))
+
+        def process_infos(self, *args: Any) -> None:
+            heard.append((self.name, "process_infos", args))
+
+        def after_steps(self) -> None:
+            heard.append((self.name, "after_steps", ()))
+
+        def after_clear_stats(self) -> None:
+            heard.append((self.name, "after_clear_stats", ()))
+
+        def after_print_stats(self, *args: Any) -> None:
+            heard.append((self.name, "after_print_stats", args))
+
+    class Deaf(AlgoObserver):
+        """rl_games' base class has no after_clear_stats."""
+
+    both = MultiObserver([Listener("a"), Deaf(), Listener("b")])
+    calls = {
+        "before_init": ("run", {}, "name"),
+        "after_init": ("algo",),
+        "process_infos": ({"x": 1}, torch.tensor([0])),
+        "after_steps": (),
+        "after_clear_stats": (),
+        "after_print_stats": (10, 2, 3.0),
+    }
+    for name, args in calls.items():
+        getattr(both, name)(*args)
+    assert heard == [(who, name, args) for name, args in calls.items() for who in ("a", "b")]

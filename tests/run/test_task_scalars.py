@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.run import TaskScalarsObserver
+
+
+@pytest.fixture
+def task_scalars(agent) -> TaskScalarsObserver:
+    observer = TaskScalarsObserver()
+    observer.after_init(agent)
+    return observer
+
+
+NOBODY = torch.zeros(0, 1, dtype=torch.int64)
+
+
+def test_scalars_of_infos_are_written_over_three_axes(task_scalars, agent):
+    infos = {
+        "diverged": 3,
+        "rate": torch.tensor(0.25),
+        "time_outs": torch.zeros(4),  # no scalar
+        "reward": {"style": 0.5, "parts": {"feet": 2}},
+        "names": "text",
+    }
+    task_scalars.process_infos({"diverged": 1}, NOBODY)
+    task_scalars.process_infos(infos, NOBODY)
+    task_scalars.after_print_stats(1000, 7, 12.5)
+    expected = {"diverged": 3.0, "rate": 0.25, "reward/style": 0.5, "reward/parts/feet": 2.0}
+    assert agent.writer.scalars == {
+        f"{key}/{axis}": [(x, value)]
+        for key, value in expected.items()
+        for axis, x in (("frame", 1000), ("iter", 7), ("time", 12.5))
+    }
+
+
+def test_means_of_finished_episodes(task_scalars, agent):
+    task_scalars.process_infos({"episode": {"height": torch.tensor([1.0, 2.0])}}, NOBODY)
+    task_scalars.process_infos({"episode": {"height": torch.tensor(6.0)}}, NOBODY)
+    task_scalars.after_print_stats(1000, 7, 12.5)
+    assert agent.writer.scalars == {"Episode/height": [(7, 3.0)]}
+    # and they are forgotten
+    task_scalars.process_infos({"episode": {"height": 5.0}}, NOBODY)
+    task_scalars.after_print_stats(2000, 8, 13.0)
+    assert agent.writer.scalars["Episode/height"][1:] == [(8, 5.0)]
+
+
+def test_sums_over_episodes(task_scalars, agent):
+    def step(values: list[float], done: list[int]) -> None:
+        ids = torch.tensor(done, dtype=torch.int64).view(-1, 1)  # as rl_games gives them
+        task_scalars.process_infos({"episode_cumulative": {"work": torch.tensor(values)}}, ids)
+
+    step([1.0, 10.0], [])
+    step([2.0, 20.0], [0])  # environment 0: 3
+    step([4.0, 40.0], [1])  # environment 1: 70
+    step([8.0, 80.0], [0, 1])  # 12 and 80
+    task_scalars.after_print_stats(1000, 7, 12.5)
+    # of the last three episodes: 70, 12, 80
+    assert agent.writer.scalars == {
+        "episode_cumulative/work": [(1000, 54.0)],
+        "episode_cumulative_min/work_min": [(1000, 12.0)],
+        "episode_cumulative_max/work_max": [(1000, 80.0)],
+    }
+
+
+def test_what_the_task_gave_is_not_changed(task_scalars):
+    given = torch.tensor([1.0, 2.0])
+    for _ in range(3):
+        task_scalars.process_infos({"episode_cumulative": {"work": given}}, torch.tensor([[0]]))
+    assert given.tolist() == [1.0, 2.0]
+
+
+def test_infos_must_be_a_dictionary(task_scalars):
+    with pytest.raises(TypeError, match="list"):
+        task_scalars.process_infos([], NOBODY)

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import pytest
+
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.policies import main
+
+
+def test_a_checkpoint_is_packed(full_checkpoint, shipped_dir, caplog):
+    with caplog.at_level("INFO"):
+        assert main(["pack", f"checkpoint={full_checkpoint}", "name=tiny"]) == 0
+    assert shipped_policies() == {"tiny": shipped_dir / "tiny.pth"}
+    assert "tiny.pth: HumanoidAMP of walk.npz" in caplog.text
+    assert "MiB" in caplog.text
+
+
+def test_the_newest_checkpoint_is_packed_into_another_folder(full_checkpoint, tmp_path):
+    runs = full_checkpoint.parents[2]
+    words = ["pack", "checkpoint=last", f"runs={runs}", "name=tiny", f"out={tmp_path / 'mine'}"]
+    assert main(words) == 0
+    assert (tmp_path / "mine" / "tiny.pth").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["checkpoint=none.pth", "name=a"], "no file"),
+        (["checkpoint=''", "name=a"], "checkpoint= is empty"),
+        (["name=a"], "'checkpoint' is missing"),
+        (["checkpiont=a.pth"], "did you mean 'checkpoint'"),
+        (["a.pth"], "expected key=value"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(words, message, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["pack", *words])
+    assert caught.value.code == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("error: ")
+    assert message in shown
+    assert shown.count("\n") == 1

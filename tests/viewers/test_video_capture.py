@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.viewers.video_capture import VideoCapture
+from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from tests.viewers.conftest import assert_is_a_video, frames_of
+
+# Base files that are not meant to run.
+TASKS = sorted(
+    {path.stem for path in (cfg_dir() / "task").glob("*.yaml")}
+    - {"Classic", "HumanoidRandomization"}  # what other files share
+)
+
+
+def play(env, capture: VideoCapture, num_steps: int) -> None:
+    env.listeners.append(capture)
+    generator = torch.Generator().manual_seed(1)
+    env.reset()
+    for _ in range(num_steps):
+        if env.resets_on_request:
+            env.reset_done()
+        env.step(2.0 * torch.rand(env.num_envs, env.num_actions, generator=generator) - 1.0)
+    capture.close()
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_can_be_filmed(task, make_env, tmp_path):
+    env = make_env(f"task={task}", *(["train=" + task] if "SAC" in task else []), "num_envs=2")
+    capture = VideoCapture(env, VideoWriter(), tmp_path, every=100, length=12)
+    play(env, capture, 12)
+    (path,) = tmp_path.iterdir()
+    frames, rate = frames_of(path)
+    assert rate == pytest.approx(1.0 / env.simulation.dt, rel=1e-3)
+    assert_is_a_video(frames, 12)
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+def test_films_begin_every_so_many_steps(make_env, tmp_path):
+    env = make_env("task=Cartpole", "num_envs=2")
+    play(env, VideoCapture(env, VideoWriter(), tmp_path, every=5, length=3), 12)
+    assert names(tmp_path) == [f"rl-video-step-{step}.mp4" for step in (0, 10, 5)]
+    lengths = {path.stem[-2:]: len(frames_of(path)[0]) for path in tmp_path.iterdir()}
+    assert lengths == {"-0": 3, "-5": 3, "10": 2}  # the last one was cut short by the end
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+def test_an_older_film_stays(make_env, tmp_path):
+    env = make_env("task=Cartpole", "num_envs=1")
+    for _ in range(2):
+        play(env, VideoCapture(env, VideoWriter(), tmp_path, every=9, length=2), 2)
+    assert names(tmp_path) == ["rl-video-step-0-2.mp4", "rl-video-step-0.mp4"]
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+def test_several_environments_are_tiles_of_one_picture(make_env, tmp_path):
+    env = make_env("task=Ant", "num_envs=4")
+    play(env, VideoCapture(env, VideoWriter(), tmp_path, every=99, length=4, num_envs=3), 4)
+    frames, _ = frames_of(next(tmp_path.iterdir()))
+    assert frames.shape == (4, 120, 160, 3)
+    tiles = [frames[3, y : y + 60, x : x + 80] for y in (0, 60) for x in (0, 80)]
+    assert [bool(tile.mean() > 60) for tile in tiles] == [True, True, True, False]
+    assert np.abs(tiles[0].astype(int) - tiles[1]).max() > 60  # another ant
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+@pytest.mark.parametrize("follow", [True, False])
+def test_the_camera_follows_if_it_is_asked_to(follow, make_env, tmp_path, walk_clip):
+    env = make_env(
+        *("task=HumanoidAMP", "num_envs=1", f"task.env.motion_file={walk_clip}"),
+        f"task.env.cameraFollow={follow}",
+    )
+    capture = VideoCapture(env, VideoWriter(), tmp_path, every=99, length=2)
+    capture.after_step()
+    roots = env.simulation.root_states.clone()
+    roots[:, 0] += 5.0
+    states = (roots, env.simulation.dof_pos.clone(), env.simulation.dof_vel.clone())
+    env.simulation.write_state(torch.tensor([0]), *states)
+    capture.after_step()
+    capture.close()
+    frames, _ = frames_of(next(tmp_path.iterdir()))
+    middle = frames[1, 40:100, 65:95].astype(int)
+    coloured = (middle.max(axis=2) - middle.min(axis=2) > 70).mean()
+    assert (coloured > 0.1) == follow
+
+
+def test_too_many_films_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
+    env = make_env("task=Cartpole", "num_envs=1")
+    video_writer = VideoWriter()
+    monkeypatch.setattr(VideoWriter, "_work", lambda self: None)  # a drawer that never draws
+    capture = VideoCapture(env, video_writer, tmp_path, every=1, length=1)
+    for _ in range(20):
+        capture.after_step()
+    capture.close()
+    assert [record.levelname for record in caplog.records].count("WARNING") == 1
+    assert "raise capture_video_freq" in caplog.text
+
+
+@pytest.mark.usefixtures("gl", "small_pictures")
+def test_a_film_that_cannot_be_written_ends_nothing(make_env, tmp_path, caplog):
+    env = make_env("task=Cartpole", "num_envs=1")
+    play(env, VideoCapture(env, VideoWriter(), tmp_path / "gone", every=9, length=2), 3)
+    assert "cannot write the video" in caplog.text

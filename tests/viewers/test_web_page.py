@@ -1,0 +1,146 @@
+"""The page: served where it is asked for, shown by a headless Chromium where there is one."""
+
+from __future__ import annotations
+
+import gc
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.scene import SceneRenderer
+from isaacgymenvs_lite.rendering.view import View
+from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
+from tests.viewers.browser import CHROMIUM, Browser
+
+
+def test_a_port_in_use_is_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"viewer_port={port}: cannot listen") as caught:
+            check_page("localhost", port)
+    assert "\n" not in str(caught.value)
+    check_page("localhost", port)  # free again
+
+
+def test_another_machines_address_is_one_line():
+    with pytest.raises(ConfigError, match=r"cannot listen at 192\.0\.2\.1"):
+        check_page("192.0.2.1", 0)
+
+
+@pytest.fixture
+def page(make_env, walk_clip):
+    env = make_env("task=HumanoidAMP", "num_envs=2", f"task.env.motion_file={walk_clip}")
+    env.reset()
+    env.reset_done()
+    page = WebPage(env, "localhost", 0, real_time=True)
+    env.listeners.append(page)
+    return page
+
+
+def play(env, seconds: float) -> int:
+    """Let an untrained policy twitch; return the steps."""
+    generator, steps = torch.Generator().manual_seed(0), 0
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        env.reset_done()
+        env.step(0.5 * torch.randn(env.num_envs, env.num_actions, generator=generator))
+        steps += 1
+    return steps
+
+
+def test_the_page_is_served_on_this_machine_only(page, capsys):
+    with urllib.request.urlopen(page.url) as answer:
+        assert b"<html" in answer.read().lower()
+    port = int(page.url.split(":")[-1].strip("/"))
+    family = socket.AF_INET6
+    with socket.socket(family) as other, pytest.raises(OSError):
+        other.connect(("::1", port))
+    assert gc.get_freeze_count() > 0  # the page's thread leaves alone what others made
+    assert page.keeps_playing
+    page.close()
+    assert not page.keeps_playing
+    assert gc.get_freeze_count() == 0
+    page.close()
+    with pytest.raises(OSError):
+        urllib.request.urlopen(page.url, timeout=2)
+    assert capsys.readouterr().out == ""
+
+
+def test_the_task_is_no_faster_than_what_it_simulates(page):
+    env = page._env
+    play(env, 0.3)
+    assert play(env, 1.0) <= 1.0 / env.simulation.dt + 2
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+def test_a_browser_shows_the_character_and_its_ghost(page, tmp_path):
+    with Browser(tmp_path / "profile", page.url) as browser:
+        for _ in range(20):
+            play(page._env, 1.0)
+            image = browser.screenshot()
+            if is_drawn(image):
+                break
+        assert is_drawn(image)
+        before = browser.screenshot()
+        play(page._env, 1.0)
+        assert (np.abs(browser.screenshot().astype(int) - before) > 30).any(axis=2).mean() > 0.002
+    assert len(page._page.beside.geoms) >= 15  # the ghost has as many bodies
+    assert {round(float(geom.rgba[3]), 2) for geom in page._page.beside.geoms} == {0.35}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+def test_the_colours_are_those_of_videos(page, gl, tmp_path):
+    model, qpos = page._env.simulation.model, page._read_pose(0)
+    with Browser(tmp_path / "profile", page.url) as browser:
+        for _ in range(20):
+            play(page._env, 1.0)
+            shown = browser.screenshot()
+            if is_drawn(shown):
+                break
+    height, width = shown[:-40].shape[:2]  # without the line of status
+    with SceneRenderer(model, width, height, view=View.of_model(model)) as renderer:
+        filmed = renderer.draw(qpos)
+    for row in (10, height - 10):  # sky, floor
+        for column in (20, width - 20):
+            off = shown[row, column].astype(int) - filmed[row, column]
+            assert np.abs(off).max() < 45, (row, column, shown[row, column], filmed[row, column])
+
+
+def test_a_play_goes_on_until_ctrl_c(tmp_path):
+    words = ["task=Cartpole", "test=True", "num_envs=2", "viewer=web", "viewer_port=0"]
+    words += ["num_threads=1", "+train.params.config.player.games_num=2"]
+    command = [sys.executable, str(Path(__file__).parents[2] / "train.py"), *words]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        said = ""
+        while "playing on" not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        assert "played 2 episodes" in said
+        (url,) = re.findall(r"http://\S+", said)
+        time.sleep(0.5)
+        with urllib.request.urlopen(url) as answer:
+            assert b"<html" in answer.read().lower()
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        assert process.wait(timeout=30) == 0, rest
+    assert "Traceback" not in rest
+
+
+def is_drawn(image: np.ndarray) -> bool:
+    """Whether something coloured, such as the character, is in the picture."""
+    pixels = image[:-40].astype(int)  # without the line of status
+    return bool((pixels.max(axis=2) - pixels.min(axis=2) > 70).mean() > 0.005)
