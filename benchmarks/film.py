@@ -1,0 +1,112 @@
+"""Films a trained policy for a page, without a display.
+
+    python -m benchmarks.film TARGET --out FILE.webp [key=value ...]
+        [--seconds 3] [--skip 0] [--envs 1] [--runs-dir runs/benchmarks]
+
+The target is a checkpoint, a run folder or an experiment, as for `benchmarks.evaluate`; of several
+policies the first is filmed. Mean actions, one panel for each environment. A policy that imitates
+is filmed beside its clip, from the same phase on. `--out` ends in .webp or .mp4. Shipped policies
+are filmed by `python -m isaacgymenvs_lite.demo`. Extra: [video].
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.played import find_targets
+from benchmarks.protocol import SEED, play_checkpoint
+from benchmarks.runs import DEFAULT_RUNS_DIR
+from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder
+from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.viewers.reference_track import reference_track
+
+PANEL = (400, 300)
+"""Width and height of a panel, pixels; half as wide where there are several."""
+MAX_FPS = 20.0
+"""Above it every second picture is left out, and so on: the file stays small."""
+
+
+def film(
+    player: Any, env: Any, out: Path, seconds: float, skip_seconds: float, num_shown: int
+) -> Path:
+    """Play one episode in each environment and write what the first ones show.
+
+    Args:
+        player: has `act(obs)`.
+        env: the task that it plays.
+        out: a .webp or .mp4 file.
+        seconds: length of the film; shorter if all episodes end before.
+        skip_seconds: not shown, at the beginning.
+        num_shown: environments.
+
+    Raises:
+        UserError: this machine cannot draw or encode, or the file cannot be written.
+    """
+    first, steps = round(skip_seconds / env.dt), max(1, round(seconds / env.dt))
+    recorder = PoseRecorder(env, first + steps, range(num_shown))
+    observe = getattr(player, "on_step", None)
+
+    def on_step(dones: Any, infos: Any) -> None:
+        recorder.step()
+        if observe is not None:
+            observe(dones, infos)
+
+    evaluate(env, player.act, env.num_envs, on_step=on_step)
+    tracks = recorder.tracks()
+    labels: tuple[str, ...] = ()
+    markers = recorder.markers()
+    if num_shown == 1 and hasattr(env, "motion_lib") and not any(any(shown) for shown in markers):
+        tracks.insert(0, reference_track(env, tracks[0]))
+        labels, markers = ("reference clip", "policy"), []
+    stride = -(-round(1.0 / env.dt) // round(MAX_FPS))
+    width, height = PANEL
+    images = draw_tracks(
+        env.simulation.model,
+        [track[first::stride] for track in tracks],
+        labels,
+        markers=markers[first::stride],
+        width=width if len(tracks) == 1 else width // 2,
+        height=height,
+    )
+    return save_video(out, images, 1.0 / (env.dt * stride))
+
+
+def main(words: list[str] | None = None) -> None:
+    """Play and film."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("what", nargs="+", help="a checkpoint, run folder or experiment; overrides")
+    parser.add_argument("--out", type=Path, required=True, help="the file, .webp or .mp4")
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--skip", type=float, default=0.0, help="seconds not shown, at the start")
+    parser.add_argument("--envs", type=int, default=1, help="environments to show")
+    parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
+    parser.add_argument("--seed", type=int, default=SEED)
+    args = parser.parse_intermixed_args(words)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    fixed = {
+        "num_envs": args.envs,
+        "task.env.numEnvs": args.envs,
+        "task.task.randomize": False,
+    }
+    try:
+        _, checkpoint = find_targets(args.what, args.runs_dir)[0]
+        path = play_checkpoint(
+            checkpoint,
+            lambda player, env: film(player, env, args.out, args.seconds, args.skip, args.envs),
+            fixed,
+            args.seed,
+            overrides=tuple(word for word in args.what if "=" in word),
+        )
+    except UserError as error:
+        sys.exit(f"error: {error}")
+    print(f"wrote {path}, {path.stat().st_size / 1024:.0f} KiB")
+
+
+if __name__ == "__main__":
+    main()
