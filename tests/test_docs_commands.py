@@ -74,6 +74,7 @@ EXTRAS = {
     "isaacgymenvs_lite.motion.strip": "docs",
     "isaacgymenvs_lite.motion.synthesis": "synthesis",
     "benchmarks.curves": "docs",
+    "benchmarks.film": "video",
     "capture_video=True": "video",
     "wandb_activate=True": "wandb",
 }
