@@ -24,6 +24,7 @@ from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.viewers.reference_track import reference_track
 
 PANEL = (400, 300)
@@ -58,21 +59,23 @@ def film(
             observe(dones, infos)
 
     evaluate(env, player.act, env.num_envs, on_step=on_step)
-    tracks = recorder.tracks()
+    model = env.simulation.model
+    tracks, markers = recorder.tracks(), recorder.markers()
     labels: tuple[str, ...] = ()
-    markers = recorder.markers()
-    if num_shown == 1 and hasattr(env, "motion_lib") and not any(any(shown) for shown in markers):
+    has_clips = hasattr(env, "motion_lib")
+    if has_clips and num_shown == 1 and not any(any(shown) for shown in markers):
         tracks.insert(0, reference_track(env, tracks[0]))
         labels, markers = ("reference clip", "policy"), []
     stride = -(-round(1.0 / env.dt) // round(MAX_FPS))
     width, height = PANEL
     images = draw_tracks(
-        env.simulation.model,
+        model,
         [track[first::stride] for track in tracks],
         labels,
         markers=markers[first::stride],
         width=width if len(tracks) == 1 else width // 2,
         height=height,
+        view=None if has_clips else View.of_model(model),
     )
     return save_video(out, images, 1.0 / (env.dt * stride))
 
