@@ -72,7 +72,7 @@ EXTRAS = {
     "isaacgymenvs_lite.export": "export",
     "isaacgymenvs_lite.motion.plot": "docs",
     "isaacgymenvs_lite.motion.strip": "docs",
-    "isaacgymenvs_lite.motion.synthesis": "synthesis",
+    "tools.clip_synthesis": "retarget",
     "benchmarks.curves": "docs",
     "capture_video=True": "video",
     "wandb_activate=True": "wandb",
@@ -338,7 +338,7 @@ def test_a_wrong_command_is_found(command):
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_modules_that_are_named_can_be_run(page):
     for module in re.findall(
-        r"python -m ((?:isaacgymenvs_lite|benchmarks)[\w.]*)", without_fences(page)
+        r"python -m ((?:isaacgymenvs_lite|benchmarks|tools)[\w.]*)", without_fences(page)
     ):
         path = ROOT.joinpath(*module.split("."))
         assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module

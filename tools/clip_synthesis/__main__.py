@@ -1,4 +1,4 @@
-"""Makes the clips that ship: python -m isaacgymenvs_lite.motion.synthesis [--out DIR]."""
+"""Makes the clips that ship: python -m tools.clip_synthesis [--out DIR]."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import shipped_motions_dir
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, clip_names, make_clip
-from isaacgymenvs_lite.motion.synthesis.generate import MODEL
-from isaacgymenvs_lite.motion.synthesis.report import cycle_figures, describe, figures, overview
+from tools.clip_synthesis.catalogue import GAIT_CLIPS, clip_names, make_clip
+from tools.clip_synthesis.generate import MODEL
+from tools.clip_synthesis.report import cycle_figures, describe, figures, overview
 
 _log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
         The exit code.
     """
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.synthesis",
+        prog="python -m tools.clip_synthesis",
         description="Makes the clips that ship and measures them.",
     )
     parser.add_argument(

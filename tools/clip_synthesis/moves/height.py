@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.com_plan import GRAVITY
-from isaacgymenvs_lite.motion.synthesis.moves.move import Hop
+from tools.clip_synthesis.com_plan import GRAVITY
+from tools.clip_synthesis.moves.move import Hop
 
 _REACH_S = 0.12  # the height looks this far ahead and back for a leg that is stretched
 

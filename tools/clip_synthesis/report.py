@@ -8,7 +8,7 @@ import torch
 
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, model_checks
+from tools.clip_synthesis import checks, model_checks
 from isaacgymenvs_lite.utils import rotations
 
 # The columns of the overview: what is measured, and the heading that has room there.

@@ -9,26 +9,26 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.model_checks import outside
-from isaacgymenvs_lite.motion.synthesis.moves.balance import plan_com, pressure_path
-from isaacgymenvs_lite.motion.synthesis.moves.contacts import (
+from tools.clip_synthesis.cycle import smoothstep
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.model_checks import outside
+from tools.clip_synthesis.moves.balance import plan_com, pressure_path
+from tools.clip_synthesis.moves.contacts import (
     Contact,
     FootTrack,
     arc,
     plan_feet,
 )
-from isaacgymenvs_lite.motion.synthesis.moves.height import (
+from tools.clip_synthesis.moves.height import (
     highest,
     hop_height,
     quintic,
     smooth_below,
 )
-from isaacgymenvs_lite.motion.synthesis.moves.move import Move, Steps
-from isaacgymenvs_lite.motion.synthesis.moves.move_data import MIRRORED, MOVES
-from isaacgymenvs_lite.motion.synthesis.moves.path import ease, follow
-from isaacgymenvs_lite.motion.synthesis.moves.plan import MovePlan
+from tools.clip_synthesis.moves.move import Move, Steps
+from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
+from tools.clip_synthesis.moves.path import ease, follow
+from tools.clip_synthesis.moves.plan import MovePlan
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, dynamics, model_checks
+from tools.clip_synthesis import checks, dynamics, model_checks
 
 SOLE_BELOW_ROOT_M = 0.421546 + 0.40987 + 0.05
 
@@ -44,7 +44,7 @@ def turned(clip: MotionClip, body: int, axis: int, angles_rad: np.ndarray) -> Mo
 
 
 def test_soles_of_the_zero_pose(humanoid: Skeleton) -> None:
-    corners = checks.sole_corners(standing(humanoid, root_path()), humanoid)
+    corners = humanoid.sole_corners(*standing(humanoid, root_path()).global_poses())
     assert corners.shape == (6, 2, 4, 3)
     # Box centre (0.045, 0, -0.0225), half sizes (0.0885, 0.045, 0.0275), hip 0.084887 aside.
     np.testing.assert_allclose(corners[..., 2], 0.0, atol=1e-9)

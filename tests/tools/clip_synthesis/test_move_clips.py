@@ -13,10 +13,10 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions, shipped_motions_dir
 from isaacgymenvs_lite.motion.mirror import mirror_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, model_checks
-from isaacgymenvs_lite.motion.synthesis.catalogue import clip_names
-from isaacgymenvs_lite.motion.synthesis.moves.move_data import MIRRORED, MOVES
-from isaacgymenvs_lite.motion.synthesis.report import turn_rad
+from tools.clip_synthesis import checks, model_checks
+from tools.clip_synthesis.catalogue import clip_names
+from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
+from tools.clip_synthesis.report import turn_rad
 
 DATASET = "locomotion"
 MAX_BYTES = 1_500_000
@@ -84,7 +84,7 @@ def test_ground_never_pulls(clip: MotionClip, humanoid: Skeleton, model: mujoco.
     assert force[:, 2].max() < 2.6
     # The feet would slip with a friction of 1 where the force leans by more than 45 degrees.
     aside = np.hypot(force[:, 0], force[:, 1])
-    standing = checks.sole_corners(clip, humanoid)[1:-1, ..., 2].min(axis=(1, 2)) < 1e-3
+    standing = humanoid.sole_corners(*clip.global_poses())[1:-1, ..., 2].min(axis=(1, 2)) < 1e-3
     assert (aside - np.maximum(force[:, 2], 0.3))[standing].max() < 0.0
 
 
@@ -169,7 +169,7 @@ def test_standing_ends_stand_still() -> None:
 
 def test_jump_flies_freely(humanoid: Skeleton, model: mujoco.MjModel) -> None:
     clip = shipped("jump")
-    low = checks.sole_corners(clip, humanoid)[..., 2].min(axis=(1, 2))
+    low = humanoid.sole_corners(*clip.global_poses())[..., 2].min(axis=(1, 2))
     flying = low > checks.CONTACT_HEIGHT_M
     # Frames with a neighbour on the ground see part of its force.
     inside = flying[1:-1] & flying[2:] & flying[:-2]

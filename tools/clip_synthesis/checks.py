@@ -57,7 +57,7 @@ class FootFigures:
 
 def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
     """Measure the feet of a clip on flat ground at z = 0."""
-    corners = sole_corners(clip, skeleton)
+    corners = skeleton.sole_corners(*clip.global_poses())
     height = corners[..., 2]
     touching = height < CONTACT_HEIGHT_M
     on_ground: npt.NDArray[np.bool_] = np.asarray(touching.any(axis=-1))
@@ -75,20 +75,6 @@ def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
         double_support_share=float(on_ground.all(axis=1).mean()),
         swing_clearance_m=_clearance(lowest, on_ground),
     )
-
-
-def sole_corners(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
-    """Return the world positions (T, 2, 4, 3) m of the lower corners of right and left foot."""
-    positions, turns = clip.global_poses()
-    feet = []
-    for name in ("right_foot", "left_foot"):
-        body = skeleton.body_names.index(name)
-        corners = skeleton.foot_corners[[owner == body for owner in skeleton.foot_body_ids]]
-        corners = torch.from_numpy(corners[corners[:, 2] == corners[:, 2].min()])
-        turn = torch.from_numpy(turns[:, body])[:, None].expand(-1, len(corners), -1)
-        offset = rotations.quat_apply(turn, corners.expand(len(turn), -1, -1))
-        feet.append(positions[:, body, None] + offset.numpy())
-    return np.stack(feet, axis=1)
 
 
 def dof_positions(clip: MotionClip, skeleton: Skeleton) -> FloatArray:

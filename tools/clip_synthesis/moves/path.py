@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
-from isaacgymenvs_lite.motion.synthesis.moves.move import Knots
+from tools.clip_synthesis.cycle import smoothstep
+from tools.clip_synthesis.moves.move import Knots
 
 _STEP_S = 1.0 / 480.0
 

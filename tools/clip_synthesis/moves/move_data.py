@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from isaacgymenvs_lite.motion.synthesis.moves.move import Carriage, Hop, Move, Steps
+from tools.clip_synthesis.moves.move import Carriage, Hop, Move, Steps
 
 _STAND = Move(
     name="stand",

@@ -9,7 +9,7 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, dynamics
+from tools.clip_synthesis import checks, dynamics
 
 _LEAST_FORCE = 0.25  # body weights; below it the centre of pressure is arbitrary
 _FLAT = 1e-12  # m^2: corners in one line, up to rounding
@@ -50,7 +50,7 @@ def pressure_outside(
     up = np.where(carried, force[:, 2], np.nan)
     x = com[:, 0] - (com[:, 2] * force[:, 0] + moment[:, 1]) / up
     y = com[:, 1] - (com[:, 2] * force[:, 1] - moment[:, 0]) / up
-    corners = checks.sole_corners(clip, skeleton).reshape(clip.num_frames, -1, 3)
+    corners = skeleton.sole_corners(*clip.global_poses()).reshape(clip.num_frames, -1, 3)
     # A foot that lands or leaves touches in one of the frames that the differences are taken of.
     low = corners[..., 2] < near_m
     low = low[:-2] | low[1:-1] | low[2:]

@@ -9,10 +9,10 @@ import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.moves.contacts import SIDES, FootTrack
-from isaacgymenvs_lite.motion.synthesis.moves.move import Carriage
-from isaacgymenvs_lite.motion.synthesis.moves.path import Path, ease
-from isaacgymenvs_lite.motion.synthesis.posture import compose, turn
+from tools.clip_synthesis.moves.contacts import SIDES, FootTrack
+from tools.clip_synthesis.moves.move import Carriage
+from tools.clip_synthesis.moves.path import Path, ease
+from tools.clip_synthesis.posture import compose, turn
 from isaacgymenvs_lite.utils import rotations
 
 _CALM_S = 0.12  # the trunk and the arms follow the feet through a bell of this half width

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis import dynamics
-from isaacgymenvs_lite.motion.synthesis.com_plan import ComPlan, plan_com
-from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
-from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
-from isaacgymenvs_lite.motion.synthesis.stance import Stance
+from tools.clip_synthesis import dynamics
+from tools.clip_synthesis.com_plan import ComPlan, plan_com
+from tools.clip_synthesis.cycle import PeriodicCurve
+from tools.clip_synthesis.foot_plan import FootPlan
+from tools.clip_synthesis.stance import Stance
 
 _HIP_HARMONICS = 10
 _HEIGHT_STEPS = 4  # of the search for the height; each leaves a tenth of the error or less

@@ -13,11 +13,11 @@ import pytest
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.synthesis import __main__ as command
-from isaacgymenvs_lite.motion.synthesis import solve
-from isaacgymenvs_lite.motion.synthesis.catalogue import GAIT_CLIPS, make_clip
-from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS
-from isaacgymenvs_lite.motion.synthesis.generate import generate
+from tools.clip_synthesis import __main__ as command
+from tools.clip_synthesis import solve
+from tools.clip_synthesis.catalogue import GAIT_CLIPS, make_clip
+from tools.clip_synthesis.gait_data import GAITS
+from tools.clip_synthesis.generate import generate
 
 
 @pytest.mark.parametrize("name", [*GAIT_CLIPS, "jump", "walk_right"])
@@ -47,7 +47,7 @@ def test_unknown_clip_is_refused() -> None:
 
 def test_missing_mink_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[synthesis\]"):
+    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[retarget\]"):
         solve.PoseSolver(mujoco.MjModel.from_xml_string("<mujoco/>"), ())
 
 

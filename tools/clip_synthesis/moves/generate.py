@@ -10,16 +10,16 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import dynamics
-from isaacgymenvs_lite.motion.synthesis.assemble import clip_from_poses, foot_frames
-from isaacgymenvs_lite.motion.synthesis.generate import MODEL
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.moves.contacts import SIDES
-from isaacgymenvs_lite.motion.synthesis.moves.move import Move
-from isaacgymenvs_lite.motion.synthesis.moves.plan import MovePlan
-from isaacgymenvs_lite.motion.synthesis.moves.posture import target_rotations
-from isaacgymenvs_lite.motion.synthesis.posture import set_leg
-from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
+from tools.clip_synthesis import dynamics
+from tools.clip_synthesis.assemble import clip_from_poses, foot_frames
+from tools.clip_synthesis.generate import MODEL
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.moves.contacts import SIDES
+from tools.clip_synthesis.moves.move import Move
+from tools.clip_synthesis.moves.plan import MovePlan
+from tools.clip_synthesis.moves.posture import target_rotations
+from tools.clip_synthesis.posture import set_leg
+from tools.clip_synthesis.solve import PoseSolver
 
 FPS = 30
 _PASSES = 4

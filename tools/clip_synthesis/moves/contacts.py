@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.com_plan import GRAVITY
-from isaacgymenvs_lite.motion.synthesis.cycle import hermite, smoothstep
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.moves.move import Hop, Move, Steps
-from isaacgymenvs_lite.motion.synthesis.moves.path import Path
+from tools.clip_synthesis.com_plan import GRAVITY
+from tools.clip_synthesis.cycle import hermite, smoothstep
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.moves.move import Hop, Move, Steps
+from tools.clip_synthesis.moves.path import Path
 
 Place = tuple[float, float, float]
 """x and y in m, yaw in rad."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve, hermite
-from isaacgymenvs_lite.motion.synthesis.stance import Stance
+from tools.clip_synthesis.cycle import PeriodicCurve, hermite
+from tools.clip_synthesis.stance import Stance
 
 _EARLY = 0.75  # below 1: the extra lift of the foot comes before the middle of the swing
 _RATE_STEP = 1e-4  # of a cycle, for numerical rates

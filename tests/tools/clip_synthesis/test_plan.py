@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.com_plan import plan_com, vertical_load
-from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve, hermite
-from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS, Gait
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.stance import Stance
+from tools.clip_synthesis.com_plan import plan_com, vertical_load
+from tools.clip_synthesis.cycle import PeriodicCurve, hermite
+from tools.clip_synthesis.gait_data import GAITS, Gait
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.stance import Stance
 
 
 @pytest.fixture(params=["walk", "run"])

@@ -12,14 +12,14 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis.assemble import clip_from_poses, foot_frames
-from isaacgymenvs_lite.motion.synthesis.foot_plan import FootPlan
-from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.plan import plan_gait, right_hip_from_com
-from isaacgymenvs_lite.motion.synthesis.posture import set_leg, target_rotations
-from isaacgymenvs_lite.motion.synthesis.solve import PoseSolver
-from isaacgymenvs_lite.motion.synthesis.stance import Stance
+from tools.clip_synthesis.assemble import clip_from_poses, foot_frames
+from tools.clip_synthesis.foot_plan import FootPlan
+from tools.clip_synthesis.gait_data import Gait
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.plan import plan_gait, right_hip_from_com
+from tools.clip_synthesis.posture import set_leg, target_rotations
+from tools.clip_synthesis.solve import PoseSolver
+from tools.clip_synthesis.stance import Stance
 
 FPS = 60
 MODEL = "mjcf/amp_humanoid.xml"

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.com_plan import GRAVITY
-from isaacgymenvs_lite.motion.synthesis.moves.contacts import FootTrack
+from tools.clip_synthesis.com_plan import GRAVITY
+from tools.clip_synthesis.moves.contacts import FootTrack
 
 _NO_LOAD = 1e-9
 

@@ -11,8 +11,8 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.motion.synthesis import checks, model_checks
-from isaacgymenvs_lite.motion.synthesis.gait_data import GAITS, Gait
+from tools.clip_synthesis import checks, model_checks
+from tools.clip_synthesis.gait_data import GAITS, Gait
 
 
 @pytest.fixture(params=["walk", "run", "walk_slow", "walk_fast"])
@@ -47,7 +47,7 @@ def test_stance_feet_are_on_the_ground(
     gait: Gait, clip: MotionClip, cycle: int, humanoid: Skeleton
 ) -> None:
     """From the planned touch-down to the planned toe-off, whatever counts as touching."""
-    lowest = checks.sole_corners(clip, humanoid)[..., 2].min(axis=-1)
+    lowest = humanoid.sole_corners(*clip.global_poses())[..., 2].min(axis=-1)
     for foot, late in ((0, 0.0), (1, 0.5)):
         since = (np.arange(clip.num_frames) / cycle - late) % 1.0
         assert np.abs(lowest[since <= gait.duty, foot]).max() < 0.005
@@ -170,7 +170,7 @@ def test_ground_gives_what_the_gait_needs(
 
 def test_run_falls_freely_in_flight(humanoid: Skeleton, model: mujoco.MjModel) -> None:
     clip = load_clips("run")[0][0]
-    touching = checks.sole_corners(clip, humanoid)[..., 2] < checks.CONTACT_HEIGHT_M
+    touching = humanoid.sole_corners(*clip.global_poses())[..., 2] < checks.CONTACT_HEIGHT_M
     flying = np.asarray(~touching.any(axis=(1, 2)))
     # Frames with a neighbour on the ground see part of its force.
     inside = flying[1:-1] & flying[2:] & flying[:-2]

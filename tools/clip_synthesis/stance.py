@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.cycle import smoothstep
-from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
+from tools.clip_synthesis.cycle import smoothstep
+from tools.clip_synthesis.gait_data import Gait
+from tools.clip_synthesis.leg import Leg
 
 
 @dataclass(frozen=True)

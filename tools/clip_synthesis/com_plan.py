@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.cycle import PeriodicCurve
-from isaacgymenvs_lite.motion.synthesis.gait_data import Gait
-from isaacgymenvs_lite.motion.synthesis.stance import Stance
+from tools.clip_synthesis.cycle import PeriodicCurve
+from tools.clip_synthesis.gait_data import Gait
+from tools.clip_synthesis.stance import Stance
 
 GRAVITY = 9.81  # m/s^2
 _SAMPLES = 200  # per cycle; the forces are smooth on this scale

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.synthesis.leg import Leg
-from isaacgymenvs_lite.motion.synthesis.moves.balance import plan_com, pressure_path
-from isaacgymenvs_lite.motion.synthesis.moves.contacts import FootTrack, plan_feet
-from isaacgymenvs_lite.motion.synthesis.moves.height import highest, hop_height, smooth_below
-from isaacgymenvs_lite.motion.synthesis.moves.move import Move
-from isaacgymenvs_lite.motion.synthesis.moves.path import Path, follow
+from tools.clip_synthesis.leg import Leg
+from tools.clip_synthesis.moves.balance import plan_com, pressure_path
+from tools.clip_synthesis.moves.contacts import FootTrack, plan_feet
+from tools.clip_synthesis.moves.height import highest, hop_height, smooth_below
+from tools.clip_synthesis.moves.move import Move
+from tools.clip_synthesis.moves.path import Path, follow
 
 _RATE = 240  # of the plan, per second
 _HEIGHT_STEPS = 4  # of the search for the height, which closes in quickly
