@@ -8,9 +8,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis.cycle import PeriodicCurve
 from tools.clip_synthesis.gait_data import Gait
-from isaacgymenvs_lite.utils import rotations
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

@@ -8,8 +8,8 @@ import torch
 
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from tools.clip_synthesis import checks, model_checks
 from isaacgymenvs_lite.utils import rotations
+from tools.clip_synthesis import checks, model_checks
 
 # The columns of the overview: what is measured, and the heading that has room there.
 _OVERVIEW = {

@@ -9,11 +9,11 @@ import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis.moves.contacts import SIDES, FootTrack
 from tools.clip_synthesis.moves.move import Carriage
 from tools.clip_synthesis.moves.path import Path, ease
 from tools.clip_synthesis.posture import compose, turn
-from isaacgymenvs_lite.utils import rotations
 
 _CALM_S = 0.12  # the trunk and the arms follow the feet through a bell of this half width
 _CALM_SAMPLES = 9
