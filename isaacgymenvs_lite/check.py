@@ -255,10 +255,10 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 def _run_name(content: DictConfig) -> str:
     """Return the name that the runs of a train file have by default, '' if it says none."""
-    params = content.get("params")
-    config = params.get("config") if isinstance(params, DictConfig) else None
-    node = config._get_node("name") if isinstance(config, DictConfig) else None
-    text = str(node._value()) if node is not None else ""
+    written: Any = OmegaConf.to_container(content, resolve=False)
+    for key in ("params", "config", "name"):
+        written = written.get(key) if isinstance(written, dict) else None
+    text = "" if written is None else str(written)
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
 

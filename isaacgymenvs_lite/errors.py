@@ -51,6 +51,11 @@ class UnavailableError(UserError, NotImplementedError):
     """A published name can be imported, but what it does is not part of this version."""
 
 
+def one_line(error: BaseException | str) -> str:
+    """Return the message of an error on one line."""
+    return " ".join(str(error).split())
+
+
 def suggest(given: str, choices: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
     near = difflib.get_close_matches(str(given), [str(choice) for choice in choices], n=1)

@@ -25,13 +25,13 @@ from types import ModuleType
 
 import pytest
 import yaml
-from hydra._internal.utils import get_args_parser
 
 from benchmarks.experiments import find_experiment
 from isaacgymenvs_lite import command_line
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
+from isaacgymenvs_lite.config.hydra_bridge import options_parser
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
@@ -203,7 +203,7 @@ def check_python(words: Sequence[str]) -> None:
 
 def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
-    options, others = get_args_parser().parse_known_args([with_real_file(word) for word in words])
+    options, others = options_parser().parse_known_args([with_real_file(word) for word in words])
     assert not others, f"{others[0]}: no option of train.py"
     check_config(compose(complete_arguments(options.overrides), options.config_dir))
 

@@ -5,26 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 
-from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.utils import create_config_search_path
-from hydra.core.config_search_path import SearchPathQuery
-from hydra.core.utils import setup_globals
-from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
-from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, CheckedLoader
+from isaacgymenvs_lite.config.foreign_files import check_composed_tree, is_foreign
+from isaacgymenvs_lite.config.hydra_bridge import (
+    Loader,
+    NamedFiles,
+    Rules,
+    loader_of_folders,
+    program_composes_by,
+)
 from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
-from isaacgymenvs_lite.config.path_overrides import outside_files
+from isaacgymenvs_lite.config.path_overrides import FileReader, PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
-
-# 1.3, not 1.1 as IsaacGymEnvs asked for: the two differ in what cfg/config.yaml states anyway (stay
-# in the working directory, `_self_` in the defaults list), and 1.1 warns at every start.
-HYDRA_VERSION_BASE = "1.3"
 
 ANY_TRAIN_FILE = "CartpolePPO"
 """What stands for the train file of a tree of which only the task is read."""
@@ -48,13 +45,12 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
         ConfigError: a name, a key or an override is wrong; the message lists the choices.
     """
     register_resolvers()
-    setup_globals()
-    with tolerant_hydra(), _version_base(), outside_files(overrides) as named:
-        loader = make_loader(config_dir)
-        try:
-            cfg = loader.load_configuration(CONFIG_NAME, named, RunMode.RUN, from_shell=False)
-        except ComposeError as error:
-            raise explain(error, named, loader, CONFIG_NAME) from error
+    named = PathOverrides.from_words(overrides)
+    loader = make_loader(config_dir, files=named.files)
+    try:
+        cfg = loader.compose(named.words)
+    except ComposeError as error:
+        raise explain(error, named.words, loader) from error
     with open_dict(cfg):
         del cfg["hydra"]
     return cfg
@@ -82,14 +78,21 @@ def compose_task(
 
 
 def make_loader(
-    config_dir: Path | str | None = None, config_path: Path | str | None = None
-) -> ConfigLoaderImpl:
-    """Return Hydra's loader over our cfg/ (or `config_path`), then `config_dir` if given.
+    config_dir: Path | str | None = None,
+    config_path: Path | str | None = None,
+    files: NamedFiles = MappingProxyType({}),
+) -> Loader:
+    """Return a loader over our cfg/ (or `config_path`), then `config_dir` if given.
+
+    Args:
+        config_dir: a folder with further task/ and train/ files.
+        config_path: a folder in place of cfg/.
+        files: see `PathOverrides`.
 
     Raises:
         ConfigError: `config_dir` is no folder.
     """
-    search_path = create_config_search_path(str(config_path or cfg_dir()))
+    folder = None
     if config_dir is not None:
         folder = Path(config_dir).resolve()
         if not folder.is_dir():
@@ -97,19 +100,15 @@ def make_loader(
                 f"the configuration folder '{config_dir}' does not exist; "
                 "expected a folder that holds task/ and train/"
             )
-        search_path.prepend(
-            provider="config_dir", path=f"file://{folder}", anchor=SearchPathQuery("schema", None)
-        )
-    return CheckedLoader(config_search_path=search_path)
+    return loader_of_folders(_rules(), files, config_path or cfg_dir(), first=folder)
 
 
 @contextmanager
-def _version_base() -> Iterator[None]:
-    """Compose by the rules of our Hydra version, whatever the surrounding program has chosen."""
-    holder = version.VersionBase.instance()
-    former = holder.version_base
-    version.setbase(HYDRA_VERSION_BASE)
-    try:
+def checked_program(files: NamedFiles) -> Iterator[None]:
+    """Let Hydra's program, `hydra.main`, compose as `compose` does as long as the context lasts."""
+    with program_composes_by(_rules(), files):
         yield
-    finally:
-        holder.version_base = former
+
+
+def _rules() -> Rules:
+    return Rules(FileReader(), is_foreign, check_composed_tree)

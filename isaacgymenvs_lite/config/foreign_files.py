@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import os.path
 import re
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePath
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError
-from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
-from omegaconf.grammar_parser import parse
 
+from isaacgymenvs_lite.config.expansion import check_expansion
+from isaacgymenvs_lite.config.hydra_bridge import Override, parse_interpolations
 from isaacgymenvs_lite.config.resolvers import RESOLVERS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
@@ -27,6 +28,7 @@ from isaacgymenvs_lite.yaml_text import printable
 
 _HYDRA = "hydra"
 _TARGET = "_target_"
+_TRAIN_DIR = "train.params.config.train_dir"
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
 # The section `hydra` of a root file of IsaacGymEnvs. It says what ours says.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
@@ -93,6 +95,30 @@ def check_composed_file(
         _check_entry(entry, path, is_root=not own)
 
 
+def check_composed_tree(
+    cfg: DictConfig, overrides: Sequence[Override], changes_hydra: bool
+) -> None:
+    """Check a composed tree that files of somebody else are part of.
+
+    Args:
+        cfg: the tree.
+        overrides: of the command line, which may say more than files.
+        changes_hydra: the section `hydra` is not what cfg/config.yaml and the overrides make it.
+
+    Raises:
+        ConfigError: a file has changed Hydra's section, chosen where a training writes, or has
+            interpolations without end.
+    """
+    if changes_hydra:
+        raise ConfigError(
+            "a configuration file from outside cfg/ changes the section 'hydra', which"
+            " decides what is run; remove that from the file (docs/foreign_files.md)"
+        )
+    check_expansion(cfg)
+    if not any(_sets_train_dir(word) for word in overrides):
+        _check_train_dir(cfg)
+
+
 def check_interpolation(text: str, where: str) -> None:
     """Check that a text leads to other settings only, through functions that do nothing else.
 
@@ -112,13 +138,12 @@ def check_interpolation(text: str, where: str) -> None:
             f" ${{resolver:...}} and no other $"
         )
     try:
-        tree = parse(text)
-        names = set(_resolver_names(tree))
+        found = parse_interpolations(text)
     except (GrammarParseError, RecursionError) as error:
         raise _refusal(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
-    if _has_made_up_key(tree):
+    if found.has_composed_path:
         raise _refusal(f"{where}: '{text}' makes up the path that it leads to; write it out")
-    for name in sorted(names - set(RESOLVERS)):
+    for name in sorted(set(found.resolvers) - set(RESOLVERS)):
         raise _refusal(
             f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
             f" expected a path in the configuration or one of {', '.join(sorted(RESOLVERS))};"
@@ -190,18 +215,27 @@ def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
     return True
 
 
-def _has_made_up_key(tree: Any, inside: bool = False) -> bool:
-    """Return whether an interpolation's path is put together of others: ${a.${b}}."""
-    if inside and isinstance(tree, OmegaConfGrammarParser.InterpolationContext):
-        return True
-    inside = inside or isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
-    children = getattr(tree, "children", None) or ()
-    return any(_has_made_up_key(child, inside) for child in children)
+def _sets_train_dir(word: Override) -> bool:
+    """Return whether an override chooses where runs are written."""
+    is_above = f"{_TRAIN_DIR}.".startswith(f"{word.key_or_group}.")
+    return word.key_or_group == _TRAIN_DIR or (is_above and isinstance(word.value(), dict))
 
 
-def _resolver_names(tree: Any) -> Iterator[str]:
-    """Yield the names of the resolvers in a parsed text; one that is put together, as written."""
-    if isinstance(tree, OmegaConfGrammarParser.ResolverNameContext):
-        yield tree.getText()
-    for child in getattr(tree, "children", None) or ():
-        yield from _resolver_names(child)
+def _check_train_dir(cfg: DictConfig) -> None:
+    """Check that a train file from outside lets its runs stay below the working folder.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    section, _, key = _TRAIN_DIR.rpartition(".")
+    config = OmegaConf.select(cfg, section)
+    if not isinstance(config, DictConfig) or key not in config:
+        return
+    written: Any = OmegaConf.to_container(config, resolve=False)
+    value = written[key]
+    path = PurePath(value) if isinstance(value, str) else None
+    if path is None or path.is_absolute() or ".." in path.parts or "$" in path.as_posix():
+        raise ConfigError(
+            f"{_TRAIN_DIR}: the train file chooses {value!r}, outside of the working folder;"
+            f" if that is what you want, say so yourself: {_TRAIN_DIR}={value}"
+        )

@@ -143,12 +143,17 @@ def _check_sections(cfg: DictConfig) -> None:
         "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
         "train.params": "a train file starts with params:",
     }
+    tree = OmegaConf.to_container(cfg, resolve=False)
     for path, hint in hints.items():
         section, _, key = path.rpartition(".")
-        parent = cfg._get_node(section)
-        present = list(parent) if isinstance(parent, DictConfig) else []
+        present = _keys_below(tree, section)
         if key not in present:
-            raise missing_key(key, dict.fromkeys(map(str, present)), [key], section, hint)
+            raise missing_key(key, dict.fromkeys(present), [key], section, hint)
+
+
+def _keys_below(tree: Any, section: str) -> list[str]:
+    below = tree.get(section)
+    return [str(key) for key in below] if isinstance(below, dict) else []
 
 
 def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
