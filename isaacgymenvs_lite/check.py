@@ -25,7 +25,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
 from isaacgymenvs_lite.config.foreign_files import is_foreign
-from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.published_names import (
     longest_task,
@@ -37,6 +36,7 @@ from isaacgymenvs_lite.config.published_names import (
 from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.train_params import (
+    apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
     prepare_train_params,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import secrets
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 # Sections below the root, which others read.
 _SECTIONS = ("task", "train", "pbt")
+_SEED_OF_DETERMINISTIC_RUNS = 42
+_RANDOM_SEEDS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +137,19 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     env = tree["task"]["env"] or {}
     read_section(_EnvSize, env, where="task.env", ignored=set(env) - {"numEnvs"})
     return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
+
+
+def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
+    """Return the seed of the process `rank`.
+
+    A `seed` of -1 asks for any: 42 + rank in a deterministic run, else one drawn from [0, 10000),
+    independently of the state of all generators. Any other seed is shifted by the rank.
+    """
+    if seed != -1:
+        return seed + rank
+    if torch_deterministic:
+        return _SEED_OF_DETERMINISTIC_RUNS + rank
+    return secrets.randbelow(_RANDOM_SEEDS)
 
 
 def _check_sections(cfg: DictConfig) -> None:

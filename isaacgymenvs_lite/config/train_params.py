@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config.isaac_lab import SECTION as ISAAC_LAB_SECTION
-from isaacgymenvs_lite.config.minibatch import fit_minibatch
-from isaacgymenvs_lite.config.network_settings import check_network, scale_units
-from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.config.rl_games_settings import (
+    ENV_NAME,
+    PPO_OTHER_KEYS,
+    SAC_OTHER_KEYS,
+    PPOSettings,
+    SACSettings,
+    check_network,
+    scale_units,
+)
 from isaacgymenvs_lite.config.run_names import read_run_name
-from isaacgymenvs_lite.config.run_settings import ENV_NAME
-from isaacgymenvs_lite.config.sac_settings import OTHER_KEYS as SAC_OTHER_KEYS
-from isaacgymenvs_lite.config.sac_settings import SACSettings
 from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
 from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
 
@@ -26,10 +29,14 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T", PPOSettings, SACSettings)
 
 _WHERE = "train.params"
+# Section of `train.params` in Isaac Lab's train files: the limits that its wrapper keeps.
+_ISAAC_LAB_SECTION = "env"
+# Key of that section -> key of task.env.
+_LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
 _PARAMS_KEYS = frozenset(
     (
         *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
-        *("torch_threads", ISAAC_LAB_SECTION),
+        *("torch_threads", _ISAAC_LAB_SECTION),
     )
 )
 # A word in a name -> algorithm, model and network of its family; the first that is found counts.
@@ -122,6 +129,25 @@ def prepare_train_params(
     _check_ppo_keys(config, names.config_keys)
     _fit_minibatches(config, num_envs, num_agents, recurrent)
     return params
+
+
+def apply_wrapper_limits(cfg: DictConfig) -> None:
+    """Let the task keep the limits of `train.params.env`, in place.
+
+    Raises:
+        ConfigError: a limit is no positive number.
+    """
+    section = OmegaConf.select(cfg, f"train.params.{_ISAAC_LAB_SECTION}")
+    if not isinstance(section, DictConfig):
+        return
+    for key, task_key in _LIMITS.items():
+        value = section.get(key)
+        if value is None:
+            continue
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or value <= 0:
+            path = f"train.params.{_ISAAC_LAB_SECTION}.{key}"
+            raise ConfigError(f"{path}: got {value!r}, expected a number above 0")
+        OmegaConf.update(cfg, f"task.env.{task_key}", float(value), force_add=True)
 
 
 def checkpoint_in_file(cfg: DictConfig) -> str:
@@ -275,7 +301,7 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
 def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
     where = f"{_WHERE}.config"
-    settings = _check_keys(PPOSettings, config, OTHER_KEYS | set(agent_keys))
+    settings = _check_keys(PPOSettings, config, PPO_OTHER_KEYS | set(agent_keys))
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"
         raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
@@ -371,3 +397,34 @@ def _fit_minibatch(
         if batch % wish == 0:
             reason = f"is no multiple of seq_length {sequence}"
         _log.info("%sminibatch_size %d %s: using %d", label, wish, reason, size)
+
+
+def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
+    """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
+
+    A minibatch larger than the batch becomes the batch.
+
+    >>> fit_minibatch(1024, 32768)
+    1024
+    >>> fit_minibatch(1000, 300)  # 250 is 1.2 times smaller, 500 is 1.67 times larger
+    250
+
+    Args:
+        batch_size: samples of an epoch, at least 1.
+        minibatch_size: the wish, at least 1.
+        multiple_of: the result is a multiple of this (sequence length of a recurrent network).
+
+    Raises:
+        ValueError: `multiple_of` does not divide `batch_size`.
+    """
+    if batch_size % multiple_of:
+        raise ValueError(f"{multiple_of} does not divide the batch of {batch_size}")
+    candidates = [divisor for divisor in _divisors(batch_size) if divisor % multiple_of == 0]
+    return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
+
+
+def _divisors(number: int) -> Iterator[int]:
+    for divisor in range(1, math.isqrt(number) + 1):
+        if number % divisor == 0:
+            yield divisor
+            yield number // divisor

@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.train import main
 
 __all__ = ["launch_rlg_hydra", "preprocess_train_config"]

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from isaacgymenvs_lite.config.network_settings import check_network, scale_units
+from isaacgymenvs_lite.config.rl_games_settings import check_network, scale_units
 from isaacgymenvs_lite.errors import ConfigError
 
 LAYERS = {"units": [8, 4], "activation": "relu", "initializer": {"name": "default"}}
