@@ -40,16 +40,16 @@ T = TypeVar("T", bound="DataclassInstance")
 Field = dataclasses.Field[Any]
 
 # Two keys at least this alike (difflib's ratio), and of nearly the same length, are taken for one
-# key and a slip of the finger. The length tells `disc_weight_decay` from `weight_decay`.
+# key, misspelt. The length keeps `disc_weight_decay` apart from `weight_decay`.
 _MISSPELT_RATIO = 0.8
 _MISSPELT_LENGTH = 3
-# A required key is missing anyway, so a looser resemblance is still worth a question.
+# A required key is missing anyway, so a looser resemblance is still worth naming.
 _SIMILAR_RATIO = 0.6
 
 # Whole numbers up to here are exact as floats, too; nothing here counts further.
 _MAX_WHOLE = 2**53
-# Unread keys that the log has named: a section may be read for several environments.
-_reported: set[str] = set()
+LOGGED_KEYS: set[str] = set()
+"""Unread keys that the log of this process has named: each is logged once."""
 
 
 def setting(
@@ -110,8 +110,8 @@ def read_section(
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
         mapping: plain or OmegaConf; None counts as empty.
         where: path of the section, for messages: "task.env"; "" for the root.
-        ignored: keys that somebody else reads, or that are known to be read by nothing.
-        complete: the section comes with all its keys, so that any near-miss is a slip.
+        ignored: keys that other code reads, or that nothing reads on purpose.
+        complete: the section has all its keys, so that any similar key is misspelt.
 
     Raises:
         ConfigError: a value has a wrong type or is out of range, a required key is missing, or an
@@ -149,8 +149,8 @@ def check_unknown_keys(
 ) -> None:
     """Refuse keys of `values` that look like misspelt ones; log the other unknown ones.
 
-    A near-miss whose correct form is present as well is taken for another key and only logged,
-    unless `values` is `complete`, that is, has the correct forms anyway.
+    A key similar to a known one that is also present counts as another key and is only logged,
+    unless `values` is `complete`.
 
     Raises:
         ConfigError: an unknown key looks like a misspelt one.
@@ -172,16 +172,16 @@ def check_unknown_keys(
                 "correct or remove it"
             )
         unread.append(_join(where, str(key)))
-    unread = [path for path in unread if path not in _reported]
+    unread = [path for path in unread if path not in LOGGED_KEYS]
     if unread:
-        _reported.update(unread)
+        LOGGED_KEYS.update(unread)
         _log.warning("nothing reads %s", ", ".join(unread))
 
 
 def missing_key(
     key: str, values: Mapping[str, Any], known: Iterable[str], where: str, hint: str
 ) -> ConfigError:
-    """Return the error for an absent required key, with the unknown key that may stand for it."""
+    """Return the error for an absent required key, with the unknown key that may be meant."""
     known = set(known)
     near = nearest(key, [str(other) for other in values if other not in known], _SIMILAR_RATIO)
     instead = f" (is '{near}' meant for it?)" if near is not None else ""

@@ -1,8 +1,8 @@
-"""YAML text as plain values, read with limits: it may come from anybody.
+"""Reads YAML text as plain values, with limits: anybody may have written it.
 
 PyYAML's safe loader runs no code, but a small text can take all memory (aliases of aliases), end in
 a RecursionError (deep nesting) or hold numbers that no other part of a program can use. Tags are
-refused as well: the files of this family need none.
+refused as well: no file here needs one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MAX_BYTES = 2**20
 """The longest published configuration file has 12 kB."""
 MAX_DEPTH = 64
 MAX_VALUES = 20_000
-"""Keys, values, lists and mappings, with each alias counted as what it stands for."""
+"""Keys, values, lists and mappings; an alias counts as often as it is used."""
 
 _MAX_INT = 2**63 - 1
 _MAX_INT_LENGTH = 32
@@ -168,7 +168,7 @@ def _check_size(node: yaml.Node, sizes: dict[int, int], max_values: int) -> int:
     """
     known = sizes.get(id(node))
     if known == 0:
-        raise _LimitError("an alias stands inside of what it is an alias of")
+        raise _LimitError("an alias is inside of what it is an alias of")
     if known is not None:
         return known
     sizes[id(node)] = 0

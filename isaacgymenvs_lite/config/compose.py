@@ -1,4 +1,4 @@
-"""From a list of overrides to the composed configuration tree, without a command line."""
+"""Composes the configuration tree from a list of overrides, without a command line."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
 ANY_TRAIN_FILE = "CartpolePPO"
-"""What stands for the train file of a tree of which only the task is read."""
+"""The train file of trees of which only the task is read."""
 
 
 def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
-    It leaves Hydra's global state alone, so it may be called inside a running Hydra job, whose own
-    choices of task and train file have no influence on the result.
+    Hydra's global state is as before afterwards, so this may be called inside a running Hydra job;
+    the job's task and train file have no influence on the result.
 
     Args:
         overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
@@ -59,10 +59,9 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
 def compose_task(
     task: str, overrides: Sequence[str] = (), config_dir: Path | str | None = None
 ) -> DictConfig:
-    """Compose the tree of a task that another library's agent trains on; see `compose`.
+    """Compose the tree of a task that an agent of another library trains on; see `compose`.
 
-    A tree has a train file, and not every task one of its own: one is taken that there always is,
-    and nothing of it is read.
+    Not every task has a train file. The tree gets one that always exists; nothing reads it.
 
     Args:
         task: name of a task file.

@@ -1,11 +1,11 @@
-"""What a YAML file from outside the project's own cfg/ may hold.
+"""Checks YAML files from outside the project's own cfg/, which other people may have written.
 
 Hydra's own section of a configuration is as powerful as a program: callbacks, launchers, sweepers
 and log handlers are Python names that it imports and calls, `job.env_set` sets variables, and
-`run.dir` says where to write. All of that belongs to cfg/config.yaml and to the command line. A
-file that somebody else wrote describes a task or an agent and nothing more, so everything that
-leads from there to Hydra's section, or to a name that is imported, or to a secret of this machine,
-is refused when the file is read. docs/foreign_files.md has the list for users.
+`run.dir` chooses where to write. All of that belongs to cfg/config.yaml and to the command line. A
+file of somebody else may describe a task or an agent and nothing more. Everything in it that leads
+to Hydra's section, to an imported name or to a secret of this machine is refused when it is read.
+docs/foreign_files.md has the list for users.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _HYDRA = "hydra"
 _TARGET = "_target_"
 _TRAIN_DIR = "train.params.config.train_dir"
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
-# The section `hydra` of a root file of IsaacGymEnvs. It says what ours says.
+# The section `hydra` of a root file of IsaacGymEnvs; ours has the same values.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
 _HARMLESS_LOGGING = ("hydra/job_logging", "hydra/hydra_logging")
 _NO_LOGGING = ("none", "disabled")
 # Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
 _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
-# No value may hold a dollar sign of its own: put together with a brace, it would be an
-# interpolation that nobody has checked, as soon as a resolved tree becomes a configuration again.
+# No value may hold a lone dollar sign: joined with a brace, it would be an unchecked interpolation
+# as soon as a resolved tree becomes a configuration again.
 _LONE_DOLLAR = re.compile(r"\$(?!\{)|\\\$")
 _MAX_INTERPOLATION_LENGTH = 2000
 _MAX_INTERPOLATIONS = 32
@@ -65,7 +65,7 @@ def check_composed_file(
 ) -> None:
     """Check a file of somebody else that Hydra merges into a configuration.
 
-    A root file may say what IsaacGymEnvs' says of Hydra.
+    A root file may have the section `hydra` of IsaacGymEnvs' root file.
 
     Args:
         content: of the file.
@@ -87,7 +87,7 @@ def check_composed_file(
     if group.split("/")[0] == _HYDRA:
         raise _refusal(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
     settings = content
-    if not own and _says_only(content.get(_HYDRA, {}), _HARMLESS):
+    if not own and _has_only(content.get(_HYDRA, {}), _HARMLESS):
         settings = {key: value for key, value in content.items() if key != _HYDRA}
     check_foreign_file(settings, path)
     defaults = content.get("defaults", [])
@@ -102,7 +102,7 @@ def check_composed_tree(
 
     Args:
         cfg: the tree.
-        overrides: of the command line, which may say more than files.
+        overrides: of the command line, which may set more than files.
         changes_hydra: the section `hydra` is not what cfg/config.yaml and the overrides make it.
 
     Raises:
@@ -201,7 +201,7 @@ def is_logging_entry(entry: Any) -> bool:
     return str(key).removeprefix("override ") in _HARMLESS_LOGGING and value in _NO_LOGGING
 
 
-def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
+def _has_only(section: Any, allowed: dict[str, Any]) -> bool:
     """Return whether a section has no other keys and values than `allowed`."""
     if not isinstance(section, dict):
         return False
@@ -209,7 +209,7 @@ def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
         if key not in allowed:
             return False
         expected = allowed[key]
-        same = _says_only(value, expected) if isinstance(expected, dict) else value == expected
+        same = _has_only(value, expected) if isinstance(expected, dict) else value == expected
         if not same:
             return False
     return True

@@ -1,7 +1,7 @@
 """All that this package uses of Hydra and OmegaConf beyond what they document, in one module.
 
 pyproject.toml keeps both in a narrow range of versions; when one of them changes, this is the file
-to mend. It knows nothing of the rules for files of other people: `Rules` brings them along.
+to mend. The rules for files of other people are not here: callers pass them as `Rules`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from isaacgymenvs_lite.paths import cfg_dir
 __all__ = ["Override"]
 
 CONFIG_NAME = "config"
-# 1.3, not 1.1 as IsaacGymEnvs asked for: the two differ in what cfg/config.yaml states anyway (stay
-# in the working directory, `_self_` in the defaults list), and 1.1 warns at every start.
+# IsaacGymEnvs chose 1.1, which warns at every start. The two differ in what cfg/config.yaml states
+# anyway: stay in the working directory, `_self_` in the defaults list.
 HYDRA_VERSION_BASE = "1.3"
 
 NamedFiles = Mapping[str, Mapping[str, Path]]
@@ -171,8 +171,8 @@ class Rules:
     Attributes:
         read_file: reads a file of a group, '' for a root file.
         is_foreign: returns whether a file is not this project's own.
-        check_tree: checks a tree with foreign files in it: the tree, the overrides, and whether a
-            file has changed the section `hydra`.
+        check_tree: checks a tree with foreign files in it. Its arguments are the tree, the
+            overrides, and whether a file has changed the section `hydra`.
     """
 
     read_file: Callable[[Path, str], ComposedFile]
@@ -181,7 +181,7 @@ class Rules:
 
 
 def read_header(text: str, path: Path) -> dict[str, str | None]:
-    """Return what the comments at the top of a file's text say to Hydra; `package` is always there.
+    """Return the comments for Hydra at the top of a file's text; `package` is always among them.
 
     Raises:
         ConfigError: they cannot be read.
@@ -269,7 +269,7 @@ class Loader(ConfigLoaderImpl):
 
     Args:
         rules: of the files.
-        files: found before those of all folders.
+        files: these come before the files of all folders.
         config_search_path: Hydra's, see `loader_of_folders`.
     """
 
@@ -321,8 +321,8 @@ class Loader(ConfigLoaderImpl):
     ) -> DictConfig:
         """Compose a tree; Hydra's program calls this.
 
-        What came out is compared with what cfg/config.yaml and the command line give alone. That is
-        the second line of defence, whichever way a file has changed Hydra's section.
+        Hydra's section is compared with the one that cfg/config.yaml and the command line give
+        alone: the second line of defence, whichever way a file has changed it.
 
         Raises:
             ConfigError: defaults lists run in a circle, or the rules refuse the tree.

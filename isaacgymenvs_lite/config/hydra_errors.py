@@ -155,6 +155,6 @@ def _leaf_paths(section: dict[Any, Any], path: str = "") -> Iterator[str]:
 
 
 def _quoted(text: str) -> str | None:
-    """Return the first part of `text` that stands in single quotes."""
+    """Return the first part of `text` in single quotes."""
     parts = text.split("'")
     return parts[1] if len(parts) >= 3 else None

@@ -1,4 +1,4 @@
-"""The keys of cfg/config.yaml: types, limits, and what this version can do with them."""
+"""Checks the keys of cfg/config.yaml: types, limits, and whether this version supports them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RANDOM_SEEDS = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
-    """The root of the configuration tree, checked; None stands for a '' that means "not given"."""
+    """The checked root of the configuration tree; None replaces a '' that means "not given"."""
 
     task_name: str = setting()
     """Class of the task."""
@@ -61,7 +61,7 @@ class LaunchSettings:
     headless: bool = setting(True)
     """False opens a window."""
     force_render: bool = setting(True)
-    """Show every step in a window; False: only when the task is asked to render."""
+    """Show every step in a window; False: only when the task renders."""
     viewer: str = setting("", choices=("", "web"))
     """`web` serves a page that shows environment 0."""
     viewer_port: int = setting(8080, minimum=0, maximum=65535)
@@ -70,7 +70,7 @@ class LaunchSettings:
     """Where the page is served; 0.0.0.0 for all addresses of the machine."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
-    """Environment steps from the start of one video to that of the next."""
+    """Environment steps from the start of one video to the start of the next."""
     capture_video_len: int = setting(100, minimum=1)
     """Environment steps of a video."""
     capture_video_envs: int = setting(1, minimum=1)
@@ -110,7 +110,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     may be a GPU, after everything that needs no torch.
 
     Raises:
-        ConfigError: a key is missing, unknown or has a wrong value, or asks for a lacking feature.
+        ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
         DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
     _check_sections(cfg)
@@ -127,7 +127,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
             " checkpoint=, or remove it (training draws latents at random)"
         )
-    # The physics runs on the CPU wherever it is asked to run; the task says so in the log.
+    # The physics runs on the CPU whatever sim_device is; the task logs that.
     check_device_name(settings.sim_device, "sim_device")
     rl_device = None if postponed else check_device(settings.rl_device, "rl_device")
     tree = _resolve_tree(cfg)
@@ -142,7 +142,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
     """Return the seed of the process `rank`.
 
-    A `seed` of -1 asks for any: 42 + rank in a deterministic run, else one drawn from [0, 10000),
+    A `seed` of -1 means any: 42 + rank in a deterministic run, else one drawn from [0, 10000),
     independently of the state of all generators. Any other seed is shifted by the rank.
     """
     if seed != -1:
@@ -178,11 +178,11 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
     Raises:
         ConfigError: such a feature is switched on.
     """
-    asked = {
+    switches = {
         "multi_gpu": (settings.multi_gpu, "data-parallel training"),
         "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
     }
-    for key, (value, feature) in asked.items():
+    for key, (value, feature) in switches.items():
         if value:
             raise ConfigError(
                 f"{key}={value}: {feature} is not implemented in this version; set {key}=False"

@@ -1,8 +1,8 @@
-"""Task and train files that are named by their path: `train=/path/to/AntPPO.yaml`.
+"""Finds task and train files that are named by their path: `train=/path/to/AntPPO.yaml`.
 
-Hydra knows configuration files by their names in folders on its search path. A path on a command
-line is replaced by the file's name, and the file's folder is put before the project's own for as
-long as the configuration is composed, so that a defaults list may name the files beside it, too.
+Hydra finds configuration files by their names in folders of its search path. A path on a command
+line is replaced by the file's name, and the file's folder comes before the project's own while the
+configuration is composed, so that a defaults list may also name the files beside it.
 The clips and models that a task file names may be in its own checkout, see `checkouts`.
 """
 
@@ -110,7 +110,7 @@ def _find(group: str, value: str) -> Path:
 
 
 def _complete(content: DictConfig, task: str) -> None:
-    """Add to a task file of ASE what was in its code: name, time step, gravity, `num_envs`."""
+    """Add to a task file of ASE what ASE has in its code: name, time step, gravity, `num_envs`."""
     content.setdefault("defaults", [task, "_self_"])
     number = OmegaConf.select(content, "env.numEnvs")
     if isinstance(number, int):

@@ -24,7 +24,7 @@ _TASK_KEYS = (
 _TASK_SECTIONS = ("sim.physx", "sim.flex")
 _ABSENT = object()
 
-# Keys whose shipped defaults differ on a CPU, with the name under which users know them.
+# Keys whose shipped defaults differ on a CPU -> their short names for users.
 _CPU_SETTINGS = {
     "task.env.numEnvs": "numEnvs",
     "train.params.config.minibatch_size": "minibatch_size",

@@ -1,4 +1,4 @@
-"""From the train section of a composed tree to the dictionary that rl_games' Runner loads."""
+"""Turns the train section of a composed tree into the dictionary that rl_games' Runner loads."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _PLAYER_DEFAULTS = {
 
 @dataclass(frozen=True)
 class KnownNames:
-    """What the rl_games factories know, and which keys the agents read beyond PPO's.
+    """Names that are registered with rl_games, and keys that the agents read beyond PPO's.
 
     An empty collection of names is not checked against.
     """
@@ -132,10 +132,10 @@ def prepare_train_params(
 
 
 def apply_wrapper_limits(cfg: DictConfig) -> None:
-    """Let the task keep the limits of `train.params.env`, in place.
+    """Copy the limits of `train.params.env` into the task section, in place.
 
     Raises:
-        ConfigError: a limit is no positive number.
+        ConfigError: a limit is not a positive number.
     """
     section = OmegaConf.select(cfg, f"train.params.{_ISAAC_LAB_SECTION}")
     if not isinstance(section, DictConfig):
@@ -151,13 +151,13 @@ def apply_wrapper_limits(cfg: DictConfig) -> None:
 
 
 def checkpoint_in_file(cfg: DictConfig) -> str:
-    """Return the checkpoint that the train file itself asks for, '' for none.
+    """Return the checkpoint that the train file itself names, '' for none.
 
-    IsaacGymEnvs' files ask for what `checkpoint=` says; in others `load_checkpoint: True` and a
-    path may stand. rl_games 1.6.5 reads neither key, its first versions did.
+    IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
+    path. rl_games 1.6.5 reads neither key, its first versions did.
 
     Raises:
-        ConfigError: it asks for one and names none.
+        ConfigError: load_checkpoint is True and no path is given.
     """
     params = cfg.train.params
     if not params.get("load_checkpoint") or cfg.get("checkpoint"):
@@ -169,7 +169,7 @@ def checkpoint_in_file(cfg: DictConfig) -> str:
 
 
 def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
-    """Let max_iterations and experiment of the command line count in any train file, in place.
+    """Apply max_iterations and experiment of the command line to any train file, in place.
 
     IsaacGymEnvs' files interpolate them; ASE's have plain values.
     """
@@ -261,21 +261,20 @@ def check_env_name(params: Mapping[str, Any]) -> None:
     Among them is one that makes whatever Gymnasium can import by the name in `env_config`.
 
     Raises:
-        ConfigError: the file asks for one.
+        ConfigError: the file names one.
     """
     name = params["config"].get("env_name", ENV_NAME)
     if name != ENV_NAME:
         raise ConfigError(
-            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which stands for the task of"
-            " task="
+            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which means the task of task="
         )
 
 
 def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:
-    """Refuse an asymmetric critic where there is nothing for it to see."""
+    """Refuse an asymmetric critic where the task has no privileged observations."""
     if config.get("central_value_config") and num_states == 0:
         raise ConfigError(
-            f"{_WHERE}.config.central_value_config: a critic of its own wants privileged"
+            f"{_WHERE}.config.central_value_config: a critic of its own needs privileged"
             " observations (states), and this task gives none; add"
             " task.env.asymmetric_observations=True if the task has that key, or remove the section"
         )
@@ -328,22 +327,22 @@ def player_class_note(player: Mapping[str, Any]) -> str:
     )
 
 
-def torch_compile_setting(asked: Any, device: str, can_compile: bool) -> Any:
+def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
     """Return the value of `torch_compile` that rl_games' Runner reads after it made an agent.
 
-    Without a value the Runner compiles. Agents call this in their constructors, so that it counts
-    in a Runner of the user's own, too; the Runner hands them the dictionary that it reads.
+    Without a value the Runner compiles. Agents call this in their constructors, so that it also
+    works in a Runner that the user made: the Runner passes them the dictionary that it reads.
 
     Args:
-        asked: the key `train.params.config.torch_compile`, None without it.
+        setting: the key `train.params.config.torch_compile`, None without it.
         device: of the agent.
         can_compile: False for agents that differentiate twice (gradient penalties).
     """
     if not can_compile:
-        if asked:
+        if setting:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
         return False
-    return device.startswith("cuda") if asked is None else asked
+    return device.startswith("cuda") if setting is None else setting
 
 
 def _fit_minibatches(

@@ -32,10 +32,10 @@ _warned_files: set[Path] = set()
 def read_yaml(path: Path) -> DictConfig:
     """Read one YAML file as OmegaConf does, except that the last of equal keys wins.
 
-    A file outside of cfg/ is somebody else's: see `foreign_files`.
+    A file outside of cfg/ is checked, see `foreign_files`.
 
     Raises:
-        ConfigError: the file is missing, is no YAML, holds no mapping, or what it may not.
+        ConfigError: the file is missing, is no YAML, or holds no mapping or something forbidden.
     """
     content = _read(path, read_text(path))
     if is_foreign(path):
@@ -89,7 +89,7 @@ def read_composed_file(path: Path, group: str) -> ComposedFile:
 
 
 def _take_our_hydra(content: dict[Any, Any]) -> None:
-    """Give a root file from outside what cfg/config.yaml says of Hydra, in place."""
+    """Give a root file from outside the Hydra settings of cfg/config.yaml, in place."""
     ours = parse_yaml(read_text(cfg_dir() / "config.yaml"), "config.yaml").content
     logging_entries = [entry for entry in ours["defaults"] if is_logging_entry(entry)]
     own = [entry for entry in content.get("defaults", []) if not is_logging_entry(entry)]

@@ -87,13 +87,13 @@ _LOSSES = "losses/"
 
 
 def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
-    """Return the charts that say how a training went: those that the run has scalars for."""
+    """Return the main charts of a training: those that the run has scalars for."""
     scalars = _finite({**scalars, **_derived(scalars)})
     charts = []
     for plan in _PLANS:
         found = {label: first_of(scalars, tags) for label, tags in plan.lines.items()}
         lines = tuple(Line(label, series) for label, series in found.items() if len(series))
-        if any(line.label != "task" for line in lines):  # alone it says what its sum says
+        if any(line.label != "task" for line in lines):  # alone it repeats the chart of its sum
             charts.append(Chart(plan.title, lines))
     losses = (tag for tag in sorted(scalars) if tag.startswith(_LOSSES))
     return charts + [_single(tag, f"Loss: {tag.removeprefix(_LOSSES)}", scalars) for tag in losses]

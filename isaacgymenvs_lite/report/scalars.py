@@ -12,8 +12,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 FPS_TAGS = ("performance/total_fps", "performance/step_inference_rl_update_fps")
-"""The clock of a run: written after every epoch, also after the first one of a resumed run; by our
-agents and by those of rl_games."""
+"""The clock of a run: written after every epoch, also after the first one of a resumed run, by our
+agents and rl_games' own."""
 
 # Ends of scalars over epochs or seconds: each also exists over frames, or belongs to no frame.
 _OTHER_AXES = ("/iter", "/time")

@@ -21,7 +21,7 @@ def ground_force(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjModel) ->
     By Newton's law from the path of the centre of mass, for all frames but the first and the last:
     (0, 0, 1) in standing, 0 in flight, never downwards.
     """
-    com = dynamics.centres_of_mass(model, _poses(clip, skeleton))
+    com = dynamics.centres_of_mass(model, clip_qpos(clip, skeleton))
     acceleration = np.diff(com, n=2, axis=0) * clip.fps**2
     gravity = -float(model.opt.gravity[2])
     return acceleration / gravity + (0.0, 0.0, 1.0)
@@ -41,7 +41,7 @@ def pressure_outside(
     momentum that its motion has, limbs included (Vukobratovic and Borovac, Int. J. Humanoid
     Robotics 1 (2004) 157-173).
     """
-    poses = _poses(clip, skeleton)
+    poses = clip_qpos(clip, skeleton)
     com = dynamics.centres_of_mass(model, poses)[1:-1]
     weight = float(model.body_subtreemass[1]) * -float(model.opt.gravity[2])
     moment = dynamics.moments(model, poses, clip.fps)[1:-1] / weight
@@ -90,7 +90,7 @@ def deepest_self_contact(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjM
     """
     data = mujoco.MjData(model)
     deepest = 0.0
-    for pose in _poses(clip, skeleton):
+    for pose in clip_qpos(clip, skeleton):
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
@@ -101,7 +101,8 @@ def deepest_self_contact(clip: MotionClip, skeleton: Skeleton, model: mujoco.MjM
     return deepest
 
 
-def _poses(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
+def clip_qpos(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
+    """Return MuJoCo's positions (T, nq) of the frames of a clip."""
     return qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
 
 

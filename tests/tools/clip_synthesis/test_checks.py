@@ -149,7 +149,7 @@ def test_pressure_is_under_a_body_that_rests(humanoid: Skeleton) -> None:
     np.testing.assert_array_equal(model_checks.pressure_outside(clip, humanoid, model), 0.0)
     root[:, 0] = 0.5 * 3.0 * (np.arange(9) / 10.0) ** 2  # 3 m/s^2
     pushed = standing(humanoid, root)
-    com = dynamics.centres_of_mass(model, model_checks._poses(clip, humanoid))[0]
+    com = dynamics.centres_of_mass(model, model_checks.clip_qpos(clip, humanoid))[0]
     # The zero pose stands from 0.0435 m behind its ankles.
     expected = com[2] * 3.0 / 9.81 - com[0] - 0.0435
     assert expected > 0.1
@@ -163,10 +163,10 @@ def test_moment_of_a_body_that_begins_to_turn(humanoid: Skeleton) -> None:
     model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf/amp_humanoid.xml"))
     times_s = np.arange(9) / 10.0
     clip = turned(standing(humanoid, root_path(9)), 0, 2, 0.5 * 2.0 * times_s**2)
-    found = dynamics.moments(model, model_checks._poses(clip, humanoid), 10.0)[2:-2]
+    found = dynamics.moments(model, model_checks.clip_qpos(clip, humanoid), 10.0)[2:-2]
     # The inertia of the zero pose about the root, less that of its mass at the centre of mass.
     data = mujoco.MjData(model)
-    data.qpos[:] = model_checks._poses(standing(humanoid, root_path(2)), humanoid)[0]
+    data.qpos[:] = model_checks.clip_qpos(standing(humanoid, root_path(2)), humanoid)[0]
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
