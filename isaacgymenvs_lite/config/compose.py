@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import MappingProxyType
 
@@ -102,11 +102,9 @@ def make_loader(
     return loader_of_folders(_rules(), files, config_path or cfg_dir(), first=folder)
 
 
-@contextmanager
-def checked_program(files: NamedFiles) -> Iterator[None]:
-    """Let Hydra's program, `hydra.main`, compose as `compose` does as long as the context lasts."""
-    with program_composes_by(_rules(), files):
-        yield
+def checked_program(files: NamedFiles) -> AbstractContextManager[None]:
+    """Return a context in which Hydra's program, `hydra.main`, composes as `compose` does."""
+    return program_composes_by(_rules(), files)
 
 
 def _rules() -> Rules:

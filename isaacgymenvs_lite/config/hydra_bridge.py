@@ -38,8 +38,6 @@ from omegaconf.grammar_parser import parse
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.paths import cfg_dir
 
-__all__ = ["Override"]
-
 CONFIG_NAME = "config"
 # IsaacGymEnvs chose 1.1, which warns at every start. The two differ in what cfg/config.yaml states
 # anyway: stay in the working directory, `_self_` in the defaults list.

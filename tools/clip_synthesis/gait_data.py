@@ -118,7 +118,7 @@ class Gait:
         return self.stride_m / self.period_s
 
 
-# The stride is that of a person with this humanoid's legs (0.88 m) and short feet (0.18 m: the
+# The stride of a person with this humanoid's legs (0.88 m) and short feet (0.18 m: the
 # rigid foot ends where the toes would begin), hence the quick steps for the speed.
 WALK = Gait(
     name="walk",
