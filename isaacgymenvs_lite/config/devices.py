@@ -1,4 +1,4 @@
-"""Names of devices: `cpu`, `cuda`, `cuda:N`."""
+"""Checks names of devices: `cpu`, `cuda`, `cuda:N`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large a configuration becomes when its interpolations are resolved, without resolving them.
+"""Checks how large a configuration becomes when resolved, without resolving it.
 
 `a: ${b}${b}`, `b: ${c}${c}`, ...: thirty lines of that kind take more memory than there is.
 """

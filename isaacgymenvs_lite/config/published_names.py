@@ -1,4 +1,4 @@
-"""Names that IsaacGymEnvs and ASE published and that are not here, with what they are.
+"""Explains names that IsaacGymEnvs and ASE published and that are not here.
 
 `task=ShadowHand` is not a misspelt name. A message about such a name explains what it is, and which
 tasks of this project are nearest to it.

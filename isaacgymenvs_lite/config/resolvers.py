@@ -1,4 +1,4 @@
-"""The interpolation functions that YAML files of this family use.
+"""Registers the interpolation functions of IsaacGymEnvs' YAML files.
 
 - `${eq:a,b}`: a equals b, ignoring case; both are text
 - `${contains:a,b}`: a is part of b, ignoring case

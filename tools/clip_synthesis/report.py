@@ -88,7 +88,7 @@ def overview(clips: dict[str, dict[str, str]]) -> str:
 
 
 def turn_rad(clip: MotionClip) -> float:
-    """Return how far in rad the root's heading turns to the left over the clip, all turns counted."""
+    """Return how far in rad the heading turns to the left over the clip, all turns counted."""
     heading = rotations.calc_heading(torch.from_numpy(clip.local_rotation[:, 0]).double()).numpy()
     turned = np.unwrap(heading)
     return float(turned[-1] - turned[0])
