@@ -14,7 +14,7 @@ from isaacgymenvs_lite.errors import unknown
 PACKAGE = "isaacgymenvs_lite"
 COMMANDS = (
     *("train", "check", "demo", "report", "export", "policies", "alias"),
-    *("motion.view", "motion.plot", "motion.strip", "motion.convert", "motion.synthesis"),
+    *("motion.view", "motion.plot", "motion.strip", "motion.convert"),
     *("workflows.sb3.train", "workflows.sb3.play", "workflows.skrl.train", "workflows.skrl.play"),
     *("workflows.rsl_rl.train", "workflows.rsl_rl.play"),
 )

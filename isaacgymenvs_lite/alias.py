@@ -1,12 +1,11 @@
-"""Runs a script that says `import isaacgymenvs`, unchanged.
+"""Runs a script with `import isaacgymenvs`, unchanged.
 
     python -m isaacgymenvs_lite.alias SCRIPT [its arguments]
 
-For this one process, `isaacgymenvs` and everything below it mean this package; nothing is
-installed under that name. `import gym` means gymnasium where gym is not installed. Scripts import
-`isaacgym` before torch, because Isaac Gym wanted that: its names can be imported, and the first use
-of one says what to do instead; `isaacgym.torch_utils` works. On a machine without a GPU the CPU
-stands in for the one that a script names.
+In this one process, `isaacgymenvs` and everything below it mean this package; nothing is installed
+under that name. `import gym` means gymnasium where gym is not installed. The names of `isaacgym`
+can be imported; using one raises an error that names the replacement. `isaacgym.torch_utils` works.
+On a machine without a GPU the CPU is used where a script names a GPU.
 """
 
 from __future__ import annotations
@@ -46,19 +45,18 @@ _OTHERS = {
     _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
     f"{_GYM}.wrappers": f"{_NEW}.isaacgymenvs_compat.gym_wrappers",
 }
-# Whose users make rl_games' Runner next.
+# Scripts that import it make rl_games' Runner next.
 _RUNNER_USERS = "utils.rlgames_utils"
 EXIT_USER_ERROR = 2
 
 
 class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds `isaacgymenvs...` as the module of this package that stands for it."""
+    """Finds `isaacgymenvs...` as the module of this package that replaces it."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         """Return a spec for names of the old package, of the simulator, and of a missing gym."""
-        del path, target
         root = fullname.partition(".")[0]
         if root not in (_OLD, _SIMULATOR, _GYM):
             return None
@@ -67,7 +65,7 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return importlib.machinery.ModuleSpec(fullname, self, is_package=True)
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
-        """Return the module that the name stands for."""
+        """Return the module that the name means."""
         root, _, rest = spec.name.partition(".")
         if spec.name in _OTHERS:
             name = _OTHERS[spec.name]
@@ -96,7 +94,7 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
     """Return the module `name`.
 
     Raises:
-        ModuleNotFoundError: there is none; it says what is known of `alias`.
+        ModuleNotFoundError: there is none; the message has the reason.
     """
     if reason is None:
         try:
@@ -112,7 +110,7 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
 
 
 def _prepare(module: str) -> None:
-    """Do what importing a published module does beside giving it."""
+    """Do what importing a published module does beside defining its names."""
     if module == "":
         from isaacgymenvs_lite.config.resolvers import let_scripts_register, register_resolvers
 
@@ -146,26 +144,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
     _show_our_log()
-    with _stand_in_for_a_gpu():
+    with _cpu_in_place_of_a_missing_gpu():
         runpy.run_path(str(args.script), run_name="__main__")
 
 
 def _show_our_log() -> None:
-    """Let the log of this package be seen where a script sets up no logging."""
+    """Show the log of this package where a script sets up no logging."""
     logging.getLogger(_NEW).setLevel(logging.INFO)
     logging.lastResort = message_handler()
 
 
-def _stand_in_for_a_gpu() -> Any:
-    """Return a context in which the CPU is what a script means by cuda, if there is no GPU."""
+def _cpu_in_place_of_a_missing_gpu() -> Any:
+    """Return a context in which a script's cuda devices are the CPU, if there is no GPU."""
     import torch
 
-    from isaacgymenvs_lite.config.devices import let_the_cpu_stand_in
+    from isaacgymenvs_lite.config.devices import allow_cpu_fallback
     from isaacgymenvs_lite.isaacgymenvs_compat.cuda import CudaIsCpu
 
     if torch.cuda.is_available():
         return nullcontext()
-    let_the_cpu_stand_in()
+    allow_cpu_fallback()
     return CudaIsCpu()
 
 

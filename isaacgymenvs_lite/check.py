@@ -25,7 +25,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
 from isaacgymenvs_lite.config.foreign_files import is_foreign
-from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.published_names import (
     longest_task,
@@ -37,6 +36,7 @@ from isaacgymenvs_lite.config.published_names import (
 from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys
 from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.train_params import (
+    apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
     prepare_train_params,
@@ -255,10 +255,10 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 def _run_name(content: DictConfig) -> str:
     """Return the name that the runs of a train file have by default, '' if it says none."""
-    params = content.get("params")
-    config = params.get("config") if isinstance(params, DictConfig) else None
-    node = config._get_node("name") if isinstance(config, DictConfig) else None
-    text = str(node._value()) if node is not None else ""
+    written: Any = OmegaConf.to_container(content, resolve=False)
+    for key in ("params", "config", "name"):
+        written = written.get(key) if isinstance(written, dict) else None
+    text = "" if written is None else str(written)
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
 

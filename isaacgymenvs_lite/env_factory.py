@@ -16,8 +16,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
-from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
 from isaacgymenvs_lite.motion.loader import resolve_motion_file, shipped_motions_dir

@@ -1,8 +1,8 @@
-"""Errors that speak to a user.
+"""Errors for users, one line each.
 
 Every mistake that a user can make on the command line, in a YAML file or in an input file raises a
 `UserError`. The command line shows its message as one line and exits with code 2; as a library
-they are ordinary exceptions. A message says what was given, what was expected and what to do next.
+they are ordinary exceptions. A message has what was given, what was expected and what to do next.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class ConfigError(UserError, ValueError):
 
 
 class DeviceError(UserError, ValueError):
-    """A device was asked for that this machine does not have."""
+    """A device is named that this machine does not have."""
 
 
 class MotionFileError(UserError, ValueError):
@@ -32,11 +32,11 @@ class CheckpointError(UserError, ValueError):
 
 
 class NotFiniteError(UserError, ArithmeticError):
-    """A training came to numbers that are nan or infinite; it cannot go on."""
+    """Numbers of a training are nan or infinite; it cannot go on."""
 
 
 class WrapperError(UserError, TypeError):
-    """An adapter was given something else than a task."""
+    """An adapter got something else than a task."""
 
 
 class OverrideError(UserError, AttributeError):
@@ -44,11 +44,16 @@ class OverrideError(UserError, AttributeError):
 
 
 class MissingPackageError(UserError, ImportError):
-    """A package is not installed that an extra of this one brings along."""
+    """A package is missing that an extra of this package installs."""
 
 
 class UnavailableError(UserError, NotImplementedError):
     """A published name can be imported, but what it does is not part of this version."""
+
+
+def one_line(error: BaseException | str) -> str:
+    """Return the message of an error on one line."""
+    return " ".join(str(error).split())
 
 
 def suggest(given: str, choices: Iterable[str]) -> str:

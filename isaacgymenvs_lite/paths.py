@@ -1,4 +1,4 @@
-"""Where the configuration tree and the assets are.
+"""Finds the folders of the configuration and of the assets.
 
 In a checkout they are `<repository>/cfg` and `<repository>/assets`; an installed wheel carries them
 inside the package. The working directory plays no part.

@@ -18,20 +18,18 @@ from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
-from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
-from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
+from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
-from isaacgymenvs_lite.config.seeds import resolve_seed
 from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
     KnownNames,
+    apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.config.yaml_files import one_line
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError
+from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
 from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
 from isaacgymenvs_lite.registration import build_runner, known_names, register_env
 from isaacgymenvs_lite.run import (

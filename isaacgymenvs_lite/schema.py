@@ -1,4 +1,4 @@
-"""The boundary between YAML and code: a mapping becomes a typed, checked, frozen dataclass.
+"""Turns a section of a YAML file into a typed, checked, frozen dataclass.
 
 A component that has settings declares them once:
 
@@ -19,15 +19,16 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import logging
+import math
+import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from isaacgymenvs_lite._schema_values import expectation, read_value
 from isaacgymenvs_lite.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -36,16 +37,19 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T", bound="DataclassInstance")
+Field = dataclasses.Field[Any]
 
 # Two keys at least this alike (difflib's ratio), and of nearly the same length, are taken for one
-# key and a slip of the finger. The length tells `disc_weight_decay` from `weight_decay`.
+# key, misspelt. The length keeps `disc_weight_decay` apart from `weight_decay`.
 _MISSPELT_RATIO = 0.8
 _MISSPELT_LENGTH = 3
-# A required key is missing anyway, so a looser resemblance is still worth a question.
+# A required key is missing anyway, so a looser resemblance is still worth naming.
 _SIMILAR_RATIO = 0.6
 
-# Unread keys that the log has named: a section may be read for several environments.
-_reported: set[str] = set()
+# Whole numbers up to here are exact as floats, too; nothing here counts further.
+_MAX_WHOLE = 2**53
+LOGGED_KEYS: set[str] = set()
+"""Unread keys that the log of this process has named: each is logged once."""
 
 
 def setting(
@@ -106,8 +110,8 @@ def read_section(
         cls: a dataclass whose fields are the keys; `setting` adds limits and choices.
         mapping: plain or OmegaConf; None counts as empty.
         where: path of the section, for messages: "task.env"; "" for the root.
-        ignored: keys that somebody else reads, or that are known to be read by nothing.
-        complete: the section comes with all its keys, so that any near-miss is a slip.
+        ignored: keys that other code reads, or that nothing reads on purpose.
+        complete: the section has all its keys, so that any similar key is misspelt.
 
     Raises:
         ConfigError: a value has a wrong type or is out of range, a required key is missing, or an
@@ -123,9 +127,9 @@ def read_section(
         if key in values:
             path = _join(where, key)
             kind = types_by_name[field.name]
-            arguments[field.name] = read_value(plain(values[key]), kind, field, path, read_section)
+            arguments[field.name] = _read_value(plain(values[key]), kind, field, path)
         elif field.default is MISSING and field.default_factory is MISSING:
-            expected = expectation(types_by_name[field.name], field)
+            expected = _expectation(types_by_name[field.name], field)
             raise missing_key(key, values, by_key, where, f"expected {expected}")
     return cls(**arguments)
 
@@ -145,8 +149,8 @@ def check_unknown_keys(
 ) -> None:
     """Refuse keys of `values` that look like misspelt ones; log the other unknown ones.
 
-    A near-miss whose correct form is present as well is taken for another key and only logged,
-    unless `values` is `complete`, that is, has the correct forms anyway.
+    A key similar to a known one that is also present counts as another key and is only logged,
+    unless `values` is `complete`.
 
     Raises:
         ConfigError: an unknown key looks like a misspelt one.
@@ -168,16 +172,16 @@ def check_unknown_keys(
                 "correct or remove it"
             )
         unread.append(_join(where, str(key)))
-    unread = [path for path in unread if path not in _reported]
+    unread = [path for path in unread if path not in LOGGED_KEYS]
     if unread:
-        _reported.update(unread)
+        LOGGED_KEYS.update(unread)
         _log.warning("nothing reads %s", ", ".join(unread))
 
 
 def missing_key(
     key: str, values: Mapping[str, Any], known: Iterable[str], where: str, hint: str
 ) -> ConfigError:
-    """Return the error for an absent required key, with the unknown key that may stand for it."""
+    """Return the error for an absent required key, with the unknown key that may be meant."""
     known = set(known)
     near = nearest(key, [str(other) for other in values if other not in known], _SIMILAR_RATIO)
     instead = f" (is '{near}' meant for it?)" if near is not None else ""
@@ -215,7 +219,7 @@ def _plain_mapping(mapping: Mapping[Any, Any] | None, where: str) -> dict[str, A
     return dict(values)
 
 
-def _key(field: dataclasses.Field[Any]) -> str:
+def _key(field: Field) -> str:
     return field.metadata.get("key") or field.name
 
 
@@ -225,3 +229,164 @@ def _join(where: str, key: str) -> str:
 
 def _fold(key: str) -> str:
     return key.replace("_", "").lower()
+
+
+# --- one value -----------------------------------------------------------------------------------
+
+
+def _read_value(value: Any, kind: Any, field: Field, path: str) -> Any:
+    """Return the plain `value` as the type `kind`, within the limits of `field`.
+
+    Raises:
+        ConfigError: it cannot be; the message names `path`, the value and what was expected.
+    """
+    try:
+        return _convert(value, kind, field, path)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        expected = _expectation(kind, field)
+        if isinstance(error, OverflowError):
+            expected += f" and of at most {_MAX_WHOLE}"
+        raise ConfigError(f"{path}: got {value!r}, expected {expected}") from None
+
+
+def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
+    """Return `value` as `kind`; a ValueError means "not what was expected"."""
+    optional, kind = _split_optional(kind)
+    if value is None or (value == "" and field.metadata.get("blank")):
+        if optional:
+            return None
+        raise ValueError
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if not isinstance(value, Mapping):
+            raise ValueError
+        return read_section(kind, value, path)
+    origin = typing.get_origin(kind) or kind
+    if origin in (tuple, list):
+        return origin(_convert_entries(value, kind, field, path))
+    if origin in (dict, Mapping):
+        if not isinstance(value, Mapping):
+            raise ValueError
+        return dict(value)
+    result = _convert_scalar(value, kind)
+    _check_limits(result, field)
+    return result
+
+
+def _convert_entries(value: Any, kind: Any, field: Field, path: str) -> Iterable[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ValueError
+    if len(value) < field.metadata.get("min_length", 0):
+        raise ValueError
+    entry_kind = (typing.get_args(kind) or (Any,))[0]
+    return [
+        _convert(entry, entry_kind, field, f"{path}[{index}]") for index, entry in enumerate(value)
+    ]
+
+
+def _convert_scalar(value: Any, kind: Any) -> Any:
+    if kind is Any:
+        return value
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+    if kind is str and not isinstance(value, bool):
+        if not isinstance(value, (str, int, float)):
+            raise ValueError
+        return str(value)  # YAML takes a name such as 2026 for a number
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError
+    number = float(value)
+    if math.isnan(number):
+        raise ValueError
+    if kind is float:
+        return number
+    if kind is int:
+        if abs(number) > _MAX_WHOLE:
+            raise OverflowError
+        if isinstance(value, int):
+            return value  # float() would round whole numbers beyond 2^53
+        if not number.is_integer():
+            raise ValueError
+        return int(number)
+    raise NotImplementedError(f"settings of type {kind} are not supported")
+
+
+def _check_limits(value: Any, field: Field) -> None:
+    limits = field.metadata
+    choices = limits.get("choices")
+    if choices is not None and value not in choices:
+        raise ValueError
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return
+    if (
+        (limits.get("minimum") is not None and value < limits["minimum"])
+        or (limits.get("maximum") is not None and value > limits["maximum"])
+        or (limits.get("above") is not None and value <= limits["above"])
+        or (limits.get("below") is not None and value >= limits["below"])
+    ):
+        raise ValueError
+
+
+def _split_optional(kind: Any) -> tuple[bool, Any]:
+    """Split `X | None` into (True, X); any other kind is (False, kind)."""
+    if typing.get_origin(kind) not in (typing.Union, types.UnionType):
+        return kind is Any, kind
+    members = [member for member in typing.get_args(kind) if member is not type(None)]
+    if len(members) != 1:
+        raise NotImplementedError(f"settings of type {kind} are not supported")
+    return True, members[0]
+
+
+_NOUNS = {
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    Any: "a value",
+}
+_PLURALS = {bool: "True or False", int: "whole numbers", float: "numbers", str: "names"}
+
+
+def _expectation(kind: Any, field: Field) -> str:
+    """Describe in words what a field takes."""
+    optional, kind = _split_optional(kind)
+    origin = typing.get_origin(kind) or kind
+    choices = field.metadata.get("choices")
+    if origin in (tuple, list):
+        entry = (typing.get_args(kind) or (Any,))[0]
+        noun = f"a list of {_PLURALS.get(entry, 'values')}"
+        if choices is not None:
+            noun = f"a list out of {', '.join(_word(choice) for choice in choices)}"
+        if field.metadata.get("min_length"):
+            noun += f" with at least {field.metadata['min_length']} entries"
+    elif choices is not None:
+        noun = f"one of {', '.join(_word(choice) for choice in choices)}"
+    else:
+        noun = _NOUNS.get(kind, "a mapping of keys to values")
+    noun += _limits_in_words(field)
+    if field.metadata.get("blank"):
+        return f"{noun}, or ''"
+    return f"{noun}, or null" if optional and kind is not Any else noun
+
+
+def _limits_in_words(field: Field) -> str:
+    limits = field.metadata
+    words = [
+        f"{word} {limits[name]}"
+        for name, word in (
+            ("minimum", "of at least"),
+            ("above", "above"),
+            ("maximum", "of at most"),
+            ("below", "below"),
+        )
+        if limits.get(name) is not None
+    ]
+    return " " + " and ".join(words) if words else ""
+
+
+def _word(choice: Any) -> str:
+    """Return a choice as one types it; nothing at all needs its quotes."""
+    return str(choice) or "''"

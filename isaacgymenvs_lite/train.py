@@ -14,20 +14,23 @@ import sys
 from collections.abc import Sequence
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
-from isaacgymenvs_lite.config.compose import HYDRA_VERSION_BASE, make_loader
-from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, checked_hydra
+from isaacgymenvs_lite.config.compose import checked_program, make_loader
+from isaacgymenvs_lite.config.hydra_bridge import (
+    CONFIG_NAME,
+    HYDRA_VERSION_BASE,
+    NamedFiles,
+    options_parser,
+)
 from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.path_overrides import outside_files
+from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
@@ -81,14 +84,15 @@ def _run_hydra() -> None:
     decorate = hydra.main(
         config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
     )
-    with checked_hydra(), outside_files(sys.argv[1:]) as arguments:
-        sys.argv[1:] = arguments
-        try:
+    named = PathOverrides.from_words(sys.argv[1:])
+    sys.argv[1:] = named.words
+    try:
+        with checked_program(named.files):
             decorate(job)()
-        except ComposeError as error:
-            if started:
-                raise
-            raise _explain(error) from error
+    except ComposeError as error:
+        if started:
+            raise
+        raise _explain(error, named.files) from error
 
 
 def _command_of_job(command: TypedCommand) -> TypedCommand:
@@ -113,12 +117,11 @@ def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
         _fail(error)
 
 
-def _explain(error: Exception) -> ConfigError:
+def _explain(error: Exception, files: NamedFiles) -> ConfigError:
     """Return the one-line error for what Hydra raised on this command line."""
-    args = get_args_parser().parse_args()
-    with tolerant_hydra():
-        loader = make_loader(args.config_dir, args.config_path)
-        return explain(error, args.overrides, loader, args.config_name or CONFIG_NAME)
+    args = options_parser().parse_args()
+    loader = make_loader(args.config_dir, args.config_path, files)
+    return explain(error, args.overrides, loader, args.config_name or CONFIG_NAME)
 
 
 def _check_options(arguments: Sequence[str]) -> None:
@@ -127,7 +130,7 @@ def _check_options(arguments: Sequence[str]) -> None:
     Raises:
         ConfigError: there is one.
     """
-    parser = get_args_parser()
+    parser = options_parser()
     parser.allow_abbrev = False
     options, others = parser.parse_known_args(list(arguments))
     if options.experimental_rerun is not None:

@@ -1,30 +1,32 @@
-"""YAML text as plain values, read with limits: it may come from anybody.
+"""Reads YAML text as plain values, with limits: anybody may have written it.
 
 PyYAML's safe loader runs no code, but a small text can take all memory (aliases of aliases), end in
 a RecursionError (deep nesting) or hold numbers that no other part of a program can use. Tags are
-refused as well: the files of this family need none.
+refused as well: no file here needs one.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
-from omegaconf._utils import get_yaml_loader
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, one_line
 
 MAX_BYTES = 2**20
 """The longest published configuration file has 12 kB."""
 MAX_DEPTH = 64
 MAX_VALUES = 20_000
-"""Keys, values, lists and mappings, with each alias counted as what it stands for."""
+"""Keys, values, lists and mappings; an alias counts as often as it is used."""
 
 _MAX_INT = 2**63 - 1
 _MAX_INT_LENGTH = 32
 _PREFIX = "tag:yaml.org,2002:"
+# Numbers without a point, or without a sign of the exponent, are texts to PyYAML: 2e-5, 1.5e3.
+_EXPONENT = re.compile(r"[-+]?[0-9]+(?:_[0-9]+)*(?:\.[0-9_]*)?[eE][-+]?[0-9]+\Z")
 _TAGS = {f"{_PREFIX}{name}" for name in ("str", "int", "float", "bool", "null", "map", "seq")}
 _TAGS.add(f"{_PREFIX}merge")
 
@@ -77,7 +79,7 @@ def parse_yaml(text: str, where: str, max_values: int = MAX_VALUES) -> YamlText:
     except _LimitError as error:
         raise ConfigError(f"{where}: {printable(str(error))}") from None
     except yaml.YAMLError as error:
-        reason = printable(" ".join(str(error).split()))
+        reason = printable(one_line(error))
         raise ConfigError(f"{where} is not valid YAML: {reason}") from error
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         # PyYAML's constructors take a scalar's text for granted: `!!bool maybe`.
@@ -94,8 +96,14 @@ class _LimitError(Exception):
     """A text exceeds a limit."""
 
 
-class _Loader(get_yaml_loader()):
-    """OmegaConf's loader; of equal keys the last one counts, instead of being refused."""
+class _Loader(yaml.SafeLoader):
+    """Reads plain values as OmegaConf does; of equal keys the last one counts."""
+
+    # OmegaConf has no dates: 2026-01-01 is a text.
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {
+        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def __init__(self, text: str, max_values: int) -> None:
         super().__init__(text)
@@ -143,6 +151,7 @@ class _Loader(get_yaml_loader()):
 
 
 _Loader.add_constructor(f"{_PREFIX}int", _Loader.construct_yaml_int)
+_Loader.add_implicit_resolver(f"{_PREFIX}float", _EXPONENT, list("+-0123456789"))
 
 
 def _check_size(node: yaml.Node, sizes: dict[int, int], max_values: int) -> int:
@@ -159,7 +168,7 @@ def _check_size(node: yaml.Node, sizes: dict[int, int], max_values: int) -> int:
     """
     known = sizes.get(id(node))
     if known == 0:
-        raise _LimitError("an alias stands inside of what it is an alias of")
+        raise _LimitError("an alias is inside of what it is an alias of")
     if known is not None:
         return known
     sizes[id(node)] = 0

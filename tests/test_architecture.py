@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,7 @@ LOOPS = {"play_steps", "train_epoch", "calc_gradients"}
 # Every package and top-level module, from the lowest to the highest. Each may import only what
 # stands before it; modules of one package may import each other, but never in a circle.
 LAYERS = (
-    *("errors", "_version", "paths", "yaml_text", "_schema_values", "schema", "utils", "config"),
+    *("errors", "_version", "paths", "yaml_text", "schema", "utils", "config"),
     *("simulation", "rendering", "command_line", "motion", "env_interface", "gymnasium_ids"),
     *("tasks", "evaluation", "run", "checkpoints", "learning", "viewers", "env_factory"),
     *("wrappers", "registration", "typed_command", "runner"),
@@ -188,3 +189,30 @@ def test_quaternions_change_their_order_in_one_place():
             if isinstance(node, (ast.List, ast.Tuple)):
                 values = tuple(e.value for e in node.elts if isinstance(e, ast.Constant))
                 assert values not in orders, f"{module}:{getattr(node, 'lineno', 0)}"
+
+
+HYDRA_BRIDGE = f"{PACKAGE}.config.hydra_bridge"
+# What Hydra and OmegaConf document; anything else of theirs may change with a minor version.
+DOCUMENTED = re.compile(
+    r"(?!hydra\.version)(hydra|omegaconf|hydra\.(core\.hydra_config|errors|types|utils)|omegaconf\.errors)(\.[A-Za-z]\w*)?"
+)
+PRIVATE_OF_NODES = {"_get_node", "_value", "_is_none", "_is_interpolation", "_metadata"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_only_the_bridge_uses_the_inside_of_hydra_and_omegaconf(path):
+    if module_of(path) == HYDRA_BRIDGE:
+        return
+    for node in ast.walk(tree(path)):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            assert getattr(node.value, "id", "") not in ("OmegaConf", "DictConfig"), node.lineno
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            assert node.func.attr not in PRIVATE_OF_NODES, node.lineno
+        for name in names:
+            if name.split(".")[0] in ("hydra", "omegaconf"):
+                assert DOCUMENTED.fullmatch(name), f"{name}: belongs into {HYDRA_BRIDGE}"

@@ -25,13 +25,13 @@ from types import ModuleType
 
 import pytest
 import yaml
-from hydra._internal.utils import get_args_parser
 
 from benchmarks.experiments import find_experiment
 from isaacgymenvs_lite import command_line
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
+from isaacgymenvs_lite.config.hydra_bridge import options_parser
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
@@ -72,7 +72,7 @@ EXTRAS = {
     "isaacgymenvs_lite.export": "export",
     "isaacgymenvs_lite.motion.plot": "docs",
     "isaacgymenvs_lite.motion.strip": "docs",
-    "isaacgymenvs_lite.motion.synthesis": "synthesis",
+    "tools.clip_synthesis": "retarget",
     "benchmarks.curves": "docs",
     "benchmarks.film": "video",
     "capture_video=True": "video",
@@ -204,7 +204,7 @@ def check_python(words: Sequence[str]) -> None:
 
 def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
-    options, others = get_args_parser().parse_known_args([with_real_file(word) for word in words])
+    options, others = options_parser().parse_known_args([with_real_file(word) for word in words])
     assert not others, f"{others[0]}: no option of train.py"
     check_config(compose(complete_arguments(options.overrides), options.config_dir))
 
@@ -339,7 +339,7 @@ def test_a_wrong_command_is_found(command):
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_modules_that_are_named_can_be_run(page):
     for module in re.findall(
-        r"python -m ((?:isaacgymenvs_lite|benchmarks)[\w.]*)", without_fences(page)
+        r"python -m ((?:isaacgymenvs_lite|benchmarks|tools)[\w.]*)", without_fences(page)
     ):
         path = ROOT.joinpath(*module.split("."))
         assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module

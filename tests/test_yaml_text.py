@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import yaml_text
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
@@ -125,3 +126,16 @@ def test_a_long_data_set_is_still_read(tmp_path: Path) -> None:
 def test_a_report_of_a_run_with_a_hostile_configuration(tmp_path: Path) -> None:
     for text in (laughs(12), "[" * 5000, "a: " + "9" * 5000):
         assert "task" not in summarize(tmp_path, text, {})
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *("2e-5", "5e3", "1.e3", "-.5e-3", ".5e3", "1_0e3", "+1e+5", "1e", "e5", "1.5e3", "1e5.5"),
+        *("12:30:45", "12:30.5", "0x1F", "0o17", "017", "0b11", "1_000.5", "1._5e3", "~"),
+        *(".inf", "-.INF", ".nan", "2026-01-01", "2026-01-01 10:00:00", "on", "No", "null", "None"),
+    ],
+)
+def test_values_are_what_omegaconf_reads(value):
+    text = f"key: {value}"
+    assert repr(parse_yaml(text, "a text").content) == repr(dict(OmegaConf.create(text)))

@@ -6,9 +6,8 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-from hydra.core.override_parser.types import Quote, QuotedString
-
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.config.hydra_bridge import quoted
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +62,7 @@ def as_override(value: Any) -> str:
     if value is None:
         return "null"
     if isinstance(value, str):
-        return QuotedString(text=value, quote=Quote.single).with_quotes()
+        return quoted(value)
     if isinstance(value, (list, tuple)):
         return f"[{','.join(as_override(entry) for entry in value)}]"
     if isinstance(value, dict):

@@ -12,10 +12,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.expansion import check_expansion
-from isaacgymenvs_lite.config.network_settings import scale_units
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.config.rl_games_settings import scale_units
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import ConfigError, one_line
 
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """What the configuration of a run has."""

@@ -1,14 +1,14 @@
-"""The checkout that a task file named by its path belongs to, and what lies where in it.
+"""Finds the checkout of a task file that is named by its path, and the files in it.
 
-Task files of IsaacGymEnvs, of ASE and of their forks name clips, models and train files by where
-they are in their own checkout. `task_checkout` of the configuration keeps its folder:
+Task files of IsaacGymEnvs, of ASE and of their forks name clips, models and train files by their
+paths in their own checkout. `task_checkout` of the configuration is its folder:
 
     <checkout>/<package>/cfg/task/<task>.yaml       clips in assets/amp/motions (IsaacGymEnvs)
     <checkout>/<package>/cfg/train/<task>PPO.yaml
     <checkout>/cfg/task/<task>.yaml                 the same without a package (this project)
     <checkout>/<package>/data/cfg/<task>.yaml       clips in <package>/data/motions (ASE)
 
-Of any other file it is the folder that the file is in.
+For any other file it is the folder of the file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 KEY = "task_checkout"
-"""Of the configuration's root: the folder, '' for none."""
+"""Key of the configuration's root: the folder of the checkout, '' for none."""
 
 # What the top folder of a project has, unlike a package inside it.
 _TOP_OF_A_PROJECT = (".git", "setup.py", "pyproject.toml", "assets")

@@ -1,40 +1,37 @@
-"""From a list of overrides to the composed configuration tree, without a command line."""
+"""Composes the configuration tree from a list of overrides, without a command line."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from types import MappingProxyType
 
-from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.utils import create_config_search_path
-from hydra.core.config_search_path import SearchPathQuery
-from hydra.core.utils import setup_globals
-from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 
-from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, CheckedLoader
+from isaacgymenvs_lite.config.foreign_files import check_composed_tree, is_foreign
+from isaacgymenvs_lite.config.hydra_bridge import (
+    Loader,
+    NamedFiles,
+    Rules,
+    loader_of_folders,
+    program_composes_by,
+)
 from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
-from isaacgymenvs_lite.config.path_overrides import outside_files
+from isaacgymenvs_lite.config.path_overrides import FileReader, PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import tolerant_hydra
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
-# 1.3, not 1.1 as IsaacGymEnvs asked for: the two differ in what cfg/config.yaml states anyway (stay
-# in the working directory, `_self_` in the defaults list), and 1.1 warns at every start.
-HYDRA_VERSION_BASE = "1.3"
-
 ANY_TRAIN_FILE = "CartpolePPO"
-"""What stands for the train file of a tree of which only the task is read."""
+"""The train file of trees of which only the task is read."""
 
 
 def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
-    It leaves Hydra's global state alone, so it may be called inside a running Hydra job, whose own
-    choices of task and train file have no influence on the result.
+    Hydra's global state is as before afterwards, so this may be called inside a running Hydra job;
+    the job's task and train file have no influence on the result.
 
     Args:
         overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
@@ -48,13 +45,12 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
         ConfigError: a name, a key or an override is wrong; the message lists the choices.
     """
     register_resolvers()
-    setup_globals()
-    with tolerant_hydra(), _version_base(), outside_files(overrides) as named:
-        loader = make_loader(config_dir)
-        try:
-            cfg = loader.load_configuration(CONFIG_NAME, named, RunMode.RUN, from_shell=False)
-        except ComposeError as error:
-            raise explain(error, named, loader, CONFIG_NAME) from error
+    named = PathOverrides.from_words(overrides)
+    loader = make_loader(config_dir, files=named.files)
+    try:
+        cfg = loader.compose(named.words)
+    except ComposeError as error:
+        raise explain(error, named.words, loader) from error
     with open_dict(cfg):
         del cfg["hydra"]
     return cfg
@@ -63,10 +59,9 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
 def compose_task(
     task: str, overrides: Sequence[str] = (), config_dir: Path | str | None = None
 ) -> DictConfig:
-    """Compose the tree of a task that another library's agent trains on; see `compose`.
+    """Compose the tree of a task that an agent of another library trains on; see `compose`.
 
-    A tree has a train file, and not every task one of its own: one is taken that there always is,
-    and nothing of it is read.
+    Not every task has a train file. The tree gets one that always exists; nothing reads it.
 
     Args:
         task: name of a task file.
@@ -82,14 +77,21 @@ def compose_task(
 
 
 def make_loader(
-    config_dir: Path | str | None = None, config_path: Path | str | None = None
-) -> ConfigLoaderImpl:
-    """Return Hydra's loader over our cfg/ (or `config_path`), then `config_dir` if given.
+    config_dir: Path | str | None = None,
+    config_path: Path | str | None = None,
+    files: NamedFiles = MappingProxyType({}),
+) -> Loader:
+    """Return a loader over our cfg/ (or `config_path`), then `config_dir` if given.
+
+    Args:
+        config_dir: a folder with further task/ and train/ files.
+        config_path: a folder in place of cfg/.
+        files: see `PathOverrides`.
 
     Raises:
         ConfigError: `config_dir` is no folder.
     """
-    search_path = create_config_search_path(str(config_path or cfg_dir()))
+    folder = None
     if config_dir is not None:
         folder = Path(config_dir).resolve()
         if not folder.is_dir():
@@ -97,19 +99,13 @@ def make_loader(
                 f"the configuration folder '{config_dir}' does not exist; "
                 "expected a folder that holds task/ and train/"
             )
-        search_path.prepend(
-            provider="config_dir", path=f"file://{folder}", anchor=SearchPathQuery("schema", None)
-        )
-    return CheckedLoader(config_search_path=search_path)
+    return loader_of_folders(_rules(), files, config_path or cfg_dir(), first=folder)
 
 
-@contextmanager
-def _version_base() -> Iterator[None]:
-    """Compose by the rules of our Hydra version, whatever the surrounding program has chosen."""
-    holder = version.VersionBase.instance()
-    former = holder.version_base
-    version.setbase(HYDRA_VERSION_BASE)
-    try:
-        yield
-    finally:
-        holder.version_base = former
+def checked_program(files: NamedFiles) -> AbstractContextManager[None]:
+    """Return a context in which Hydra's program, `hydra.main`, composes as `compose` does."""
+    return program_composes_by(_rules(), files)
+
+
+def _rules() -> Rules:
+    return Rules(FileReader(), is_foreign, check_composed_tree)

@@ -1,4 +1,4 @@
-"""Names of devices: `cpu`, `cuda`, `cuda:N`."""
+"""Checks names of devices: `cpu`, `cuda`, `cuda:N`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,20 @@ from isaacgymenvs_lite.errors import DeviceError
 log = logging.getLogger(__name__)
 
 _DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
-_stand_in_settings: set[str] | None = None
+# Settings for which the log has said so; None: a missing GPU is an error.
+_fallback_keys: set[str] | None = None
 
 
-def let_the_cpu_stand_in() -> None:
-    """Take the CPU, from now on and in this process, where a GPU is asked for and there is none.
+def allow_cpu_fallback(allowed: bool = True) -> None:
+    """Use the CPU, from now on and in this process, in place of a GPU that does not exist.
 
-    For scripts that name a GPU and are not edited. One line of the log says so for each setting.
+    For scripts that name a GPU and are not edited. The log has one line for each setting.
+
+    Args:
+        allowed: False makes a missing GPU an error again.
     """
-    global _stand_in_settings
-    _stand_in_settings = _stand_in_settings or set()
+    global _fallback_keys
+    _fallback_keys = (_fallback_keys or set()) if allowed else None
 
 
 def check_device_name(name: str, key: str) -> int | None:
@@ -37,7 +41,7 @@ def check_device_name(name: str, key: str) -> int | None:
 def check_device(name: str, key: str) -> str:
     """Return the device of this machine that `name`, the value of the setting `key`, means.
 
-    It is `name`, or the CPU where that stands in, see `let_the_cpu_stand_in`.
+    It is `name`, or the CPU after `allow_cpu_fallback`.
 
     Raises:
         DeviceError: it is misspelt, or torch does not see such a GPU.
@@ -45,12 +49,12 @@ def check_device(name: str, key: str) -> str:
     index = check_device_name(name, key)
     if index is None:
         return name
-    import torch  # here, because it takes a second that a misspelt key should not cost
+    import torch  # imported late: it takes a second
 
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    if count == 0 and _stand_in_settings is not None:
-        if key not in _stand_in_settings:
-            _stand_in_settings.add(key)
+    if count == 0 and _fallback_keys is not None:
+        if key not in _fallback_keys:
+            _fallback_keys.add(key)
             log.warning("%s=%s: torch sees no GPU on this machine; the CPU is used", key, name)
         return "cpu"
     if count == 0:

@@ -1,4 +1,4 @@
-"""How large a configuration becomes when its interpolations are resolved, without resolving them.
+"""Checks how large a configuration becomes when resolved, without resolving it.
 
 `a: ${b}${b}`, `b: ${c}${c}`, ...: thirty lines of that kind take more memory than there is.
 """
@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
-from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
-from omegaconf.grammar_parser import parse
 
+from isaacgymenvs_lite.config.hydra_bridge import parse_interpolations
 from isaacgymenvs_lite.errors import ConfigError
 
 MAX_VALUES = 1_000_000
@@ -64,7 +63,7 @@ class _Expansion:
         elif isinstance(value, list):
             yield from ((*path, str(index)) for index in range(len(value)))
         elif isinstance(value, str) and "${" in value:
-            for target in _targets(parse(value), path):
+            for target in _targets(value, path):
                 yield self._existing(target)
 
     def _existing(self, path: tuple[str, ...]) -> tuple[str, ...]:
@@ -72,7 +71,7 @@ class _Expansion:
         while path and _select(self._tree, path) is _ABSENT:
             path = path[:-1]
             if isinstance(_select(self._tree, path), dict | list):
-                return _NOWHERE  # a key that does not exist, which is told elsewhere
+                return _NOWHERE  # a key that does not exist: resolving says so
         return path
 
 
@@ -92,12 +91,9 @@ def _select(tree: Any, path: tuple[str, ...]) -> Any:
     return tree
 
 
-def _targets(tree: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """Yield the paths that the interpolations in a parsed text of `path` lead to."""
-    if isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext):
-        text = tree.getText()[2:-1].strip()
-        dots = len(text) - len(text.lstrip("."))
-        keys = tuple(bracket or name for bracket, name in _KEY.findall(text[dots:]))
+def _targets(text: str, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Yield the paths that the interpolations in the text at `path` lead to."""
+    for written in parse_interpolations(text).paths:
+        dots = len(written) - len(written.lstrip("."))
+        keys = tuple(bracket or name for bracket, name in _KEY.findall(written[dots:]))
         yield (*(path[: max(len(path) - dots, 0)] if dots else ()), *keys)
-    for child in getattr(tree, "children", None) or ():
-        yield from _targets(child, path)

@@ -1,25 +1,26 @@
-"""What a YAML file from outside the project's own cfg/ may hold.
+"""Checks YAML files from outside the project's own cfg/, which other people may have written.
 
 Hydra's own section of a configuration is as powerful as a program: callbacks, launchers, sweepers
 and log handlers are Python names that it imports and calls, `job.env_set` sets variables, and
-`run.dir` says where to write. All of that belongs to cfg/config.yaml and to the command line. A
-file that somebody else wrote describes a task or an agent and nothing more, so everything that
-leads from there to Hydra's section, or to a name that is imported, or to a secret of this machine,
-is refused when the file is read. docs/foreign_files.md has the list for users.
+`run.dir` chooses where to write. All of that belongs to cfg/config.yaml and to the command line. A
+file of somebody else may describe a task or an agent and nothing more. Everything in it that leads
+to Hydra's section, to an imported name or to a secret of this machine is refused when it is read.
+docs/foreign_files.md has the list for users.
 """
 
 from __future__ import annotations
 
 import os.path
 import re
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePath
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError
-from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
-from omegaconf.grammar_parser import parse
 
+from isaacgymenvs_lite.config.expansion import check_expansion
+from isaacgymenvs_lite.config.hydra_bridge import Override, parse_interpolations
 from isaacgymenvs_lite.config.resolvers import RESOLVERS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
@@ -27,15 +28,16 @@ from isaacgymenvs_lite.yaml_text import printable
 
 _HYDRA = "hydra"
 _TARGET = "_target_"
+_TRAIN_DIR = "train.params.config.train_dir"
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
-# The section `hydra` of a root file of IsaacGymEnvs. It says what ours says.
+# The section `hydra` of a root file of IsaacGymEnvs; ours has the same values.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
 _HARMLESS_LOGGING = ("hydra/job_logging", "hydra/hydra_logging")
 _NO_LOGGING = ("none", "disabled")
 # Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
 _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
-# No value may hold a dollar sign of its own: put together with a brace, it would be an
-# interpolation that nobody has checked, as soon as a resolved tree becomes a configuration again.
+# No value may hold a lone dollar sign: joined with a brace, it would be an unchecked interpolation
+# as soon as a resolved tree becomes a configuration again.
 _LONE_DOLLAR = re.compile(r"\$(?!\{)|\\\$")
 _MAX_INTERPOLATION_LENGTH = 2000
 _MAX_INTERPOLATIONS = 32
@@ -63,7 +65,7 @@ def check_composed_file(
 ) -> None:
     """Check a file of somebody else that Hydra merges into a configuration.
 
-    A root file may say what IsaacGymEnvs' says of Hydra.
+    A root file may have the section `hydra` of IsaacGymEnvs' root file.
 
     Args:
         content: of the file.
@@ -85,12 +87,36 @@ def check_composed_file(
     if group.split("/")[0] == _HYDRA:
         raise _refusal(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
     settings = content
-    if not own and _says_only(content.get(_HYDRA, {}), _HARMLESS):
+    if not own and _has_only(content.get(_HYDRA, {}), _HARMLESS):
         settings = {key: value for key, value in content.items() if key != _HYDRA}
     check_foreign_file(settings, path)
     defaults = content.get("defaults", [])
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, path, is_root=not own)
+
+
+def check_composed_tree(
+    cfg: DictConfig, overrides: Sequence[Override], changes_hydra: bool
+) -> None:
+    """Check a composed tree that files of somebody else are part of.
+
+    Args:
+        cfg: the tree.
+        overrides: of the command line, which may set more than files.
+        changes_hydra: the section `hydra` is not what cfg/config.yaml and the overrides make it.
+
+    Raises:
+        ConfigError: a file has changed Hydra's section, chosen where a training writes, or has
+            interpolations without end.
+    """
+    if changes_hydra:
+        raise ConfigError(
+            "a configuration file from outside cfg/ changes the section 'hydra', which"
+            " decides what is run; remove that from the file (docs/foreign_files.md)"
+        )
+    check_expansion(cfg)
+    if not any(_sets_train_dir(word) for word in overrides):
+        _check_train_dir(cfg)
 
 
 def check_interpolation(text: str, where: str) -> None:
@@ -112,13 +138,12 @@ def check_interpolation(text: str, where: str) -> None:
             f" ${{resolver:...}} and no other $"
         )
     try:
-        tree = parse(text)
-        names = set(_resolver_names(tree))
+        found = parse_interpolations(text)
     except (GrammarParseError, RecursionError) as error:
         raise _refusal(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
-    if _has_made_up_key(tree):
+    if found.has_composed_path:
         raise _refusal(f"{where}: '{text}' makes up the path that it leads to; write it out")
-    for name in sorted(names - set(RESOLVERS)):
+    for name in sorted(set(found.resolvers) - set(RESOLVERS)):
         raise _refusal(
             f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
             f" expected a path in the configuration or one of {', '.join(sorted(RESOLVERS))};"
@@ -176,7 +201,7 @@ def is_logging_entry(entry: Any) -> bool:
     return str(key).removeprefix("override ") in _HARMLESS_LOGGING and value in _NO_LOGGING
 
 
-def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
+def _has_only(section: Any, allowed: dict[str, Any]) -> bool:
     """Return whether a section has no other keys and values than `allowed`."""
     if not isinstance(section, dict):
         return False
@@ -184,24 +209,33 @@ def _says_only(section: Any, allowed: dict[str, Any]) -> bool:
         if key not in allowed:
             return False
         expected = allowed[key]
-        same = _says_only(value, expected) if isinstance(expected, dict) else value == expected
+        same = _has_only(value, expected) if isinstance(expected, dict) else value == expected
         if not same:
             return False
     return True
 
 
-def _has_made_up_key(tree: Any, inside: bool = False) -> bool:
-    """Return whether an interpolation's path is put together of others: ${a.${b}}."""
-    if inside and isinstance(tree, OmegaConfGrammarParser.InterpolationContext):
-        return True
-    inside = inside or isinstance(tree, OmegaConfGrammarParser.InterpolationNodeContext)
-    children = getattr(tree, "children", None) or ()
-    return any(_has_made_up_key(child, inside) for child in children)
+def _sets_train_dir(word: Override) -> bool:
+    """Return whether an override chooses where runs are written."""
+    is_above = f"{_TRAIN_DIR}.".startswith(f"{word.key_or_group}.")
+    return word.key_or_group == _TRAIN_DIR or (is_above and isinstance(word.value(), dict))
 
 
-def _resolver_names(tree: Any) -> Iterator[str]:
-    """Yield the names of the resolvers in a parsed text; one that is put together, as written."""
-    if isinstance(tree, OmegaConfGrammarParser.ResolverNameContext):
-        yield tree.getText()
-    for child in getattr(tree, "children", None) or ():
-        yield from _resolver_names(child)
+def _check_train_dir(cfg: DictConfig) -> None:
+    """Check that a train file from outside lets its runs stay below the working folder.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    section, _, key = _TRAIN_DIR.rpartition(".")
+    config = OmegaConf.select(cfg, section)
+    if not isinstance(config, DictConfig) or key not in config:
+        return
+    written: Any = OmegaConf.to_container(config, resolve=False)
+    value = written[key]
+    path = PurePath(value) if isinstance(value, str) else None
+    if path is None or path.is_absolute() or ".." in path.parts or "$" in path.as_posix():
+        raise ConfigError(
+            f"{_TRAIN_DIR}: the train file chooses {value!r}, outside of the working folder;"
+            f" if that is what you want, say so yourself: {_TRAIN_DIR}={value}"
+        )

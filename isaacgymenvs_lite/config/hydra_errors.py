@@ -1,20 +1,17 @@
-"""Hydra's and OmegaConf's errors, told in one line: what was given, the choices, what to do."""
+"""Turns Hydra's and OmegaConf's errors into one line: what was given, the choices, what to do."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, Loader, parse_overrides
 from isaacgymenvs_lite.config.published_names import missing_choice
-from isaacgymenvs_lite.config.yaml_files import one_line
-from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
 from isaacgymenvs_lite.schema import nearest
 
 # What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
@@ -25,7 +22,7 @@ _ALIKE = 0.75
 
 
 def explain(
-    error: Exception, overrides: Sequence[str], loader: ConfigLoaderImpl, config_name: str
+    error: Exception, overrides: Sequence[str], loader: Loader, config_name: str = CONFIG_NAME
 ) -> ConfigError:
     """Return the one-line error for what Hydra or OmegaConf raised while composing.
 
@@ -41,12 +38,12 @@ def explain(
         return _unreadable_override(error)
     if isinstance(error, MissingConfigException):
         return _missing_file(error, overrides)
-    parsed = _parse(overrides)
+    parsed = parse_overrides(overrides)
     for override in parsed:
         group = override.get_key_element()
         is_name = isinstance(override.value(), (str, list)) or override.is_sweep_override()
-        if loader.repository.group_exists(group) and not is_name and not override.is_delete():
-            choices = ", ".join(loader.get_group_options(group))
+        if loader.is_group(group) and not is_name and not override.is_delete():
+            choices = ", ".join(loader.choices(group))
             return ConfigError(f"'{override.input_line}' names no file; choices: {choices}")
     text = str(error)
     key = _quoted(text)
@@ -61,7 +58,7 @@ def explain(
         return ConfigError(f"the key '{key}' exists: leave out the + before it to change its value")
     reason = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
     first = text.split("\n\n")[0]
-    return ConfigError(one_line(Exception(f"{first} {reason or ''}")))
+    return ConfigError(one_line(f"{first} {reason or ''}"))
 
 
 def explain_interpolation(error: OmegaConfBaseException) -> ConfigError:
@@ -87,13 +84,13 @@ def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> Co
     path = error.missing_cfg_file or ""
     group, _, name = path.rpartition("/")
     if error.options is None or not group:
-        return ConfigError(one_line(Exception(str(error).split("\nConfig search path")[0])))
+        return ConfigError(one_line(str(error).split("\nConfig search path")[0]))
     if (published := missing_choice(group, name)) is not None:
         return ConfigError(f"{published}; choices: {', '.join(sorted(error.options))}")
     if group != "train":
         next_step = f"your own files go into cfg/{group} or below a --config-dir"
         return ConfigError(unknown(group, name, error.options, next_step))
-    if any(override.key_or_group == "train" for override in _parse(overrides)):
+    if any(override.key_or_group == "train" for override in parse_overrides(overrides)):
         return ConfigError(unknown("train file", name, error.options))
     return ConfigError(
         f"there is no default train file '{name}' for this task: name one with train=; "
@@ -102,18 +99,19 @@ def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> Co
 
 
 def _unknown_key(
-    key: str, overrides: Sequence[str], loader: ConfigLoaderImpl, config_name: str
+    key: str, overrides: Sequence[str], loader: Loader, config_name: str
 ) -> ConfigError:
     """Explain a key that the tree does not have; list the keys at its level."""
     groups = [
         override.input_line
-        for override in _parse(overrides)
-        if override.input_line and loader.repository.group_exists(override.get_key_element())
+        for override in parse_overrides(overrides)
+        if override.input_line and loader.is_group(override.get_key_element())
     ]
     try:
-        tree = loader.load_configuration(config_name, groups, RunMode.MULTIRUN)
+        composed = loader.compose(groups, config_name, sweeps=True)
     except ComposeError:
         return ConfigError(f"unknown key '{key}'")
+    tree: Any = OmegaConf.to_container(composed, resolve=False)
     section, path, leaf = _deepest_section(tree, key)
     if leaf in section:
         parent = f"{path}.{leaf}" if path else leaf
@@ -130,7 +128,7 @@ def _unknown_key(
     )
 
 
-def _deepest_section(tree: DictConfig, key: str) -> tuple[DictConfig, str, str]:
+def _deepest_section(tree: dict[Any, Any], key: str) -> tuple[dict[Any, Any], str, str]:
     """Follow the dotted `key` down to the last section that exists.
 
     Returns:
@@ -138,30 +136,25 @@ def _deepest_section(tree: DictConfig, key: str) -> tuple[DictConfig, str, str]:
     """
     section, path = tree, ""
     for name in key.split("."):
-        if name not in section or not OmegaConf.is_dict(section._get_node(name)):
+        if not isinstance(section.get(name), dict):
             return section, path, name
         section = section[name]
         path = f"{path}.{name}" if path else name
     return section, path, ""
 
 
-def _leaf_paths(section: DictConfig, path: str = "") -> Iterator[str]:
-    for name in section:
-        node = section._get_node(name)
+def _leaf_paths(section: dict[Any, Any], path: str = "") -> Iterator[str]:
+    for name, value in section.items():
         dotted = f"{path}.{name}" if path else str(name)
         if dotted == "hydra":
             continue
-        if isinstance(node, DictConfig) and not node._is_interpolation() and not node._is_none():
-            yield from _leaf_paths(node, dotted)
+        if isinstance(value, dict):
+            yield from _leaf_paths(value, dotted)
         else:
             yield dotted
 
 
-def _parse(overrides: Sequence[str]) -> list[Override]:
-    return OverridesParser.create().parse_overrides(list(overrides))
-
-
 def _quoted(text: str) -> str | None:
-    """Return the first part of `text` that stands in single quotes."""
+    """Return the first part of `text` in single quotes."""
     parts = text.split("'")
     return parts[1] if len(parts) >= 3 else None

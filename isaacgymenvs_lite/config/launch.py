@@ -1,8 +1,9 @@
-"""The keys of cfg/config.yaml: types, limits, and what this version can do with them."""
+"""Checks the keys of cfg/config.yaml: types, limits, and whether this version supports them."""
 
 from __future__ import annotations
 
 import dataclasses
+import secrets
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +19,13 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 # Sections below the root, which others read.
 _SECTIONS = ("task", "train", "pbt")
+_SEED_OF_DETERMINISTIC_RUNS = 42
+_RANDOM_SEEDS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
-    """The root of the configuration tree, checked; None stands for a '' that means "not given"."""
+    """The checked root of the configuration tree; None replaces a '' that means "not given"."""
 
     task_name: str = setting()
     """Class of the task."""
@@ -58,7 +61,7 @@ class LaunchSettings:
     headless: bool = setting(True)
     """False opens a window."""
     force_render: bool = setting(True)
-    """Show every step in a window; False: only when the task is asked to render."""
+    """Show every step in a window; False: only when the task renders."""
     viewer: str = setting("", choices=("", "web"))
     """`web` serves a page that shows environment 0."""
     viewer_port: int = setting(8080, minimum=0, maximum=65535)
@@ -67,7 +70,7 @@ class LaunchSettings:
     """Where the page is served; 0.0.0.0 for all addresses of the machine."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
-    """Environment steps from the start of one video to that of the next."""
+    """Environment steps from the start of one video to the start of the next."""
     capture_video_len: int = setting(100, minimum=1)
     """Environment steps of a video."""
     capture_video_envs: int = setting(1, minimum=1)
@@ -107,7 +110,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     may be a GPU, after everything that needs no torch.
 
     Raises:
-        ConfigError: a key is missing, unknown or has a wrong value, or asks for a lacking feature.
+        ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
         DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
     _check_sections(cfg)
@@ -124,7 +127,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
             " checkpoint=, or remove it (training draws latents at random)"
         )
-    # The physics runs on the CPU wherever it is asked to run; the task says so in the log.
+    # The physics runs on the CPU whatever sim_device is; the task logs that.
     check_device_name(settings.sim_device, "sim_device")
     rl_device = None if postponed else check_device(settings.rl_device, "rl_device")
     tree = _resolve_tree(cfg)
@@ -136,6 +139,19 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
 
 
+def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
+    """Return the seed of the process `rank`.
+
+    A `seed` of -1 means any: 42 + rank in a deterministic run, else one drawn from [0, 10000),
+    independently of the state of all generators. Any other seed is shifted by the rank.
+    """
+    if seed != -1:
+        return seed + rank
+    if torch_deterministic:
+        return _SEED_OF_DETERMINISTIC_RUNS + rank
+    return secrets.randbelow(_RANDOM_SEEDS)
+
+
 def _check_sections(cfg: DictConfig) -> None:
     hints = {
         "task.name": "a task file starts with name:",
@@ -143,12 +159,17 @@ def _check_sections(cfg: DictConfig) -> None:
         "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
         "train.params": "a train file starts with params:",
     }
+    tree = OmegaConf.to_container(cfg, resolve=False)
     for path, hint in hints.items():
         section, _, key = path.rpartition(".")
-        parent = cfg._get_node(section)
-        present = list(parent) if isinstance(parent, DictConfig) else []
+        present = _keys_below(tree, section)
         if key not in present:
-            raise missing_key(key, dict.fromkeys(map(str, present)), [key], section, hint)
+            raise missing_key(key, dict.fromkeys(present), [key], section, hint)
+
+
+def _keys_below(tree: Any, section: str) -> list[str]:
+    below = tree.get(section)
+    return [str(key) for key in below] if isinstance(below, dict) else []
 
 
 def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
@@ -157,11 +178,11 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
     Raises:
         ConfigError: such a feature is switched on.
     """
-    asked = {
+    switches = {
         "multi_gpu": (settings.multi_gpu, "data-parallel training"),
         "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
     }
-    for key, (value, feature) in asked.items():
+    for key, (value, feature) in switches.items():
         if value:
             raise ConfigError(
                 f"{key}={value}: {feature} is not implemented in this version; set {key}=False"

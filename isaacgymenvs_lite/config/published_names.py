@@ -1,7 +1,7 @@
-"""Names that IsaacGymEnvs and ASE published and that are not here, with what they are.
+"""Explains names that IsaacGymEnvs and ASE published and that are not here.
 
-Whoever types `task=ShadowHand` has not mistyped anything. Messages about such a name say what it
-is, and which tasks of this project are nearest to it.
+`task=ShadowHand` is not a misspelt name. A message about such a name explains what it is, and which
+tasks of this project are nearest to it.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
 
 
 def missing_task(name: str) -> str | None:
-    """Return what to say about a published task that is not here; None for any other name.
+    """Return a message about a published task that is not here; None for any other name.
 
     >>> missing_task("Trifinger")
     "Trifinger is a published task (three fingers that move a cube) that is not here yet; nearest \
@@ -115,7 +115,7 @@ def task_in_name(stem: str) -> str:
 
 
 def missing_choice(group: str, name: str) -> str | None:
-    """Return what to say about a published file of a configuration group that is not here, or None.
+    """Return a message about a published file of a configuration group that is not here, or None.
 
     Args:
         group: task, train or pbt.

@@ -1,4 +1,4 @@
-"""The interpolation functions that YAML files of this family use.
+"""Registers the interpolation functions of IsaacGymEnvs' YAML files.
 
 - `${eq:a,b}`: a equals b, ignoring case; both are text
 - `${contains:a,b}`: a is part of b, ignoring case
@@ -9,11 +9,12 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.config.hydra_bridge import allow_registering_again
 
 
 def equal(a: str, b: str) -> bool:
@@ -22,7 +23,7 @@ def equal(a: str, b: str) -> bool:
 
 
 def contains(part: str, whole: str) -> bool:
-    """Tell whether `part` occurs in `whole`, ignoring case."""
+    """Return whether `part` occurs in `whole`, ignoring case."""
     return part.lower() in whole.lower()
 
 
@@ -62,15 +63,5 @@ def register_resolvers() -> None:
 
 
 def let_scripts_register() -> None:
-    """Let a script register our names once more, as IsaacGymEnvs' first train.py does.
-
-    OmegaConf would refuse the second registration of a name.
-    """
-    register = OmegaConf.register_new_resolver
-
-    @functools.wraps(register)
-    def register_again(name: str, resolver: Callable[..., Any], **options: Any) -> None:
-        register(name, resolver, **({"replace": True} if name in RESOLVERS else {}) | options)
-
-    if not hasattr(register, "__wrapped__"):
-        OmegaConf.register_new_resolver = register_again  # type: ignore[method-assign]
+    """Let a script register our names once more, as IsaacGymEnvs' first train.py does."""
+    allow_registering_again(RESOLVERS)

@@ -1,4 +1,4 @@
-"""Names of runs: of the folder below `runs/`, and of the checkpoints in it."""
+"""Reads names of runs: they name the folder below `runs/` and the checkpoints in it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_BYTES = 160
 
 
 def run_name_of(cfg: DictConfig) -> PurePosixPath:
-    """Return the name of a composed tree's runs: `experiment`, or that of its train file.
+    """Return the name of a composed tree's runs: `experiment`, or the name in its train file.
 
     Raises:
         ConfigError: it cannot be one.

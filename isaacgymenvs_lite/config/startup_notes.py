@@ -1,4 +1,4 @@
-"""What a start has to say about its configuration, each thing in one line."""
+"""Notes on a configuration that a start logs, one line each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TASK_KEYS = (
 _TASK_SECTIONS = ("sim.physx", "sim.flex")
 _ABSENT = object()
 
-# Keys whose shipped defaults differ on a CPU, with the name under which users know them.
+# Keys whose shipped defaults differ on a CPU -> their short names for users.
 _CPU_SETTINGS = {
     "task.env.numEnvs": "numEnvs",
     "train.params.config.minibatch_size": "minibatch_size",
@@ -83,15 +83,14 @@ def physx_only_keys(cfg: DictConfig) -> list[str]:
     Set means: unlike our own YAML file of that name, or, in a task that we ship no file for,
     present. Values are compared as written, before interpolation.
     """
-    root = read_yaml(cfg_dir() / "config.yaml")
-    found = [key for key in _ROOT_KEYS if _raw(cfg, key) != _raw(root, key)]
-    task_file = cfg_dir() / "task" / f"{_raw(cfg, 'task.name')}.yaml"
-    shipped = merge_defaults(task_file) if task_file.is_file() else OmegaConf.create()
-    for key in _TASK_KEYS:
-        if _is_set(cfg, shipped, key):
-            found.append(f"task.{key}")
+    tree, root = _as_written(cfg), _as_written(read_yaml(cfg_dir() / "config.yaml"))
+    found = [key for key in _ROOT_KEYS if _value_at(tree, key) != _value_at(root, key)]
+    task_file = cfg_dir() / "task" / f"{_value_at(tree, 'task.name')}.yaml"
+    shipped = _as_written(merge_defaults(task_file)) if task_file.is_file() else {}
+    task = tree.get("task")
+    found += [f"task.{key}" for key in _TASK_KEYS if _is_set(task, shipped, key)]
     for section in _TASK_SECTIONS:
-        found += _set_keys(cfg, shipped, section)
+        found += _set_keys(task, shipped, section)
     return found
 
 
@@ -122,27 +121,31 @@ def _short(value: Any) -> str:
     return "all" if value is None else str(value)
 
 
-def _set_keys(cfg: DictConfig, shipped: DictConfig, section: str) -> list[str]:
+def _set_keys(task: Any, shipped: Any, section: str) -> list[str]:
     """Return the keys of `task.<section>` that the user set; the section's name if it is all."""
-    node = OmegaConf.select(cfg, f"task.{section}")
-    if not isinstance(node, DictConfig) or not node:
+    keys = _value_at(task, section)
+    if not isinstance(keys, dict) or not keys:
         return []
-    found = [str(key) for key in node if _is_set(cfg, shipped, f"{section}.{key}")]
-    if len(found) == len(node):
+    found = [str(key) for key in keys if _is_set(task, shipped, f"{section}.{key}")]
+    if len(found) == len(keys):
         return [f"task.{section}.*"]
     return [f"task.{section}.{key}" for key in found]
 
 
-def _is_set(cfg: DictConfig, shipped: DictConfig, key: str) -> bool:
-    value = _raw(cfg, f"task.{key}")
-    return value is not _ABSENT and value != _raw(shipped, key)
+def _is_set(task: Any, shipped: Any, key: str) -> bool:
+    value = _value_at(task, key)
+    return value is not _ABSENT and value != _value_at(shipped, key)
 
 
-def _raw(cfg: DictConfig, path: str) -> object:
-    """Return the value at `path` as written, interpolations unresolved."""
-    parent, _, key = path.rpartition(".")
-    node = OmegaConf.select(cfg, parent) if parent else cfg
-    if not isinstance(node, DictConfig) or key not in node:
-        return _ABSENT
-    child = node._get_node(key)
-    return child._value() if child is not None and not OmegaConf.is_config(child) else child
+def _value_at(tree: Any, path: str) -> Any:
+    """Return the value at a dotted path of nested dictionaries, `_ABSENT` without one."""
+    for key in path.split("."):
+        if not isinstance(tree, dict) or key not in tree:
+            return _ABSENT
+        tree = tree[key]
+    return tree
+
+
+def _as_written(cfg: DictConfig) -> Any:
+    """Return a tree as nested dictionaries, interpolations unresolved."""
+    return OmegaConf.to_container(cfg, resolve=False)

@@ -1,4 +1,4 @@
-"""Reading one train file by itself, as a hierarchical agent does for its low-level controller."""
+"""Reads a train file alone, as a hierarchical agent does for its low-level controller."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import plain
 
-# Where the files of IsaacGymEnvs and of ASE say that train files are.
+# Folders of train files in the paths that files of IsaacGymEnvs and ASE have.
 _PUBLISHED_FOLDERS = (("isaacgymenvs", "cfg", "train"), ("ase", "data", "cfg", "train", "rlg"))
 
 
 def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
     """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
 
-    The interpolations of a train file lead into a composed tree. Here they find one with the
-    defaults of cfg/config.yaml and the given values.
+    The interpolations of a train file lead into a composed tree. Here it has the defaults of
+    cfg/config.yaml and the given values.
 
     Args:
         path: a file, relative to the working directory or to the project's, or the name of one in
             cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of IsaacGymEnvs' files and
             `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last. The config.yaml of a run
-            folder stands for the train file of that run, its overrides included.
+            folder holds the train file of that run, overrides included.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 

@@ -1,23 +1,26 @@
-"""From the train section of a composed tree to the dictionary that rl_games' Runner loads."""
+"""Turns the train section of a composed tree into the dictionary that rl_games' Runner loads."""
 
 from __future__ import annotations
 
 import logging
+import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config.isaac_lab import SECTION as ISAAC_LAB_SECTION
-from isaacgymenvs_lite.config.minibatch import fit_minibatch
-from isaacgymenvs_lite.config.network_settings import check_network, scale_units
-from isaacgymenvs_lite.config.ppo_settings import OTHER_KEYS, PPOSettings
+from isaacgymenvs_lite.config.rl_games_settings import (
+    ENV_NAME,
+    PPO_OTHER_KEYS,
+    SAC_OTHER_KEYS,
+    PPOSettings,
+    SACSettings,
+    check_network,
+    scale_units,
+)
 from isaacgymenvs_lite.config.run_names import read_run_name
-from isaacgymenvs_lite.config.run_settings import ENV_NAME
-from isaacgymenvs_lite.config.sac_settings import OTHER_KEYS as SAC_OTHER_KEYS
-from isaacgymenvs_lite.config.sac_settings import SACSettings
 from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
 from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
 
@@ -26,10 +29,14 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T", PPOSettings, SACSettings)
 
 _WHERE = "train.params"
+# Section of `train.params` in Isaac Lab's train files: the limits that its wrapper keeps.
+_ISAAC_LAB_SECTION = "env"
+# Key of that section -> key of task.env.
+_LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
 _PARAMS_KEYS = frozenset(
     (
         *("seed", "algo", "model", "network", "config", "load_checkpoint", "load_path"),
-        *("torch_threads", ISAAC_LAB_SECTION),
+        *("torch_threads", _ISAAC_LAB_SECTION),
     )
 )
 # A word in a name -> algorithm, model and network of its family; the first that is found counts.
@@ -55,7 +62,7 @@ _PLAYER_DEFAULTS = {
 
 @dataclass(frozen=True)
 class KnownNames:
-    """What the rl_games factories know, and which keys the agents read beyond PPO's.
+    """Names that are registered with rl_games, and keys that the agents read beyond PPO's.
 
     An empty collection of names is not checked against.
     """
@@ -124,14 +131,33 @@ def prepare_train_params(
     return params
 
 
-def checkpoint_in_file(cfg: DictConfig) -> str:
-    """Return the checkpoint that the train file itself asks for, '' for none.
-
-    IsaacGymEnvs' files ask for what `checkpoint=` says; in others `load_checkpoint: True` and a
-    path may stand. rl_games 1.6.5 reads neither key, its first versions did.
+def apply_wrapper_limits(cfg: DictConfig) -> None:
+    """Copy the limits of `train.params.env` into the task section, in place.
 
     Raises:
-        ConfigError: it asks for one and names none.
+        ConfigError: a limit is not a positive number.
+    """
+    section = OmegaConf.select(cfg, f"train.params.{_ISAAC_LAB_SECTION}")
+    if not isinstance(section, DictConfig):
+        return
+    for key, task_key in _LIMITS.items():
+        value = section.get(key)
+        if value is None:
+            continue
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or value <= 0:
+            path = f"train.params.{_ISAAC_LAB_SECTION}.{key}"
+            raise ConfigError(f"{path}: got {value!r}, expected a number above 0")
+        OmegaConf.update(cfg, f"task.env.{task_key}", float(value), force_add=True)
+
+
+def checkpoint_in_file(cfg: DictConfig) -> str:
+    """Return the checkpoint that the train file itself names, '' for none.
+
+    IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
+    path. rl_games 1.6.5 reads neither key, its first versions did.
+
+    Raises:
+        ConfigError: load_checkpoint is True and no path is given.
     """
     params = cfg.train.params
     if not params.get("load_checkpoint") or cfg.get("checkpoint"):
@@ -143,7 +169,7 @@ def checkpoint_in_file(cfg: DictConfig) -> str:
 
 
 def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
-    """Let max_iterations and experiment of the command line count in any train file, in place.
+    """Apply max_iterations and experiment of the command line to any train file, in place.
 
     IsaacGymEnvs' files interpolate them; ASE's have plain values.
     """
@@ -235,21 +261,20 @@ def check_env_name(params: Mapping[str, Any]) -> None:
     Among them is one that makes whatever Gymnasium can import by the name in `env_config`.
 
     Raises:
-        ConfigError: the file asks for one.
+        ConfigError: the file names one.
     """
     name = params["config"].get("env_name", ENV_NAME)
     if name != ENV_NAME:
         raise ConfigError(
-            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which stands for the task of"
-            " task="
+            f"{_WHERE}.config.env_name={name}: expected {ENV_NAME}, which means the task of task="
         )
 
 
 def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:
-    """Refuse an asymmetric critic where there is nothing for it to see."""
+    """Refuse an asymmetric critic where the task has no privileged observations."""
     if config.get("central_value_config") and num_states == 0:
         raise ConfigError(
-            f"{_WHERE}.config.central_value_config: a critic of its own wants privileged"
+            f"{_WHERE}.config.central_value_config: a critic of its own needs privileged"
             " observations (states), and this task gives none; add"
             " task.env.asymmetric_observations=True if the task has that key, or remove the section"
         )
@@ -275,7 +300,7 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
 def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
     where = f"{_WHERE}.config"
-    settings = _check_keys(PPOSettings, config, OTHER_KEYS | set(agent_keys))
+    settings = _check_keys(PPOSettings, config, PPO_OTHER_KEYS | set(agent_keys))
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"
         raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
@@ -302,22 +327,22 @@ def player_class_note(player: Mapping[str, Any]) -> str:
     )
 
 
-def torch_compile_setting(asked: Any, device: str, can_compile: bool) -> Any:
+def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
     """Return the value of `torch_compile` that rl_games' Runner reads after it made an agent.
 
-    Without a value the Runner compiles. Agents call this in their constructors, so that it counts
-    in a Runner of the user's own, too; the Runner hands them the dictionary that it reads.
+    Without a value the Runner compiles. Agents call this in their constructors, so that it also
+    works in a Runner that the user made: the Runner passes them the dictionary that it reads.
 
     Args:
-        asked: the key `train.params.config.torch_compile`, None without it.
+        setting: the key `train.params.config.torch_compile`, None without it.
         device: of the agent.
         can_compile: False for agents that differentiate twice (gradient penalties).
     """
     if not can_compile:
-        if asked:
+        if setting:
             _log.warning("torch_compile is off: it cannot differentiate a gradient penalty")
         return False
-    return device.startswith("cuda") if asked is None else asked
+    return device.startswith("cuda") if setting is None else setting
 
 
 def _fit_minibatches(
@@ -371,3 +396,34 @@ def _fit_minibatch(
         if batch % wish == 0:
             reason = f"is no multiple of seq_length {sequence}"
         _log.info("%sminibatch_size %d %s: using %d", label, wish, reason, size)
+
+
+def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
+    """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
+
+    A minibatch larger than the batch becomes the batch.
+
+    >>> fit_minibatch(1024, 32768)
+    1024
+    >>> fit_minibatch(1000, 300)  # 250 is 1.2 times smaller, 500 is 1.67 times larger
+    250
+
+    Args:
+        batch_size: samples of an epoch, at least 1.
+        minibatch_size: the wish, at least 1.
+        multiple_of: the result is a multiple of this (sequence length of a recurrent network).
+
+    Raises:
+        ValueError: `multiple_of` does not divide `batch_size`.
+    """
+    if batch_size % multiple_of:
+        raise ValueError(f"{multiple_of} does not divide the batch of {batch_size}")
+    candidates = [divisor for divisor in _divisors(batch_size) if divisor % multiple_of == 0]
+    return min(candidates, key=lambda d: max(d, minibatch_size) / min(d, minibatch_size))
+
+
+def _divisors(number: int) -> Iterator[int]:
+    for divisor in range(1, math.isqrt(number) + 1):
+        if number % divisor == 0:
+            yield divisor
+            yield number // divisor

@@ -1,4 +1,4 @@
-"""Reading YAML files as they were published, alone and through Hydra.
+"""Reads YAML files as they were published, alone and for Hydra.
 
 ASE's train files state `ppo` twice. OmegaConf refuses that; the loader they were written for took
 the last one, and so does this one, with one warning for each file. Those of its hierarchies lack
@@ -8,15 +8,9 @@ the last one, and so does this one, with one warning for each file. Those of its
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.core_plugins.file_config_source import FileConfigSource
-from hydra._internal.sources_registry import SourcesRegistry
-from hydra.core.plugins import Plugins
-from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -26,22 +20,22 @@ from isaacgymenvs_lite.config.foreign_files import (
     is_foreign,
     is_logging_entry,
 )
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.config.hydra_bridge import ComposedFile, read_header
+from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 _log = logging.getLogger(__name__)
-_HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 _warned_files: set[Path] = set()
 
 
 def read_yaml(path: Path) -> DictConfig:
     """Read one YAML file as OmegaConf does, except that the last of equal keys wins.
 
-    A file outside of cfg/ is somebody else's: see `foreign_files`.
+    A file outside of cfg/ is checked, see `foreign_files`.
 
     Raises:
-        ConfigError: the file is missing, is no YAML, holds no mapping, or what it may not.
+        ConfigError: the file is missing, is no YAML, or holds no mapping or something forbidden.
     """
     content = _read(path, read_text(path))
     if is_foreign(path):
@@ -71,66 +65,31 @@ def _as_config(content: dict[Any, Any], path: Path) -> DictConfig:
         raise ConfigError(f"{path}: {one_line(error)}") from error
 
 
-@contextmanager
-def tolerant_hydra() -> Iterator[None]:
-    """Let Hydra read its YAML files with `read_yaml` as long as the context lasts.
+def read_composed_file(path: Path, group: str) -> ComposedFile:
+    """Read one file that Hydra merges into a tree.
 
-    Hydra looks up the reader of a search path when a loader is made, so the loader must be made
-    inside. The former reader returns afterwards, so other Hydra programs in the process are safe.
+    Args:
+        path: the file.
+        group: folder of the file as Hydra sees it; '' for a root file.
+
+    Raises:
+        ConfigError: as `read_yaml`, or it would be merged elsewhere than in its group.
     """
-    Plugins.instance()  # registers Hydra's own readers, which must happen before one is replaced
-    registry = SourcesRegistry.instance().types
-    scheme = FileConfigSource.scheme()
-    former = registry[scheme]
-    registry[scheme] = TolerantFileSource
-    try:
-        yield
-    finally:
-        registry[scheme] = former
-
-
-def one_line(error: BaseException) -> str:
-    """Return the message of an error on one line."""
-    return " ".join(str(error).split())
-
-
-class TolerantFileSource(FileConfigSource):
-    """Hydra's reader of folders, with `read_yaml` for the files."""
-
-    def load_config(self, config_path: str) -> ConfigResult:
-        """Read a file below the folder."""
-        path = Path(self.path, self._normalize_file_name(config_path)).resolve()
-        return self.read(path, config_path.rpartition("/")[0])
-
-    def read(self, path: Path, group: str) -> ConfigResult:
-        """Read one file of a group, '' for a root file."""
-        text = read_text(path)
-        content = _read(path, text)
-        header = self._header(text, path)
-        if is_foreign(path):
-            check_composed_file(content, path, group, header["package"])
-            header["package"] = None  # which means the group
-            if not group:
-                _take_our_hydra(content)
-        config = _as_config(content, path)
-        _add_launch_key(config)
-        return ConfigResult(
-            config=config,
-            path=f"{self.scheme()}://{self.path}",
-            provider=self.provider,
-            header=header,
-        )
-
-    @staticmethod
-    def _header(text: str, path: Path) -> dict[str, str | None]:
-        try:
-            return ConfigSource._get_header_dict(text[:_HEADER_LENGTH])
-        except ValueError as error:
-            raise ConfigError(f"{path}: {one_line(error)}") from error
+    text = read_text(path)
+    content = _read(path, text)
+    header = read_header(text, path)
+    if is_foreign(path):
+        check_composed_file(content, path, group, header["package"])
+        header["package"] = None  # which means the group
+        if not group:
+            _take_our_hydra(content)
+    config = _as_config(content, path)
+    _add_launch_key(config)
+    return ComposedFile(config, header)
 
 
 def _take_our_hydra(content: dict[Any, Any]) -> None:
-    """Give a root file from outside what cfg/config.yaml says of Hydra, in place."""
+    """Give a root file from outside the Hydra settings of cfg/config.yaml, in place."""
     ours = parse_yaml(read_text(cfg_dir() / "config.yaml"), "config.yaml").content
     logging_entries = [entry for entry in ours["defaults"] if is_logging_entry(entry)]
     own = [entry for entry in content.get("defaults", []) if not is_logging_entry(entry)]

@@ -6,8 +6,6 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from isaacgymenvs_lite.checkpoints.files import (
@@ -19,7 +17,7 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose, make_loader
-from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME
+from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
 from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.errors import ConfigError
 
@@ -91,10 +89,9 @@ def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
     words = [word for word in overrides if not word.startswith("task=")]
     OmegaConf.set_struct(cfg, True)
     try:
-        parsed = OverridesParser.create().parse_overrides(words)
-        ConfigLoaderImpl._apply_overrides_to_config(parsed, cfg)
+        apply_overrides(words, cfg)
     except ComposeError as error:
-        raise explain(error, words, make_loader(), CONFIG_NAME) from error
+        raise explain(error, words, make_loader()) from error
     return cfg
 
 

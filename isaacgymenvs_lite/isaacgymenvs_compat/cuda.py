@@ -10,9 +10,9 @@ from torch.overrides import TorchFunctionMode
 
 
 class CudaIsCpu(TorchFunctionMode):
-    """Lets torch's functions make and move tensors on the CPU where a script says cuda.
+    """Makes torch's functions use the CPU where a script names cuda.
 
-    Use it in a `with` statement. What asks torch.cuda itself is not concerned, and neither are
+    Use it in a `with` statement. Calls of torch.cuda itself are not changed, and neither are
     other threads. Each call of a torch function goes through Python once more, which costs about
     as much as adding two small tensors.
     """
@@ -24,8 +24,7 @@ class CudaIsCpu(TorchFunctionMode):
         args: tuple[Any, ...] = (),
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
-        """Call a torch function, with another device if it is told to use a GPU."""
-        del types
+        """Call a torch function, with the CPU in place of a GPU."""
         if func is torch.Tensor.cuda:
             return args[0]
         if func is torch.Tensor.to:

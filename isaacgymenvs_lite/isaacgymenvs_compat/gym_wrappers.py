@@ -1,4 +1,4 @@
-"""The names of `gym.wrappers`; see `published.gym`."""
+"""The names of `gym.wrappers`; see `isaacgymenvs_compat.gym`."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ __all__ = [
 
 
 def multi_gpu_get_rank(multi_gpu: bool) -> int:
-    """Return the rank of this process among those of torchrun; 0 without them."""
+    """Return the rank of this process among torchrun's processes; 0 without torchrun."""
     return int(os.environ.get("LOCAL_RANK", "0")) if multi_gpu else 0
 
 
@@ -82,7 +82,6 @@ def get_rlgames_env_creator(
 
     def create_rlgpu_env(**kwargs: Any) -> VecTask:
         """Make the task; rl_games' keywords have no effect."""
-        del kwargs
         set_seed(seed, rank=multi_gpu_get_rank(multi_gpu))
         env = make_from_config(
             OmegaConf.create({"task": {**task_config, "name": task_name}}),

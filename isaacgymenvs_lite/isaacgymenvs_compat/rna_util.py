@@ -13,8 +13,8 @@ _HIDDEN_UNITS = (512, 1024)
 class RandomNetworkAdversary(nn.Module):
     """A random network that disturbs actions, after OpenAI et al. 2019 (arXiv:1910.07113, B.3).
 
-    Its outputs are probabilities of bins of each action. All environments have the same weights
-    and masks of dropped units of their own, in the place of a network for each.
+    Its outputs are probabilities of bins of each action. All environments share the weights;
+    each has its own mask of dropped units, which replaces a network for each.
 
     Args:
         num_envs: N.

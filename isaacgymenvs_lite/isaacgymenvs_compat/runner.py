@@ -16,12 +16,11 @@ _original_load_config = Runner.load_config
 
 
 def adapt_runner() -> None:
-    """Let every Runner of this process begin with our agents, and learn where that is possible.
+    """Give every Runner of this process our agents, and a device that exists.
 
-    What a script registers itself goes first. A train section gets
-    `device` and `device_name` of this machine, where the CPU may stand in for a GPU. The loggers of
-    this package are enabled again: published configurations disable all loggers that exist when
-    Hydra starts.
+    Names that a script registers itself win. A train section gets `device` and `device_name` of
+    this machine, where the CPU may replace a GPU. The loggers of this package are enabled again:
+    published configurations disable all loggers that exist when Hydra starts.
     """
     register_networks()
     Runner.__init__ = _init

@@ -1,7 +1,7 @@
-"""Modules whose names can be imported, and say what to do when they are used.
+"""Modules whose names can be imported; using one raises an error that names the replacement.
 
 Scripts import names that they do not use on every run, such as those of population-based training;
-and names of the simulator stand in signatures of functions that nobody calls. An import of such a
+and names of the simulator are in signatures of functions that nobody calls. An import of such a
 name succeeds; calling it, or reading anything of it, raises an `UnavailableError`.
 """
 
@@ -41,7 +41,6 @@ class _StandIn(type):
     _reason: str
 
     def __call__(cls, *args: Any, **kwargs: Any) -> NoReturn:
-        del args, kwargs
         raise UnavailableError(f"{cls._path}: {cls._reason}")
 
     def __getattr__(cls, name: str) -> NoReturn:

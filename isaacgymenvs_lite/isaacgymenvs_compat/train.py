@@ -6,14 +6,14 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.train import main
 
 __all__ = ["launch_rlg_hydra", "preprocess_train_config"]
 
 
 def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
-    """Train or play as `sys.argv` says, or as a composed tree does.
+    """Train or play as `sys.argv` or a composed tree describes.
 
     Raises:
         UserError: anything that the user can mend in the tree; mistakes in `sys.argv` end the
@@ -28,7 +28,7 @@ def launch_rlg_hydra(cfg: DictConfig | None = None) -> None:
 
 
 def preprocess_train_config(cfg: DictConfig, config_dict: dict[str, Any]) -> dict[str, Any]:
-    """Complete a train section for rl_games by what the root of the tree says.
+    """Complete a train section for rl_games from the root of the tree.
 
     Args:
         cfg: the composed tree.

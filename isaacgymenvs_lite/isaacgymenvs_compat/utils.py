@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.env_factory import seed_everything
 
 __all__ = [

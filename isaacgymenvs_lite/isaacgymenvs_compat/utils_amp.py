@@ -1,1 +1,1 @@
-"""Stands for the package `tasks.amp.utils_amp` of IsaacGymEnvs; its modules are elsewhere here."""
+"""Replaces the package `tasks.amp.utils_amp` of IsaacGymEnvs; its modules are elsewhere here."""

@@ -106,10 +106,17 @@ def lowest_point_height(
         positions: (T, J, 3) m, world positions of the bodies.
         rotation: (T, J, 4), world rotations of the bodies.
     """
+    return float(world_points(body_ids, points, positions, rotation)[..., 2].min())
+
+
+def world_points(
+    body_ids: Sequence[int], points: FloatArray, positions: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return the world positions (T, K, 3) m of points on bodies; see `lowest_point_height`."""
     ids = list(body_ids)
     turns = _tensor(rotation)[:, ids]
     offsets = rotations.quat_apply(turns, _tensor(points).expand(*turns.shape[:-1], 3))
-    return float((_tensor(positions)[:, ids] + offsets)[..., 2].min())
+    return (_tensor(positions)[:, ids] + offsets).numpy()
 
 
 def _tensor(array: FloatArray) -> torch.Tensor:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.kinematics import FloatArray, world_points
 
 # The model file, relative to the assets folder, of the humanoid with a number of DOFs.
 _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
@@ -97,6 +98,21 @@ class Skeleton:
             dof_names=dof_names,
             dof_limits=dof_limits,
         )
+
+    def sole_corners(self, positions: FloatArray, rotation: FloatArray) -> FloatArray:
+        """Return the world positions (T, 2, 4, 3) m of the soles' corners, right foot first.
+
+        Args:
+            positions: (T, J, 3) m, world positions of the bodies.
+            rotation: (T, J, 4) xyzw, world rotations of the bodies.
+        """
+        soles = []
+        for name in ("right_foot", "left_foot"):
+            foot = self.body_names.index(name)
+            corners = self.foot_corners[[body == foot for body in self.foot_body_ids]]
+            sole = corners[corners[:, 2] == corners[:, 2].min()]
+            soles.append(world_points([foot] * len(sole), sole, positions, rotation))
+        return np.stack(soles, axis=1)
 
 
 @functools.lru_cache

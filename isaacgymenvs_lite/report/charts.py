@@ -1,4 +1,4 @@
-"""Which curves a page shows: the scalars of a run, sorted into charts."""
+"""Sorts the scalars of a run into the charts of a page."""
 
 from __future__ import annotations
 
@@ -39,6 +39,11 @@ class Chart:
 
     title: str
     lines: tuple[Line, ...]
+
+    @property
+    def resumed_at(self) -> list[float]:
+        """The frames at which the training was resumed."""
+        return sorted({start for line in self.lines for start in line.series.resumed_at})
 
 
 @dataclass(frozen=True)
@@ -82,13 +87,13 @@ _LOSSES = "losses/"
 
 
 def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
-    """Return the charts that say how a training went: those that the run has scalars for."""
+    """Return the main charts of a training: those that the run has scalars for."""
     scalars = _finite({**scalars, **_derived(scalars)})
     charts = []
     for plan in _PLANS:
         found = {label: first_of(scalars, tags) for label, tags in plan.lines.items()}
         lines = tuple(Line(label, series) for label, series in found.items() if len(series))
-        if any(line.label != "task" for line in lines):  # alone it says what its sum says
+        if any(line.label != "task" for line in lines):  # alone it repeats the chart of its sum
             charts.append(Chart(plan.title, lines))
     losses = (tag for tag in sorted(scalars) if tag.startswith(_LOSSES))
     return charts + [_single(tag, f"Loss: {tag.removeprefix(_LOSSES)}", scalars) for tag in losses]
@@ -116,12 +121,10 @@ def _derived(scalars: Mapping[str, Series]) -> dict[str, Series]:
     derived = {}
     no_fall = scalars.get(_NO_FALL_TAG, NOTHING)
     if len(no_fall):
-        falls = Series(no_fall.frames, no_fall.minutes, 1.0 - no_fall.values)
-        derived[_FALL_TAG] = falls
+        derived[_FALL_TAG] = no_fall.with_values(1.0 - no_fall.values)
     if len(reward) and len(length):
         steps = np.interp(reward.frames, length.frames, length.values)
-        per_step = reward.values / np.maximum(steps, 1.0)
-        derived[_TASK_PER_STEP] = Series(reward.frames, reward.minutes, per_step)
+        derived[_TASK_PER_STEP] = reward.with_values(reward.values / np.maximum(steps, 1.0))
     return derived
 
 
@@ -131,5 +134,5 @@ def _finite(scalars: Mapping[str, Series]) -> dict[str, Series]:
     for tag, series in scalars.items():
         rows = np.isfinite(series.values)
         if rows.any():
-            kept[tag] = Series(series.frames[rows], series.minutes[rows], series.values[rows])
+            kept[tag] = series.rows(rows)
     return kept

@@ -1,6 +1,9 @@
-"""Charts as SVG elements of a page: drawn by hand, so that a page has no library in it.
+"""Draws charts as SVG elements of a page.
 
-Colours, fonts and what the pointer shows are the page's (`assets/page.css`, `assets/page.js`).
+Not with matplotlib: for 46 charts of 300 points its SVG took 50 times as long to draw and was four
+times as large, with fixed colours and ids that repeat on a page. Here colours (light and dark),
+fonts and the values under the pointer are the page's (`assets/page.css`, `assets/page.js`), and the
+command needs no extra.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ _SIGNIFICANT_DIGITS = 5
 def draw(chart: Chart) -> str:
     """Return a chart as a `<figure>`: title, legend, axes, curves, and the values of the points.
 
-    Longer curves are thinned to about 300 points, each the mean of its neighbours.
+    Longer curves are thinned to about 300 points, each the mean of its neighbours. A dashed line
+    marks where the training was resumed.
     """
     lines = [Line(line.label, thinned(line.series)) for line in chart.lines]
     frames = np.concatenate([line.series.frames for line in lines])
@@ -47,6 +51,11 @@ def draw(chart: Chart) -> str:
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{title}">',
         *_axes((low_x, high_x), (low_y, high_y), x_of, y_of),
     ]
+    for start in chart.resumed_at:
+        if low_x < start < high_x:
+            x = f"{x_of(start):.1f}"
+            y = f'y1="{_TOP}" y2="{HEIGHT - _BOTTOM}"'
+            parts.append(f'<line class="resumed" x1="{x}" x2="{x}" {y}/>')
     data = []
     for i, line in enumerate(lines):
         xs, ys = np.asarray(x_of(line.series.frames)), np.asarray(y_of(line.series.values))
@@ -136,4 +145,5 @@ def thinned(series: Series) -> Series:
     starts = np.linspace(0, len(series), _POINTS, endpoint=False).astype(int)
     counts = np.diff(np.append(starts, len(series)))
     columns = (series.frames, series.minutes, series.values)
-    return Series(*(np.add.reduceat(column, starts) / counts for column in columns))
+    means = (np.add.reduceat(column, starts) / counts for column in columns)
+    return Series(*means, resumed_at=series.resumed_at)

@@ -1,4 +1,4 @@
-"""The page itself: one HTML file that needs no other."""
+"""Writes the page of a run: one HTML file that needs no other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from isaacgymenvs_lite.utils.files import written_for_user
 from isaacgymenvs_lite.yaml_text import MAX_BYTES
 
 MAX_EMBEDDED_BYTES = 8 * 2**20
-"""A longer video is linked: a page shall open at once."""
+"""A larger video is linked instead, so that the page opens at once."""
 
 _ASSETS = Path(__file__).with_name("assets")
 
@@ -56,17 +56,19 @@ def build_page(run: Path, out: Path) -> str:
     if not scalars:
         raise ConfigError(f"{run}: no epoch has ended yet, so that there is nothing to show")
     config = _config_text(run)
-    others = other_charts(scalars)
+    charts, others = main_charts(scalars), other_charts(scalars)
+    resumed = any(chart.resumed_at for chart in charts)
     body = [
         f"<h1>{html.escape(run.absolute().name)}</h1>",
         _facts(summarize(run, config, scalars)),
         _video(run, out),
         "<h2>Curves over frames</h2>",
-        _charts(main_charts(scalars)),
+        _charts(charts),
         _folded(f"{len(others)} more scalars", _charts(others)) if others else "",
         _folded("config.yaml", f"<pre>{html.escape(config)}</pre>") if config else "",
         f"<footer>isaacgymenvs_lite {html.escape(__version__)}. Frames are environment"
-        " steps; longer curves are drawn as means of neighbours.</footer>",
+        " steps; longer curves are drawn as means of neighbours."
+        f"{' A dashed line marks where the training was resumed.' if resumed else ''}</footer>",
     ]
     style, script = (
         (_ASSETS / name).read_text(encoding="utf-8") for name in ("page.css", "page.js")

@@ -1,4 +1,4 @@
-"""The scalars of a run from its TensorBoard files, those of a resumed run put together."""
+"""Reads the scalars of a run from its TensorBoard files, and joins the files of a resumed run."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 FPS_TAGS = ("performance/total_fps", "performance/step_inference_rl_update_fps")
-"""Written after every epoch, the first one of a resumed run included: the clock of a run. Of our
-agents' runs, and of rl_games' own."""
+"""The clock of a run: written after every epoch, also after the first one of a resumed run, by our
+agents and rl_games' own."""
 
-# Scalars over epochs or seconds, which all are there over frames, too, or belong to no frame.
+# Ends of scalars over epochs or seconds: each also exists over frames, or belongs to no frame.
 _OTHER_AXES = ("/iter", "/time")
 _OVER_EPOCHS = "Episode/"
 
@@ -25,7 +25,7 @@ class Series:
     """One scalar over a training; three arrays (n,).
 
     Attributes:
-        frames: TensorBoard's step: frames before the epoch that the value is of.
+        frames: TensorBoard's step: frames before the epoch of the value.
         minutes: time trained when it was written.
         values: the scalar.
         resumed_at: frames at which the training was resumed.
@@ -50,8 +50,16 @@ class Series:
         kept = np.ones(len(self), dtype=bool)
         for start in self.resumed_at:
             kept &= (self.frames < start) | (self.frames >= start + frames)
+        return self.rows(kept)
+
+    def rows(self, kept: npt.NDArray[np.bool_]) -> Series:
+        """Return the values at which `kept` (n,) is True."""
         columns = (self.frames[kept], self.minutes[kept], self.values[kept])
         return Series(*columns, resumed_at=self.resumed_at)
+
+    def with_values(self, values: FloatArray) -> Series:
+        """Return other values (n,) at the same times."""
+        return Series(self.frames, self.minutes, values, resumed_at=self.resumed_at)
 
     def first_reach(self, at_least: float) -> tuple[float, float] | None:
         """Return (frames, minutes) of the first value of at least `at_least`; None without one."""
@@ -78,10 +86,10 @@ def event_files(summaries: Path) -> list[Path]:
 def read_scalars(summaries: Path) -> dict[str, Series]:
     """Read the event files in a run's folder summaries/: every scalar over frames, by its tag.
 
-    Minutes are wall-clock from the moment that the agent exists, some seconds after the command;
-    measurements and checkpoints on the way are included. A resumed run's parts follow one another
-    without the pause. What was trained after the checkpoint that it went on from is lost, and so
-    are its values and its minutes.
+    Minutes are wall-clock time since the agent was made, some seconds after the command; they
+    include measurements and checkpoints. The parts of a resumed run follow one another without the
+    pause. Training after the checkpoint that a run was resumed from is lost; its values and minutes
+    are left out.
 
     Returns:
         Tag -> values; empty if there are no files, or none with an epoch in it.
@@ -108,7 +116,7 @@ def read_scalars(summaries: Path) -> dict[str, Series]:
 
 def _read_file(file: Path) -> dict[str, FloatArray]:
     """Return for every scalar over frames the rows (frames, minutes, value) of one process."""
-    # Half a second, which those who want a mistake explained need not wait.
+    # Takes half a second to import, which an error message need not wait for.
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(file), {"scalars": 0})

@@ -1,4 +1,4 @@
-"""The head of a page: what was trained, for how long, and what came out."""
+"""Summarises a run for the head of a page: what was trained, for how long, with which result."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ EXTRAS = {
     "PIL": "video",
     "av": "video",
     "matplotlib": "docs",
-    "mink": "synthesis",
+    "mink": "retarget",
     "onnx": "export",
     "onnxruntime": "export",
     "onnxscript": "export",

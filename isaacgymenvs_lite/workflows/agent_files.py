@@ -20,8 +20,8 @@ from torch import nn
 from yaml import YAMLError
 
 from isaacgymenvs_lite.config.expansion import check_expansion
-from isaacgymenvs_lite.config.yaml_files import one_line, read_yaml
-from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
+from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.errors import ConfigError, UserError, one_line, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import keys_of, plain, setting
 

@@ -13,8 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose_task
 from isaacgymenvs_lite.config.devices import check_device
-from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
-from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask

@@ -1,9 +1,12 @@
+from types import ModuleType
+
 import pytest
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir, version
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
+from isaacgymenvs_lite import config
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
@@ -27,6 +30,13 @@ def message(overrides, config_dir=None) -> str:
     text = str(error.value)
     assert "\n" not in text
     return text
+
+
+def test_the_package_holds_modules_only():
+    """A re-exported function `compose` would hide the module of that name."""
+    public = {name: value for name, value in vars(config).items() if not name.startswith("_")}
+    assert public["compose"].compose is compose
+    assert all(isinstance(value, ModuleType) for value in public.values()), public
 
 
 def test_root_has_every_key_of_the_contract_and_no_other():

@@ -1,8 +1,7 @@
 import pytest
 import torch
 
-from isaacgymenvs_lite.config import devices
-from isaacgymenvs_lite.config.devices import check_device, check_device_name, let_the_cpu_stand_in
+from isaacgymenvs_lite.config.devices import allow_cpu_fallback, check_device, check_device_name
 from isaacgymenvs_lite.errors import DeviceError
 
 
@@ -35,12 +34,12 @@ def test_names_are_read_without_looking_at_the_machine():
     assert indices == {"cpu": None, "cuda": 0, "cuda:7": 7}
 
 
-def test_the_cpu_stands_in_where_it_was_asked_to(monkeypatch, caplog):
+def test_the_cpu_replaces_a_missing_gpu_where_that_is_allowed(monkeypatch, caplog, request):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setattr(devices, "_stand_in_settings", None)
     with pytest.raises(DeviceError, match="torch sees no GPU on this machine; use rl_device=cpu"):
         check_device("cuda:0", "rl_device")
-    let_the_cpu_stand_in()
+    request.addfinalizer(lambda: allow_cpu_fallback(False))
+    allow_cpu_fallback()
     assert [check_device("cuda:0", "rl_device") for _ in range(3)] == ["cpu"] * 3
     expected = "rl_device=cuda:0: torch sees no GPU on this machine; the CPU is used"
     assert caplog.messages == [expected]

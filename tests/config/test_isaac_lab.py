@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.isaac_lab import apply_wrapper_limits
-from isaacgymenvs_lite.config.train_params import prepare_train_params
+from isaacgymenvs_lite.config.train_params import apply_wrapper_limits, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError
 
 # What those files have and IsaacGymEnvs' lack: no interpolations, a device, -1 environments.

@@ -1,6 +1,6 @@
 import pytest
 
-from isaacgymenvs_lite.config.minibatch import fit_minibatch
+from isaacgymenvs_lite.config.train_params import fit_minibatch
 
 
 @pytest.mark.parametrize(

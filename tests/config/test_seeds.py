@@ -1,6 +1,6 @@
 import random
 
-from isaacgymenvs_lite.config.seeds import resolve_seed
+from isaacgymenvs_lite.config.launch import resolve_seed
 
 
 def test_given_seed_is_shifted_by_the_rank():

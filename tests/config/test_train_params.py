@@ -19,8 +19,8 @@ NAMES = KnownNames(
 
 
 @pytest.fixture(autouse=True)
-def _nothing_reported(monkeypatch):
-    monkeypatch.setattr(schema, "_reported", set())
+def _no_key_logged():
+    schema.LOGGED_KEYS.clear()
 
 
 @pytest.fixture

@@ -1,17 +1,14 @@
 import logging
+from pathlib import Path
 
 import pytest
-from hydra._internal.sources_registry import SourcesRegistry
-from hydra.core.plugins import Plugins
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from yaml import YAMLError
 
-from isaacgymenvs_lite.config import yaml_files
-from isaacgymenvs_lite.config.yaml_files import read_yaml, tolerant_hydra
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError
-
-
-@pytest.fixture(autouse=True)
-def _no_file_warned_about(monkeypatch):
-    monkeypatch.setattr(yaml_files, "_warned_files", set())
 
 
 @pytest.fixture
@@ -78,18 +75,22 @@ def test_missing_and_binary_files(tmp_path):
         read_yaml(tmp_path / "binary.yaml")
 
 
-def test_hydras_reader_is_replaced_only_inside_the_context():
-    def reader():
-        return SourcesRegistry.instance().types["file"]
+def hydra_reads(folder: Path) -> object:
+    """Return what Hydra itself makes of root.yaml in a folder."""
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        return hydra_compose("root").a
 
-    Plugins.instance()  # registers Hydra's own
-    own = reader()
-    with tolerant_hydra():
-        assert reader() is not own
-        with tolerant_hydra():
-            pass
-        assert reader() is not own
-    assert reader() is own
-    with pytest.raises(KeyError), tolerant_hydra():
-        raise KeyError
-    assert reader() is own
+
+def test_hydras_reader_is_replaced_only_while_a_tree_is_composed(tmp_path):
+    (tmp_path / "root.yaml").write_text("a: 1\na: 2\n")
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "Mine.yaml").write_text("defaults: [CartpolePPO]\nx: 1\nx: 2\n")
+    with pytest.raises(YAMLError, match="duplicate key a"):
+        hydra_reads(tmp_path)
+    assert compose(["task=Cartpole", "train=Mine"], tmp_path).train.x == 2
+    with pytest.raises(YAMLError, match="duplicate key a"):
+        hydra_reads(tmp_path)
+    with pytest.raises(ConfigError):
+        compose(["task=Nothing"], tmp_path)
+    with pytest.raises(YAMLError, match="duplicate key a"):
+        hydra_reads(tmp_path)

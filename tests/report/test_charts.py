@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -97,3 +98,26 @@ def test_any_curve_lies_within_the_frame(values) -> None:
         assert 62 <= x <= 548
         assert 12 <= y <= 220
         assert math.isfinite(x + y)
+
+
+def test_a_dashed_line_marks_where_a_run_was_resumed() -> None:
+    curve = series(np.arange(901.0))
+    resumed = Series(curve.frames, curve.minutes, curve.values, resumed_at=(45000.0, 0.0))
+    text = draw(Chart("Loss", (Line("a", resumed), Line("b", resumed))))
+    (x,) = re.findall(r'<line class="resumed" x1="([\d.]+)" x2="\1"', text)
+    # Half-way between the first and the last of the points, each the mean of about three.
+    assert float(x) == pytest.approx(0.5 * (62 + 548), abs=1.0)
+    assert 'class="resumed"' not in draw(Chart("Loss", (Line("a", curve),)))
+
+
+def test_charts_keep_where_a_run_was_resumed() -> None:
+    curve = series([1.0, float("nan"), 3.0])
+    tags = ("rewards/frame", "episode_lengths/frame", "info/fall_rate", "imitation/no_fall_share")
+    run = {
+        tag: Series(curve.frames, curve.minutes, curve.values, resumed_at=(100.0,)) for tag in tags
+    }
+    charts = main_charts(run)
+    assert len(charts) == 3
+    for chart in charts:
+        assert all(line.series.resumed_at == (100.0,) for line in chart.lines), chart.title
+        assert chart.resumed_at == [100.0]

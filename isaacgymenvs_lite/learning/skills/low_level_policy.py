@@ -20,7 +20,7 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
-from isaacgymenvs_lite.config.network_settings import scale_units
+from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_amp_params

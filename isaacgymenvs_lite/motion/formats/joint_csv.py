@@ -16,10 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from isaacgymenvs_lite.errors import MotionFileError, suggest
+from isaacgymenvs_lite.errors import MotionFileError, one_line, suggest
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations, rotations_from_dofs
-from isaacgymenvs_lite.motion.formats.reading import one_line
 from isaacgymenvs_lite.motion.formats.writing import written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.reading import one_line
 from isaacgymenvs_lite.motion.formats.writing import written_clip
 
 _FORMAT = "isaacgymenvs_lite.motion"

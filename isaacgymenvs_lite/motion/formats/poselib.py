@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.reading import one_line
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"

@@ -6,12 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.errors import MotionFileError
-
-
-def one_line(error: Exception) -> str:
-    """Return the message of an error, which may have many lines, as one."""
-    return " ".join(str(error).split())
+from isaacgymenvs_lite.errors import MotionFileError, one_line
 
 
 def read_json(path: str | Path) -> dict[str, Any]:

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.reading import one_line
+from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
 
 # Numbers, booleans and unicode strings; the second part is the size in bytes (U: in characters).

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.reading import one_line
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.bvh_channels import drop_inner_positions
 from isaacgymenvs_lite.utils import rotations

@@ -19,7 +19,6 @@ from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.solve import solve_poses
 from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
-from isaacgymenvs_lite.motion.synthesis.checks import sole_corners
 
 _log = logging.getLogger(__name__)
 
@@ -113,7 +112,7 @@ def describe_errors(clip: MotionClip, targets: Targets) -> list[str]:
 
 def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
     """Return how deep the feet go into the ground and how fast they slide on it, in one line."""
-    corners = sole_corners(clip, skeleton)
+    corners = skeleton.sole_corners(*clip.global_poses())
     depth = max(0.0, -float(corners[..., 2].min()))
     speed = np.linalg.norm(np.diff(corners[..., :2], axis=0), axis=-1) * clip.fps
     low = corners[..., 2] < _ON_GROUND_M

@@ -17,7 +17,7 @@ from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.retarget import KEY_BODIES, retarget_bvh
-from isaacgymenvs_lite.motion.synthesis.checks import foot_figures
+from tools.clip_synthesis.checks import foot_figures
 
 # The search ends with a step of at most 1e-3 rad, which moves a hand by 1 mm at most. The pull
 # towards the frame before is 1 % of the square of a hand's weight on 0.3 m; at 15 rad/s, 60 fps, it

@@ -166,7 +166,7 @@ TIMED = {"enableTaskObs": True, "tarChangeStepsMin": 100, "tarChangeStepsMax": 2
 def test_ase_s_flat_files_work(
     make_ase, monkeypatch: pytest.MonkeyPatch, caplog, cls, keys, num_obs: int
 ) -> None:
-    monkeypatch.setattr(schema, "_reported", set())
+    schema.LOGGED_KEYS.clear()
     env = {"stateInit": "Default", **PUBLISHED, **SWORD_AND_SHIELD, **keys}
     task = make_ase(1, cls=cls, armed=True, **env)
     assert task.num_obs == num_obs

@@ -1,0 +1,1 @@
+"""Programs of a checkout that are not part of the installed package."""

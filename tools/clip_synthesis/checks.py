@@ -1,0 +1,155 @@
+"""Measured figures of a walking or running clip: what its feet, joints and cycles do.
+
+They look at the finished clip only, not at how it was made, and serve tests and documentation.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.mirror import mirror_rotations
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
+
+CONTACT_HEIGHT_M = 0.003  # a corner of a sole this near to the ground counts as touching it
+_DEG = np.pi / 180.0
+# Limits of the DOFs in degrees, as published for this humanoid (spec/humanoid.md): the MJCF limits
+# a ball joint by its total angle only. Left and right of the x and z axes are mirror images.
+DOF_LIMITS_DEG: tuple[tuple[float, float], ...] = (
+    *((-60, 60), (-60, 90), (-50, 50)),  # abdomen
+    *((-50, 50), (-40, 60), (-45, 45)),  # neck
+    *((-180, 45), (-180, 60), (-90, 90), (-160, 0)),  # right shoulder, elbow
+    *((-45, 180), (-180, 60), (-90, 90), (-160, 0)),  # left shoulder, elbow
+    *((-60, 15), (-140, 60), (-60, 35), (0, 160), (-30, 30), (-55, 55), (-40, 40)),  # right leg
+    *((-15, 60), (-140, 60), (-35, 60), (0, 160), (-30, 30), (-55, 55), (-40, 40)),  # left leg
+)
+
+
+@dataclass(frozen=True)
+class FootFigures:
+    """What the corners of the soles do; a touch is a time that a corner is on the ground.
+
+    Attributes:
+        worst_slip_m: longest horizontal way of a corner during one touch.
+        deepest_m: how far the lowest corner goes below the ground.
+        highest_m: height of the lowest corner of both feet, at most: 0 where one always stands.
+        flight_share: share of the frames with no corner on the ground.
+        double_support_share: share of the frames with corners of both feet on the ground.
+        swing_clearance_m: lowest height of a foot in the middle half of its swings.
+    """
+
+    worst_slip_m: float
+    deepest_m: float
+    highest_m: float
+    flight_share: float
+    double_support_share: float
+    swing_clearance_m: float
+
+
+def foot_figures(clip: MotionClip, skeleton: Skeleton) -> FootFigures:
+    """Measure the feet of a clip on flat ground at z = 0."""
+    corners = skeleton.sole_corners(*clip.global_poses())
+    height = corners[..., 2]
+    touching = height < CONTACT_HEIGHT_M
+    on_ground: npt.NDArray[np.bool_] = np.asarray(touching.any(axis=-1))
+    slips = [
+        _longest_way(corners[:, foot, corner, :2], touching[:, foot, corner])
+        for foot in range(corners.shape[1])
+        for corner in range(corners.shape[2])
+    ]
+    lowest = height.min(axis=-1)
+    return FootFigures(
+        worst_slip_m=max(slips),
+        deepest_m=max(0.0, -float(height.min())),
+        highest_m=float(lowest.min(axis=1).max()),
+        flight_share=float((~on_ground).all(axis=1).mean()),
+        double_support_share=float(on_ground.all(axis=1).mean()),
+        swing_clearance_m=_clearance(lowest, on_ground),
+    )
+
+
+def dof_positions(clip: MotionClip, skeleton: Skeleton) -> FloatArray:
+    """Return the DOFs (T, D) in rad: rotation vectors of ball joints, angles of hinges."""
+    return dofs_from_rotations(skeleton, clip.local_rotation)
+
+
+def limit_margin(clip: MotionClip, skeleton: Skeleton) -> float:
+    """Return the smallest distance in rad of a DOF to its limits; negative beyond them."""
+    dofs = dof_positions(clip, skeleton)
+    lower, upper = np.array(DOF_LIMITS_DEG).T * _DEG
+    return float(np.minimum(dofs - lower, upper - dofs).min())
+
+
+def peak_joint_speed(clip: MotionClip, skeleton: Skeleton) -> float:
+    """Return the largest speed in rad/s of a DOF, from each frame to the next."""
+    velocities = kinematics.joint_velocities(clip.local_rotation, clip.fps)
+    return float(np.abs(velocities[:, list(skeleton.dof_body_ids)]).max())
+
+
+def closure_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float]:
+    """Compare the frames with those one cycle later.
+
+    Returns:
+        The largest differences of rotations (rad) and of root positions (m), the mean displacement
+        along x taken off.
+    """
+    turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
+    angle = rotations.quat_diff_rad(turns[frames_per_cycle:], turns[:-frames_per_cycle])
+    moved = clip.root_translation[frames_per_cycle:] - clip.root_translation[:-frames_per_cycle]
+    moved = moved.astype(np.float64)
+    moved[:, 0] -= moved[:, 0].mean()
+    return float(angle.abs().max()), float(np.abs(moved).max())
+
+
+def velocity_seam(clip: MotionClip) -> tuple[float, float]:
+    """Return how much the linear (m/s) and angular (rad/s) velocities of both ends differ."""
+    linear = np.abs(clip.linear_velocity_w[-1] - clip.linear_velocity_w[0]).max()
+    angular = np.abs(clip.angular_velocity_w[-1] - clip.angular_velocity_w[0]).max()
+    return float(linear), float(angular)
+
+
+def symmetry_error(clip: MotionClip, frames_per_cycle: int) -> tuple[float, float]:
+    """Compare every pose with its mirror image half a cycle later.
+
+    Returns:
+        The largest differences of rotations (rad) and of the root's height and side (m).
+    """
+    half = frames_per_cycle // 2
+    turns = torch.from_numpy(np.asarray(clip.local_rotation, dtype=np.float64))
+    mirrored = torch.from_numpy(mirror_rotations(clip.body_names, turns.numpy()))
+    angle = rotations.quat_diff_rad(turns[half:], mirrored[:-half])
+    place = clip.root_translation[:, 1:].astype(np.float64)
+    moved = place[half:] - place[:-half] * (-1.0, 1.0)
+    return float(angle.abs().max()), float(np.abs(moved).max())
+
+
+def _longest_way(points: FloatArray, touching: npt.NDArray[np.bool_]) -> float:
+    """Return the longest path in m of points (T, 2) over consecutive frames that touch (T)."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    both = touching[1:] & touching[:-1]
+    longest = way = 0.0
+    for step, on_ground in zip(steps, both, strict=True):
+        way = way + float(step) if on_ground else 0.0
+        longest = max(longest, way)
+    return longest
+
+
+def _clearance(lowest: FloatArray, on_ground: npt.NDArray[np.bool_]) -> float:
+    """Return the lowest height in m of feet (T, 2) in the middle half of their full swings."""
+    heights = []
+    for foot in range(lowest.shape[1]):
+        changes = np.flatnonzero(np.diff(on_ground[:, foot].astype(int)))
+        for start, end in itertools.pairwise(changes):
+            if not on_ground[start + 1, foot]:
+                quarter = (end - start) // 4
+                heights.append(lowest[start + 1 + quarter : end + 1 - quarter, foot].min())
+    return float(min(heights, default=np.nan))

@@ -1,0 +1,87 @@
+"""How trunk, head and arms go along with the feet of a move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
+from tools.clip_synthesis.moves.contacts import SIDES, FootTrack
+from tools.clip_synthesis.moves.move import Carriage
+from tools.clip_synthesis.moves.path import Path, ease
+from tools.clip_synthesis.posture import compose, turn
+
+_CALM_S = 0.12  # the trunk and the arms follow the feet through a bell of this half width
+_CALM_SAMPLES = 9
+
+
+def target_rotations(
+    carriage: Carriage,
+    skeleton: Skeleton,
+    tracks: tuple[FootTrack, FootTrack],
+    path: Path,
+    times_s: FloatArray,
+) -> FloatArray:
+    """Return rotations relative to the parent (n, J, 4) xyzw at times (n), legs straight.
+
+    The root's is relative to the world.
+    """
+    yaw = path(times_s)[:, 2]
+    apart = _calm(lambda t: _feet_apart(tracks, path, t), times_s)
+    uneven = _calm(lambda t: _uneven_load(tracks, t), times_s)
+    lean, tilt, shoulder, elbow = (
+        np.radians(ease(knots, times_s)[:, 0])
+        for knots in (carriage.lean, carriage.pelvis_tilt, carriage.shoulder, carriage.elbow)
+    )
+    # `apart` is positive with the left foot ahead: the pelvis' left side then goes ahead too.
+    pelvis = compose(
+        turn("z", yaw - np.radians(carriage.pelvis_turn_deg_per_m) * apart),
+        turn("y", tilt),
+        turn("x", np.radians(carriage.pelvis_drop_deg) * uneven),
+    )
+    thorax = compose(
+        turn("z", yaw + np.radians(carriage.thorax_turn_deg_per_m) * apart), turn("y", lean)
+    )
+    look = turn("z", path(times_s + carriage.look_ahead_s)[:, 2])
+    turns = {name: turn("x", np.zeros_like(times_s)) for name in skeleton.body_names}
+    turns["pelvis"] = pelvis
+    turns["torso"] = rotations.quat_mul(rotations.quat_conjugate(pelvis), thorax)
+    turns["head"] = rotations.quat_mul(rotations.quat_conjugate(thorax), look)
+    for name, side in SIDES:
+        swing = -side * np.radians(carriage.arm_swing_deg_per_m) * apart
+        # About +y a hanging arm swings backwards, and the elbow bends with negative angles.
+        turns[f"{name}_upper_arm"] = compose(
+            turn("y", -shoulder - swing),
+            turn("x", np.full_like(yaw, side * np.radians(carriage.abduction_deg))),
+            turn("z", np.full_like(yaw, -side * np.radians(carriage.rotation_deg))),
+        )
+        turns[f"{name}_lower_arm"] = turn("y", -elbow - carriage.elbow_share * swing)
+    return torch.stack([turns[name] for name in skeleton.body_names], dim=1).numpy()
+
+
+def _feet_apart(tracks: tuple[FootTrack, FootTrack], path: Path, times_s: FloatArray) -> FloatArray:
+    """Return how far (n) in m the left foot is ahead of the right one along the heading."""
+    right, left = (track.poses(times_s) for track in tracks)
+    yaw = path(times_s)[:, 2]
+    way = left[:, :2] - right[:, :2]
+    return way[:, 0] * np.cos(yaw) + way[:, 1] * np.sin(yaw)
+
+
+def _uneven_load(tracks: tuple[FootTrack, FootTrack], times_s: FloatArray) -> FloatArray:
+    """Return (n) 1 where the left foot carries the body, -1 where the right one does."""
+    right, left = (track.load(times_s) for track in tracks)
+    return (left - right) / np.maximum(left + right, 1.0)
+
+
+def _calm(signal: Callable[[FloatArray], FloatArray], times_s: FloatArray) -> FloatArray:
+    """Return the mean of a function of time around times (n), weighted like a bell."""
+    weights = np.hanning(_CALM_SAMPLES + 2)[1:-1]
+    shifts = np.linspace(-_CALM_S, _CALM_S, _CALM_SAMPLES)
+    values = [
+        weight * signal(times_s + shift) for weight, shift in zip(weights, shifts, strict=True)
+    ]
+    return np.sum(values, axis=0) / weights.sum()
