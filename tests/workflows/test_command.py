@@ -81,9 +81,7 @@ def test_keys_come_after_options():
 
 
 def test_a_play_is_recorded_once():
-    assert (
-        "capture_video_freq=9007199254740992" in read("play", "task=Ant", "--video").task_words
-    )
+    assert "capture_video_freq=9007199254740992" in read("play", "task=Ant", "--video").task_words
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 import isaacgymenvs_lite  # registers the tasks
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
+from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumEnv
 
 assert isaacgymenvs_lite
 

@@ -9,7 +9,7 @@ from gymnasium.wrappers import vector as vector_wrappers
 
 import isaacgymenvs_lite  # registers the tasks
 from isaacgymenvs_lite.errors import ConfigError, WrapperError
-from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumVectorEnv
 
 NUM_ENVS = 6
 assert isaacgymenvs_lite
