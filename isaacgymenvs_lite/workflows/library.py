@@ -52,7 +52,7 @@ class Agent(Protocol):
         ...
 
     def save(self, folder: Path) -> Path:
-        """Write a checkpoint below `folder`, named as those of `learn`; return the file."""
+        """Write a checkpoint below `folder`, with a name as in `learn`; return the file."""
         ...
 
     def load(self, checkpoint: Path) -> None:

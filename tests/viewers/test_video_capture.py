@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.viewers import video_writer
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 # Base files that are not meant to run.
@@ -96,11 +98,17 @@ def test_the_camera_follows_if_it_is_asked_to(follow, make_env, tmp_path, walk_c
 
 def test_too_many_films_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
     env = make_env("task=Cartpole", "num_envs=1")
-    video_writer = VideoWriter()
-    monkeypatch.setattr(VideoWriter, "_work", lambda self: None)  # a drawer that never draws
-    capture = VideoCapture(env, video_writer, tmp_path, every=1, length=1)
+    may_draw = threading.Event()
+
+    def write_late(job: VideoJob) -> Path:
+        assert may_draw.wait(30.0)
+        return job.path
+
+    monkeypatch.setattr(video_writer, "write_video", write_late)
+    capture = VideoCapture(env, VideoWriter(), tmp_path, every=1, length=1)
     for _ in range(20):
         capture.after_step()
+    may_draw.set()
     capture.close()
     assert [record.levelname for record in caplog.records].count("WARNING") == 1
     assert "raise capture_video_freq" in caplog.text

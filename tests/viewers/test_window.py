@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.viewers.keys import Keys
+from isaacgymenvs_lite.viewers.window import Keys
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 ESCAPE = 256
@@ -23,7 +23,7 @@ def test_what_the_keys_mean():
     assert (keys.sync, keys.recording, keys.quit) == (True, False, False)
     for key in (ord("V"), ord("R"), ord("X")):
         keys.press(key)
-    assert keys.sync  # only the task's own thread lets them have their effect
+    assert keys.sync  # only the task's thread applies them
     keys.update()
     assert (keys.sync, keys.recording, keys.quit) == (False, True, False)
     for key in (ord("V"), ord("R"), ESCAPE):

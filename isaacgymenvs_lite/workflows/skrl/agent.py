@@ -38,7 +38,7 @@ from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 log = logging.getLogger(__name__)
 
 _NUM_EPISODES = 100
-# Classes and functions, which a file cannot name; other keys of the agent file stand for them.
+# Classes and functions, which a file cannot name; the agent file has other keys for them.
 _RESERVED = (
     *("experiment", "rewards_shaper", "learning_rate_scheduler", "learning_rate_scheduler_kwargs"),
     *("observation_preprocessor", "observation_preprocessor_kwargs"),
