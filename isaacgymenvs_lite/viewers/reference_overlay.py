@@ -23,8 +23,8 @@ Pose = npt.NDArray[np.float64]
 # Control steps that identify the phase of a motion: a single pose may occur twice in a clip, on the
 # way up and on the way down.
 _PHASE_STEPS = 6
-# m, from the character to its reference, in the world's horizontal axes: to the left of one that
-# walks along x, so that a camera at its right sees it first.
+# m, from the character to its reference, in the world's horizontal axes: seen from the right of a
+# character that walks along x, the reference is behind it.
 _OFFSET_M = (0.0, 1.0)
 _OPACITY = 0.35
 
