@@ -1,4 +1,4 @@
-"""The page: served where it is asked for, shown by a headless Chromium where there is one."""
+"""The page, with a headless Chromium if it is installed."""
 
 from __future__ import annotations
 
@@ -118,11 +118,11 @@ def test_the_colours_are_those_of_videos(env, page, gl, tmp_path):
                 break
     height, width = shown[:-40].shape[:2]  # without the line of status
     with SceneRenderer(model, width, height, view=View.of_model(model)) as renderer:
-        filmed = renderer.draw(qpos)
+        recorded = renderer.draw(qpos)
     for row in (10, height - 10):  # sky, floor
         for column in (20, width - 20):
-            off = shown[row, column].astype(int) - filmed[row, column]
-            assert np.abs(off).max() < 45, (row, column, shown[row, column], filmed[row, column])
+            off = shown[row, column].astype(int) - recorded[row, column]
+            assert np.abs(off).max() < 45, (row, column, shown[row, column], recorded[row, column])
 
 
 def test_a_play_goes_on_until_ctrl_c(tmp_path):

@@ -58,8 +58,8 @@ import isaacgymenvs_lite
 from isaacgymenvs_lite.viewers.window import Window
 
 env = isaacgymenvs_lite.make(task="HumanoidAMP", num_envs=2)
-asked = []
-window = Window(env, Path(sys.argv[1]), lambda: asked.append("end"))
+quits = []
+window = Window(env, Path(sys.argv[1]), lambda: quits.append("end"))
 env.listeners.append(window)
 
 def step(seconds):
@@ -78,7 +78,7 @@ window.keys.press(ord("R"))
 step(0.1)
 window.keys.press(256)
 step(0.2)
-assert asked == ["end"], asked
+assert quits == ["end"], quits
 env.close()
 """
 

@@ -218,8 +218,8 @@ def test_the_log_can_be_written_less_often(run_train, tmp_path):
 
 
 def test_real_time_waits():
-    begun: list[float] = []
-    step = in_real_time(lambda: begun.append(time.monotonic()), dt_s=0.02)
+    starts_s: list[float] = []
+    step = in_real_time(lambda: starts_s.append(time.monotonic()), dt_s=0.02)
     for _ in range(4):
         step()
-    assert begun[-1] - begun[0] >= 0.055
+    assert starts_s[-1] - starts_s[0] >= 0.055

@@ -153,7 +153,7 @@ def test_videos_are_written(gl, library, run_train, tmp_path):
     assert (np.abs(frames[5].astype(int) - frames[0]) > 30).any()
 
 
-def test_a_played_checkpoint_can_be_filmed(gl, library, run_train, run_play, tmp_path):
+def test_a_played_checkpoint_can_be_recorded(gl, library, run_train, run_play, tmp_path):
     run_train(library, *SMALL, "--max_iterations", "1")
     printed = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
     assert "episodes: 4, " in printed

@@ -1,4 +1,4 @@
-"""Videos that begin at steps and episodes of one's choice, read back."""
+"""Videos that begin at chosen steps and episodes, read back."""
 
 from __future__ import annotations
 
