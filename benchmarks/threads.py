@@ -4,7 +4,7 @@
         [--frames 16384] [--rounds 3] [--torch-first] [--load idle|busy|both]
 
 `script` is the example of docs/other_libraries.md, `workflow` the command
-`python -m isaacgymenvs_lite.workflows.sb3.train`. Each is run with nothing set, as a user has it,
+`python -m isaacgymenvs_lite.workflows sb3 train`. Each is run with nothing set, as a user has it,
 and with its peers: torch's own choice (all CPUs, idle threads that spin, as before this project set
 anything), all CPUs with OMP_WAIT_POLICY=PASSIVE, and one thread. The runs take turns, each in a
 process of its own. Under load a process for each CPU does nothing but work.
@@ -137,8 +137,8 @@ def _workflow(args: argparse.Namespace) -> float:
     from isaacgymenvs_lite.workflows.training import train
 
     with tempfile.TemporaryDirectory() as logs, contextlib.redirect_stdout(io.StringIO()) as said:
-        words = ["--task", args.task, "--num_envs", str(args.num_envs), "--logs", logs]
-        words += ["--max_iterations", str(max(2, args.frames // (32 * args.num_envs)))]
+        words = [f"task={args.task}", f"num_envs={args.num_envs}", f"logs={logs}"]
+        words.append(f"max_iterations={max(2, args.frames // (32 * args.num_envs))}")
         if train(LIBRARY, words) != 0:
             raise RuntimeError("the training failed")
     return float(re.findall(r"fps\s*\|\s*(\d+)", said.getvalue())[-1])

@@ -43,16 +43,16 @@ def make(
         seed: seeds Python, numpy and torch; -1 for a random seed.
         task: name of a task file in cfg/task.
         num_envs: number of environments; '' = the task file's own.
-        sim_device: where the physics is asked to run; it runs on the CPU, and the log says so.
+        sim_device: accepted for compatibility; the physics runs on the CPU, as the log says.
         rl_device: torch device of what `step` and `reset` return.
         graphics_device_id: index of the rendering device.
         headless: no window; with False the program ends when its window is closed, or by ESC.
         multi_gpu: not supported yet.
-        virtual_screen_capture: open no window, even with `headless=False`, for a script that takes
-            pictures: `render()` draws them, without a display.
+        virtual_screen_capture: open no window, even with `headless=False`; `render()` returns
+            pictures, drawn without a display.
         force_render: show every step in the window; False: only when `render` is called.
-        cfg: a composed tree to use instead of composing one; task, num_envs and seed are then
-            taken from it, and the class from `cfg.task.name`.
+        cfg: a composed tree to use instead of composing one; it then gives task, num_envs and
+            seed, and `cfg.task.name` the class.
 
     Returns:
         The task; call `close()` when done.
@@ -81,18 +81,18 @@ def make(
 
 
 def register_task(name: str, task: Callable[..., VecTask], *, replace: bool = False) -> None:
-    """Make `name: <name>` of a task file mean a task of one's own; see docs/own_task.md.
+    """Register your own task for `name: <name>` of a task file; see docs/own_task.md.
 
-    Gymnasium knows it as `IsaacGymEnvsLite/<name>-v0` from then on.
+    Its name in Gymnasium is `IsaacGymEnvsLite/<name>-v0`.
 
     Args:
         name: as in the task file.
-        task: a subclass of `tasks.base.vec_task.VecTask`, or what makes a task of the same keyword
-            arguments.
-        replace: take the place of a task of this name.
+        task: a subclass of `tasks.base.vec_task.VecTask`, or a function of the same keyword
+            arguments that returns one.
+        replace: replace a registered task of this name.
 
     Raises:
-        ConfigError: there is another task of this name.
+        ConfigError: another task has this name.
     """
     from isaacgymenvs_lite.tasks import registry
 

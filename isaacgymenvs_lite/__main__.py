@@ -13,16 +13,20 @@ from isaacgymenvs_lite.errors import unknown
 
 PACKAGE = "isaacgymenvs_lite"
 COMMANDS = (
-    *("train", "check", "demo", "report", "export", "policies", "alias"),
+    *("train", "check", "demo", "report", "export", "policies", "workflows", "alias"),
     *("motion.view", "motion.plot", "motion.strip", "motion.convert"),
-    *("workflows.sb3.train", "workflows.sb3.play", "workflows.skrl.train", "workflows.skrl.play"),
-    *("workflows.rsl_rl.train", "workflows.rsl_rl.play"),
 )
 """Modules that `python -m` runs, in the order in which a user meets them."""
+DOORS = tuple(
+    f"workflows.{library}.{verb}"
+    for library in ("sb3", "skrl", "rsl_rl")
+    for verb in ("train", "play")
+)
+"""Modules of Isaac Lab's form; each is one use of the command `workflows`, and not listed."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the list; returns the exit code."""
+    """Print the list; return the exit code."""
     prog = f"python -m {PACKAGE}"
     parser = argparse.ArgumentParser(prog=prog, description=(__doc__ or "").partition(":")[0] + ".")
     parser.add_argument("words", nargs="*", help=argparse.SUPPRESS)
@@ -30,8 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not words:
         sys.stdout.write(overview())
         return 0
-    if words[0] in COMMANDS:
-        hint = f"'{words[0]}' is a module of its own: {prog}.{' '.join(words)}"
+    if words[0] in (*COMMANDS, *DOORS):
+        hint = f"'{words[0]}' is a module: {prog}.{' '.join(words)}"
     else:
         hint = unknown("command", words[0], COMMANDS)
     parser.exit(EXIT_USER_ERROR, f"error: {hint}\n")
@@ -50,7 +54,7 @@ def overview() -> str:
 
 
 def purpose(command: str) -> str:
-    """Return the first sentence of a command's module, which is read and not imported."""
+    """Return the first sentence of a command's module, without importing it."""
     path = Path(__file__).parent.joinpath(*command.split("."))
     file = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""

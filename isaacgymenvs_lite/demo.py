@@ -39,7 +39,7 @@ from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
 from isaacgymenvs_lite.runner import Session
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.viewers.reference_track import reference_track
+from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
 log = logging.getLogger(__name__)
 

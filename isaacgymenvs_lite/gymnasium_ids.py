@@ -1,9 +1,9 @@
 """Names of the tasks in Gymnasium's registry: `IsaacGymEnvsLite/Cartpole-v0`.
 
-Importing Gymnasium takes longer than everything that a user's mistake on train.py's command line
-costs otherwise. So that `import isaacgymenvs_lite` need not do it, the tasks are registered when
-somebody else does: at once if it is imported already, else in the moment when it is. Nothing here
-imports a task; Gymnasium's registry holds the names of the functions that make them.
+Importing Gymnasium takes longer than all else that happens before a user's mistake is reported. So
+`import isaacgymenvs_lite` leaves it out: the tasks are registered at once if Gymnasium is imported
+already, else right after its import. No task is imported; Gymnasium's registry holds the names of
+the functions that make them.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from isaacgymenvs_lite.paths import cfg_dir
 
 NAMESPACE = "IsaacGymEnvsLite"
 ENTRY_POINTS = "isaacgymenvs_lite.tasks"
-"""Group of entry points: an installed package names its tasks there."""
+"""Group of entry points with which an installed package names its tasks."""
 
 _REGISTRY = "gymnasium.envs"
-_MAKERS = "isaacgymenvs_lite.wrappers.gymnasium_making"
+_FACTORY = "isaacgymenvs_lite.wrappers.gymnasium_env"
 
-# Names that were given before Gymnasium was there.
+# Names to register once Gymnasium is imported.
 _waiting: list[str] = []
 
 
@@ -35,13 +35,13 @@ def env_id(task: str) -> str:
 
 
 def task_of_id(name: str) -> str:
-    """Return the task that Gymnasium's name of it means; another name as it is."""
+    """Return the task of a name in Gymnasium's registry; other names unchanged."""
     match = re.fullmatch(rf"{NAMESPACE}/(.+)-v\d+", name)
     return match[1] if match else name
 
 
 def register_tasks() -> None:
-    """Register the shipped tasks and those of installed packages, now or when Gymnasium is here."""
+    """Register all tasks, also of installed packages, now or when Gymnasium is imported."""
     if _REGISTRY in sys.modules:
         _register_all()
     else:
@@ -67,30 +67,29 @@ def _register_all() -> None:
 def _register(task: str) -> None:
     from gymnasium.envs.registration import register, registry
 
-    # What Gymnasium takes for a name; other tasks can be made by isaacgymenvs_lite.make only.
+    # Gymnasium refuses other names; isaacgymenvs_lite.make makes such tasks.
     if env_id(task) in registry or not re.fullmatch(r"[\w.:-]+", task):
         return
     register(
         env_id(task),
-        entry_point=f"{_MAKERS}:make_single_env",
-        vector_entry_point=f"{_MAKERS}:make_vector_env",
+        entry_point=f"{_FACTORY}:make_single_env",
+        vector_entry_point=f"{_FACTORY}:make_vector_env",
         kwargs={"task": task},
     )
 
 
 def _shipped() -> list[str]:
-    """Return the task files that say whose they are; the others are parts of them."""
+    """Return the task files that name a task; the others are bases of them."""
     files = sorted((cfg_dir() / "task").glob("*.yaml"))
     return [file.stem for file in files if re.search("^name:", file.read_text(), re.MULTILINE)]
 
 
 class _WhenImported(MetaPathFinder):
-    """Hands Gymnasium's import on to those who know how, and registers the tasks after it."""
+    """Leaves Gymnasium's import to the other finders, and registers the tasks after it."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        del path, target
         if fullname != _REGISTRY:
             return None
         sys.meta_path.remove(self)
@@ -101,7 +100,7 @@ class _WhenImported(MetaPathFinder):
 
 
 class _ThenRegister(Loader):
-    """A module's own loader, and then the registration."""
+    """Runs a module's own loader, then registers the tasks."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader

@@ -34,7 +34,7 @@ from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.hydra_bridge import options_parser
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
-from isaacgymenvs_lite.workflows.agent_files import PREFIX
+from isaacgymenvs_lite.workflows.command import PlaySettings, TrainSettings, read_command
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -68,6 +68,7 @@ EXTRAS = {
     "isaacgymenvs_lite.workflows.sb3": "sb3",
     "isaacgymenvs_lite.workflows.skrl": "skrl",
     "isaacgymenvs_lite.workflows.rsl_rl": "rsl-rl",
+    **{"sb3": "sb3", "skrl": "skrl", "rsl_rl": "rsl-rl"},  # the command workflows
     "isaacgymenvs_lite.demo": "video",
     "isaacgymenvs_lite.export": "export",
     "isaacgymenvs_lite.motion.plot": "docs",
@@ -261,9 +262,10 @@ def check_module(module: str, words: Sequence[str]) -> None:
     finally:
         sys.argv = argv
     (found,) = caught.value.args
-    if ".workflows." in module:
-        words = [word for word in found.overrides if not word.startswith(PREFIX)]
-        check_config(compose_task(found.task, words))
+    if ".workflows" in module:
+        is_training = "train" in (*words[:2], module.rpartition(".")[2])
+        command = read_command(TrainSettings if is_training else PlaySettings, found)
+        check_config(compose_task(command.settings.task, command.task_words))
     if module.startswith("benchmarks."):
         check_experiments([*getattr(found, "what", ()), *getattr(found, "targets", ())])
 
@@ -324,6 +326,9 @@ def test_a_command_is_accepted(words):
         "python -m isaacgymenvs_lite.check SwingUp.yaml",
         "python -m isaacgymenvs_lite.workflows.sb3.train --task Ant --num-env 4",
         "python -m isaacgymenvs_lite.workflows.sb3.train --task Ant task.env.nmuEnvs=4",
+        "python -m isaacgymenvs_lite.workflows sb3 train task=Ant num_env=4",
+        "python -m isaacgymenvs_lite.workflows sb3 play task=Ant max_iterations=4",
+        "python -m isaacgymenvs_lite.workflows sbb train task=Ant",
         "python -m benchmarks.learning wolk --minutes 3",
         "make trian",
         "make demo ARGS=policy=[walk]",

@@ -27,22 +27,22 @@ def test_every_task_has_an_id():
 
 @pytest.mark.parametrize("order", ["isaacgymenvs_lite, gymnasium", "gymnasium, isaacgymenvs_lite"])
 def test_the_order_of_imports_does_not_matter(order: str):
-    told = run_python(
+    printed = run_python(
         f"import sys, {order}\n"
         "import gymnasium.envs\n"
         "print('IsaacGymEnvsLite/Cartpole-v0' in gymnasium.registry, 'torch' in sys.modules,"
         " 'mujoco' in sys.modules, type(gymnasium.envs.__spec__.loader).__name__,"
         " 'CartPole-v1' in gymnasium.registry)"
     )
-    assert told.split() == ["True", "False", "False", "SourceFileLoader", "True"]
+    assert printed.split() == ["True", "False", "False", "SourceFileLoader", "True"]
 
 
 def test_importing_the_package_imports_nothing_large():
-    told = run_python(
+    printed = run_python(
         "import sys, isaacgymenvs_lite\n"
         "print(*({'gymnasium', 'numpy', 'torch', 'mujoco', 'hydra'} & set(sys.modules)))"
     )
-    assert not told.strip()
+    assert not printed.strip()
 
 
 @pytest.fixture
@@ -65,14 +65,14 @@ def test_a_registered_task_can_be_made(own_task: Path):
 
 
 def test_a_task_that_was_registered_before_gymnasium_was_there_can_be_made():
-    told = run_python(
+    printed = run_python(
         "import isaacgymenvs_lite.gymnasium_ids as ids\n"
         "ids.register_task_id('Mine')\n"
         "ids.register_task_id('not a name')\n"
         "import gymnasium\n"
         "print('IsaacGymEnvsLite/Mine-v0' in gymnasium.registry)"
     )
-    assert told.split() == ["True"]
+    assert printed.split() == ["True"]
 
 
 def test_a_task_without_a_file_is_an_error_that_lists_the_files(own_task: Path):

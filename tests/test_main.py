@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.__main__ import COMMANDS, main, purpose
+from isaacgymenvs_lite.__main__ import COMMANDS, DOORS, main, purpose
 
 
 def runnable() -> set[str]:
@@ -24,7 +24,7 @@ def runnable() -> set[str]:
 def test_every_command_is_listed_with_what_it_does():
     command = [sys.executable, "-m", "isaacgymenvs_lite"]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert set(COMMANDS) == runnable() - {"__main__"}
+    assert {*COMMANDS, *DOORS} == runnable() - {"__main__"}
     for name in COMMANDS:
         (line,) = (line for line in result.stdout.splitlines() if line.split()[:1] == [name])
         assert line.split(None, 1)[1] == purpose(name)
@@ -35,7 +35,11 @@ def test_every_command_is_listed_with_what_it_does():
     ("word", "message"),
     [
         ("dmo", "unknown command 'dmo' (did you mean 'demo'?)"),
-        ("demo", "'demo' is a module of its own: python -m isaacgymenvs_lite.demo"),
+        ("demo", "'demo' is a module: python -m isaacgymenvs_lite.demo"),
+        (
+            "workflows.sb3.train",
+            "'workflows.sb3.train' is a module: python -m isaacgymenvs_lite.workflows.sb3.train",
+        ),
     ],
 )
 def test_a_word_is_a_mistake_in_one_line(word, message, capsys):

@@ -1,5 +1,10 @@
 """Renders a clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
 
+    python -m isaacgymenvs_lite.motion.strip walk walk.png seconds=0.9 frames=8 azimuth=180
+
+CLIP is a motion file of any format, or the name of one in assets/amp/motions. The strip shows the
+first `seconds` of it (default: all) in `frames` poses (8), from the right (azimuth=90).
+
 Needs an OpenGL library that works without a screen, EGL or OSMesa; see `rendering`.
 """
 
@@ -7,18 +12,22 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.clip_to_qpos import pose_figure
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
+from isaacgymenvs_lite.schema import keys_of, setting
 from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
@@ -89,30 +98,57 @@ def save_png(path: str | Path, image: Image) -> Path:
     return path
 
 
+@dataclass(frozen=True, kw_only=True)
+class StripSettings:
+    """Arguments of the command."""
+
+    seconds: float = setting(0.0, minimum=0)
+    """Time to show; 0: the whole clip."""
+    frames: int = setting(8, minimum=1)
+    """Number of poses."""
+    azimuth: float = setting(90.0)
+    """Degrees: 90 from the right, 180 from the front."""
+
+
+def draw_strip(name: str, out: Path, settings: StripSettings) -> Path:
+    """Render a clip, named as on the command line, as a strip of poses; return the file.
+
+    Raises:
+        UserError: the clip cannot be read, or the picture cannot be drawn or written.
+    """
+    clip, _ = load_single_clip(name)
+    seconds = settings.seconds or clip.length_s
+    return save_strip(clip, out, seconds, settings.frames, settings.azimuth)
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.strip",
-        description="Renders poses of a motion clip side by side.",
+        prog="python -m isaacgymenvs_lite.motion.strip", description=__doc__
     )
-    parser.add_argument("clip", help="a motion file, or the name of one in assets/amp/motions")
-    parser.add_argument("out", type=Path, help="the PNG to write")
-    parser.add_argument("--seconds", type=float, help="the time to show (default: the whole clip)")
-    parser.add_argument("--frames", type=int, default=8, help="the number of poses (default: 8)")
-    parser.add_argument(
-        "--azimuth",
-        type=float,
-        default=90.0,
-        help="90 from the right (default), 180 from the front",
+    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
+    parser.add_argument("out", metavar="OUT", type=Path, help="the PNG to write")
+    words = argparse.Namespace()
+    return run_command(
+        parser,
+        StripSettings,
+        lambda settings: draw_strip(words.clip, words.out, settings),
+        _without_dashes(sys.argv[1:] if arguments is None else arguments),
+        words,
     )
-    options = parser.parse_args(arguments)
-    try:
-        clip, _ = load_single_clip(options.clip)
-        seconds = options.seconds or clip.length_s
-        save_strip(clip, options.out, seconds, options.frames, options.azimuth)
-    except UserError as error:
-        parser.exit(2, f"{parser.prog}: {error}\n")
-    return 0
+
+
+def _without_dashes(words: Sequence[str]) -> list[str]:
+    """Write `--seconds 2`, the command's older form, as `seconds=2`."""
+    options = {f"--{key}": key for key in keys_of(StripSettings)}
+    plain, rest = list[str](), iter(words)
+    for word in rest:
+        name, equals, value = word.partition("=")
+        if name in options:
+            plain.append(f"{options[name]}={value if equals else next(rest, '')}")
+        else:
+            plain.append(word)
+    return plain
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Looking on while an agent trains or plays: videos, a window, a page in a browser."""
+"""Viewers of a training or a play: videos, a window, a page in a browser."""

@@ -1,41 +1,122 @@
-"""The reference motion beside a character that imitates: a translucent figure in the same phase."""
+"""The reference motion of a task that imitates: as a track, and as a translucent robot in viewers.
+
+(track,) = recorder.tracks()                    # of a `PoseRecorder`
+reference = reference_track(env, track)         # the clip, from the same phase on
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import torch
 
-from isaacgymenvs_lite.viewers.reference_track import ReferenceClips
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.rendering.scene import Track
+from isaacgymenvs_lite.rendering.tracks import TrackMaker
 
 Pose = npt.NDArray[np.float64]
 
-# m, from the character to its ghost, in the world's horizontal axes: to the side that a camera at
-# its right does not look through.
-_BESIDE_M = (0.0, 1.0)
+# Control steps that identify the phase of a motion: a single pose may occur twice in a clip, on the
+# way up and on the way down.
+_PHASE_STEPS = 6
+# m, from the character to its reference, in the world's horizontal axes: seen from the right of a
+# character that walks along x, the reference is behind it.
+_OFFSET_M = (0.0, 1.0)
 _OPACITY = 0.35
-# Steps of an episode after which its phase is sought once more: one pose may occur twice.
-_SURE_STEPS = 6
 
 
-class ReferenceOverlay:
-    """Where the reference of one environment is; goes along with the character.
+def reference_track(env: Any, like: Track) -> Track:
+    """Return the reference clip of a task, as long as `like` and from the same phase on.
+
+    Clip and phase are those whose joints are nearest to the first steps of `like`. At its end the
+    clip starts again, at the place that its root has reached.
 
     Args:
         env: a task with a motion library.
+        like: (T, nq), a track of the task.
+    """
+    clips = ReferenceClips(env)
+    motion_id, first = clips.phase(like)
+    return clips.track(motion_id, range(first, first + len(like)))
+
+
+class ReferenceClips:
+    """Finds phases in the reference clips of a task, and returns the clips as tracks.
+
+    Args:
+        env: a task with a motion library.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self._motion_lib: MotionLib = env.motion_lib
+        self._dt_s = float(env.dt)
+        self._maker = TrackMaker(env.simulation.model)
+        self._joints = [self._joints_of(i) for i in range(env.motion_lib.num_motions())]
+
+    def _joints_of(self, motion_id: int) -> Track:
+        """Return a clip's poses without the root, one for each control step."""
+        length_s = float(self._motion_lib.get_motion_length([motion_id]))
+        frames = range(max(1, math.ceil(length_s / self._dt_s)))
+        return self.track(motion_id, frames)[:, self._maker.root_size :]
+
+    def phase(self, like: Track) -> tuple[int, int]:
+        """Return the clip, and the control step in it, nearest to the first steps of `like`."""
+        start = like[:_PHASE_STEPS, self._maker.root_size :]
+        best = (math.inf, 0, 0)
+        for motion_id, joints in enumerate(self._joints):
+            windows = np.stack([np.roll(joints, -step, axis=0) for step in range(len(start))])
+            distances = np.linalg.norm(windows - start[:, None], axis=-1).sum(axis=0)
+            frame = int(distances.argmin())
+            best = min(best, (float(distances[frame]), motion_id, frame))
+        return best[1:]
+
+    def track(self, motion_id: int, steps: range) -> Track:
+        """Return a clip's poses at control steps, repeated beyond its length."""
+        length_s = float(self._motion_lib.get_motion_length([motion_id]))
+        times_s = self._dt_s * torch.tensor(steps, dtype=torch.float64)
+        # The last two times are the clip's start and end, between which a repetition moves on.
+        in_clip_s = torch.cat((times_s % length_s, torch.tensor([0.0, length_s])))
+        motion_ids = torch.full((len(in_clip_s),), motion_id)
+        state = self._motion_lib.get_motion_state(motion_ids, in_clip_s)
+        displacement_m = (state.root_pos[-1] - state.root_pos[-2]).cpu()
+        displacement_m[2] = 0.0  # a clip that ends higher than it starts does not climb
+        repetitions = torch.floor(times_s / length_s).unsqueeze(-1)
+        root_pos = state.root_pos[:-2].cpu() + repetitions * displacement_m
+        roots = torch.cat((root_pos, state.root_rot[:-2].cpu()), dim=-1)
+        return self._maker.track(roots, state.dof_pos[:-2])
+
+
+class ReferenceOverlay:
+    """Adds the reference of one environment to a scene, as a robot beside the character.
+
+    Args:
+        env: a task with a motion library.
+        model: of the scene; the robot is the tree of its first joint.
         env_id: the environment.
     """
 
-    def __init__(self, env: Any, env_id: int = 0) -> None:
+    def __init__(self, env: Any, model: mujoco.MjModel, env_id: int = 0) -> None:
         self._env = env
         self._env_id = env_id
         self._clips = ReferenceClips(env)
-        self._beginning: list[Pose] = []
+        self._robot = RobotOverlay(model)
+        self._first_poses: list[Pose] = []
         self._last_step = 0
         self._steps = 0
         self._phase = (0, 0)
+
+    @classmethod
+    def for_task(cls, env: Any, model: mujoco.MjModel) -> ReferenceOverlay | None:
+        """Return the overlay of environment 0; None for a task without reference motions."""
+        return cls(env, model) if hasattr(env, "motion_lib") else None
+
+    def add_to(self, scene: mujoco.MjvScene, qpos: Pose) -> None:
+        """Add the reference beside a character at joint positions `qpos` (nq,) to a scene."""
+        self._robot.add_to(scene, self.pose(qpos))
 
     def pose(self, qpos: Pose) -> Pose:
         """Return the reference's joint positions (nq,) beside a character at `qpos`.
@@ -44,19 +125,19 @@ class ReferenceOverlay:
         """
         step = int(self._env.progress_buf[self._env_id])
         passed = step - self._last_step
-        if passed < 0 or not self._beginning:  # another episode
-            self._beginning.clear()
+        if passed < 0 or not self._first_poses:  # another episode
+            self._first_poses.clear()
             self._steps = passed = 0
         self._last_step = step
         self._steps += passed
-        # As long as no step was left out the poses so far are a piece of a motion.
-        if self._steps == len(self._beginning) < _SURE_STEPS:
-            self._beginning.append(qpos)
-            self._phase = self._clips.phase(np.stack(self._beginning))
+        # As long as no step was left out, the poses so far are a piece of a motion.
+        if self._steps == len(self._first_poses) < _PHASE_STEPS:
+            self._first_poses.append(qpos)
+            self._phase = self._clips.phase(np.stack(self._first_poses))
         motion_id, first = self._phase
         now = first + self._steps
         pose = self._clips.track(motion_id, range(now, now + 1))[0]
-        pose[:2] = qpos[:2] + _BESIDE_M
+        pose[:2] = qpos[:2] + _OFFSET_M
         return pose
 
 
@@ -64,7 +145,7 @@ class RobotOverlay:
     """Adds a translucent robot to a scene.
 
     Args:
-        model: of the task; the robot is the tree of its first joint.
+        model: of the scene; the robot is the tree of its first joint.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:

@@ -1,4 +1,4 @@
-"""What the command line asks for to be watched: checked before anything starts, then begun."""
+"""Videos, window and page of a session: checked before anything starts, then started."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ log = logging.getLogger(__name__)
 
 
 class Viewers:
-    """The listeners of a session. Use it in a `with` statement, or call `close`.
+    """The viewers of a session. Use it in a `with` statement, or call `close`.
 
     Args:
-        settings: of the launch.
+        settings: of the launch, which say what to start.
 
     Raises:
-        RenderingError: this machine cannot draw what is asked for.
-        ConfigError: a package that is needed is missing, there is no display, a port is taken.
+        RenderingError: this machine cannot draw.
+        ConfigError: a package is missing, there is no display, or a port is taken.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
         self._settings = settings
         self._env: Any = None
-        self._watchers: list[StepListener] = []
+        self._listeners: list[StepListener] = []
         if settings.capture_video:
             check_encoder()
             ensure_gl()
@@ -45,12 +45,12 @@ class Viewers:
     def start(
         self, env: Any, run_folder: Path, on_quit: Callable[[], None], prefix: str = "rl-video"
     ) -> None:
-        """Begin to watch a task.
+        """Start the viewers of a task.
 
         Args:
             env: the task.
             run_folder: videos go to the folder `videos/` in it.
-            on_quit: called in the task's thread when somebody closes the window.
+            on_quit: called in the task's thread when the window is closed.
             prefix: of the names of videos.
 
         Raises:
@@ -59,17 +59,17 @@ class Viewers:
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
         if settings.capture_video:
-            self._watchers.append(self._capture(env, folder, prefix))
+            self._listeners.append(self._capture(env, folder, prefix))
         if not settings.headless:
             self._add(Window(env, folder, on_quit, every_step=settings.force_render))
         if settings.viewer == "web":
-            # A training on a server is not held up; a play would be over before one could look.
+            # A play waits for the simulated time: it would be over too soon.
             page = WebPage(env, settings.viewer_host, settings.viewer_port, real_time=settings.test)
             self._add(page)
 
-    def _add(self, watcher: StepListener) -> None:
-        self._watchers.append(watcher)
-        self._env.listeners.append(watcher)
+    def _add(self, listener: StepListener) -> None:
+        self._listeners.append(listener)
+        self._env.listeners.append(listener)
 
     def _capture(self, env: Any, folder: Path, prefix: str) -> StepListener:
         settings = self._settings
@@ -89,11 +89,11 @@ class Viewers:
         )
 
     def close(self) -> None:
-        """Finish what is being recorded and close what is open; a second call does nothing."""
-        listeners, self._watchers = self._watchers, []
-        for watcher in listeners:
-            self._env.listeners.remove(watcher)
-            watcher.close()
+        """Finish videos, close window and page; a second call does nothing."""
+        listeners, self._listeners = self._listeners, []
+        for listener in listeners:
+            self._env.listeners.remove(listener)
+            listener.close()
 
     def __enter__(self) -> Viewers:
         return self

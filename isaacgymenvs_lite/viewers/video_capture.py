@@ -1,7 +1,7 @@
-"""Videos of a training or a play: every so many steps the next ones are recorded, then drawn.
+"""Videos of a training or a play, recorded at regular intervals.
 
-Recording copies the state of the environments that are shown, some dozens of numbers. Drawing and
-encoding, which take a hundred times as long, are left to a thread (`VideoWriter`).
+Recording copies the state of the shown environments, some dozens of numbers. Drawing and encoding
+take a hundred times as long and run in a thread (`VideoWriter`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def capture_videos(
     prefix: str = "rl-video",
     on_done: Callable[[Path], None] | None = None,
 ) -> VideoCapture:
-    """Begin to record a task; closing it, or what is returned, finishes what was begun.
+    """Start to record a task; closing the task, or the result, finishes the current video.
 
     Args:
         env: the task.
@@ -63,7 +63,7 @@ def capture_videos(
 
 
 def make_video_folder(folder: Path) -> None:
-    """Make a folder and prove that files can be written into it.
+    """Make a folder and check that files can be written into it.
 
     Raises:
         ConfigError: they cannot.
@@ -82,15 +82,15 @@ def make_video_folder(folder: Path) -> None:
 
 
 class VideoCapture:
-    """Records a task again and again; a `StepListener`.
+    """Records a task at regular intervals; a `StepListener`.
 
     Args:
         env: the task.
-        video_writer: draws what was recorded.
+        video_writer: draws the recordings.
         folder: where the files go; it exists.
-        every: control steps from the start of one recording to that of the next.
+        every: control steps from the start of one recording to the start of the next.
         length: control steps of a recording.
-        num_envs: the first so many environments are shown, in tiles.
+        num_envs: number of environments that are shown, in tiles.
         prefix: the files are called `<prefix>-step-<steps made before>.mp4`.
     """
 
@@ -128,10 +128,10 @@ class VideoCapture:
                 self._finish()
 
     def render(self) -> None:
-        """Do nothing: what is recorded does not depend on what is shown."""
+        """Do nothing: recordings do not depend on windows."""
 
     def close(self) -> None:
-        """Let a recording that was begun end here, and wait for what is still drawn."""
+        """End the current recording, and wait until all videos are written."""
         self._finish()
         self._video_writer.close()
 
@@ -139,6 +139,5 @@ class VideoCapture:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             name = f"{self._prefix}-step-{self._first_step}.mp4"
-            self._video_writer.make(
-                VideoJob.from_recording(self._env, recorder, self._folder / name)
-            )
+            job = VideoJob.from_recording(self._env, recorder, self._folder / name)
+            self._video_writer.make(job)

@@ -1,4 +1,4 @@
-"""A thread that draws and encodes films, so that what is filmed need not wait."""
+"""Draws and encodes videos in a thread, so that the recorded task does not wait."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from isaacgymenvs_lite.rendering.view import View
 
 log = logging.getLogger(__name__)
 
-# Pixels of a tile: alone, and beside others.
-_ALONE, _TILE = (640, 480), (320, 240)
-# Films that may wait. Where steps are cheap and drawing is not, memory is the limit of patience.
+SINGLE_SIZE, TILE_SIZE = (640, 480), (320, 240)
+"""Pixels of a picture of one environment, and of each of several."""
+# Jobs that may wait, because their poses are in memory.
 _MAX_WAITING = 8
 
 
 @dataclass(frozen=True)
 class VideoJob:
-    """What is to be drawn.
+    """The content of a video.
 
     Attributes:
-        path: the file, .mp4; one that exists already is left, and a number put behind the name.
-        model: of the figures.
+        path: the file, .mp4; if it exists already, the new one gets a number behind its name.
+        model: of the robots.
         dt_s: from one picture to the next.
         tracks: (T, nq) each.
-        markers: what else to draw, for each time, for each track.
-        follow: whether the camera goes along.
+        markers: to draw, for each time, for each track.
+        follow: whether the camera follows the robot.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class VideoJob:
 
     @classmethod
     def from_recording(cls, env: Any, recorder: PoseRecorder, path: Path) -> VideoJob:
-        """Return what was recorded of a task; `task.env.cameraFollow: False` stays in its place."""
+        """Return the job for a recording; `task.env.cameraFollow: False` fixes the camera."""
         simulation = env.simulation
         follow = bool(env.cfg["env"].get("cameraFollow", True))
         tracks, markers = recorder.tracks(), recorder.markers()
@@ -57,12 +57,12 @@ class VideoJob:
 
 
 class VideoWriter:
-    """Makes films one after the other in a thread that starts with the first.
+    """Writes videos one after the other, in a thread that starts with the first.
 
-    A job that cannot be made is reported in the log: it is no reason to end a training.
+    A video that cannot be written is reported in the log, so that a training goes on.
 
     Args:
-        on_done: called in the thread with the path of each job that was made.
+        on_done: called in the thread with the path of each video.
     """
 
     def __init__(self, on_done: Callable[[Path], None] | None = None) -> None:
@@ -72,12 +72,12 @@ class VideoWriter:
         self._left_out = 0
 
     def make(self, job: VideoJob) -> None:
-        """Have a job made soon; it is left out if too many wait already."""
+        """Queue a job; it is left out if too many wait already."""
         if self._waiting.qsize() >= _MAX_WAITING:
             self._left_out += 1
             if self._left_out == 1:
                 log.warning(
-                    "videos are asked for faster than they are drawn: leaving out %s and maybe"
+                    "videos are recorded faster than they are drawn: leaving out %s and maybe"
                     " others; raise capture_video_freq or lower capture_video_len",
                     job.path.name,
                 )
@@ -88,7 +88,7 @@ class VideoWriter:
         self._waiting.put(job)
 
     def close(self) -> None:
-        """Wait until all films are made; a second call does nothing."""
+        """Wait until all videos are written; a second call does nothing."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -119,7 +119,7 @@ def write_video(job: VideoJob) -> Path:
         ConfigError: the file cannot be written.
     """
     count = len(job.tracks)
-    width, height = _ALONE if count == 1 else _TILE
+    width, height = SINGLE_SIZE if count == 1 else TILE_SIZE
     images = draw_tracks(
         job.model,
         job.tracks,

@@ -1,7 +1,7 @@
-"""A task in a browser: MuJoCo's own web viewer, served on one port while something else goes on.
+"""A task in a browser: MuJoCo's web viewer, served on one port during a training or a play.
 
-The viewer runs in a thread of its own and draws in the browser; the training hands it a state now
-and then. It has no password: whoever reaches the port can look on, hence localhost by default.
+The viewer runs in its own thread and draws in the browser; it receives a state up to 30 times a
+second. It has no password: everybody who reaches the port can watch, hence localhost by default.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ import mujoco
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader
-from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay, RobotOverlay
+from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 
 log = logging.getLogger(__name__)
 
-# A browser is told of a new state at most so often.
+# Limit of the states that are sent to browsers.
 _PICTURES_PER_S = 30.0
 _ADDRESSES = {"localhost": "127.0.0.1"}
 _MAX_GEOMS = 200
@@ -39,10 +39,11 @@ class WebPage:
         env: the task; the reference of one that imitates is shown beside the character.
         host: name or address to listen at.
         port: 0 takes a free one.
-        real_time: let the task wait so that it is no faster than what it simulates.
+        real_time: let the task wait, so that it is no faster than the simulated time.
 
     Attributes:
-        url: where to look.
+        url: address of the page.
+        server: the running server.
 
     Raises:
         ConfigError: the port is taken, or the viewer is not installed.
@@ -52,29 +53,28 @@ class WebPage:
         check_page(host, port)
         self._env = env
         self._read_pose = PoseReader(env)
-        # Of rough ground a browser gets the piece about the robot, too.
+        # As in videos, rough ground is drawn around the robot only.
         self._whole: mujoco.MjModel = copy.copy(env.simulation.model)
         self._ground = TerrainWindow(self._whole)
         self._ground.move(self._read_pose(0)[:2])
         self._model = copy.copy(self._whole)
         self._data = mujoco.MjData(self._model)
-        self._ghost = ReferenceOverlay(env) if hasattr(env, "motion_lib") else None
-        self._painter = RobotOverlay(self._model)
+        self._reference = ReferenceOverlay.for_task(env, self._model)
         self._scene = mujoco.MjvScene(self._model, _MAX_GEOMS)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
         from isaacgymenvs_lite.viewers.web_server import start_server  # imports all of the viewer
 
-        self._page = start_server(self._model, _ADDRESSES.get(host, host), port)
-        self.url = f"http://{host}:{self._page.port}/"
-        atexit.register(self.close)  # a thread that goes on when Python ends takes it down
+        self.server = start_server(self._model, _ADDRESSES.get(host, host), port)
+        self.url = f"http://{host}:{self.server.port}/"
+        atexit.register(self.close)  # a thread that still runs when Python ends crashes it
         self.render()
-        log.info("watch it at %s (no password: who reaches the port can look on)", self.url)
+        log.info("watch it at %s (no password: everybody who reaches the port can watch)", self.url)
 
     @property
     def keeps_playing(self) -> bool:
         """Whether the server runs: browsers may come and go."""
-        return self._page.handle.is_running()
+        return self.server.handle.is_running()
 
     def after_step(self) -> None:
         """Show the new state if the last one was long enough ago."""
@@ -87,32 +87,33 @@ class WebPage:
             self._next_step_s = max(self._next_step_s, now) + self._pace_s
 
     def render(self) -> None:
-        """Show the present state."""
-        if not self._page.handle.is_running():
+        """Show the current state."""
+        if not self.server.handle.is_running():
             return
         qpos = self._read_pose(0)
         self._data.qpos[:] = qpos
         if self._ground.move(qpos[:2]):
-            self._model = copy.copy(self._whole)  # another model: browsers fetch it
-        if self._ghost is not None:
+            self._model = copy.copy(self._whole)  # a new object, so that browsers fetch it
+        if self._reference is not None:
             self._scene.ngeom = 0
-            self._painter.add_to(self._scene, self._ghost.pose(qpos))
-            self._page.overlay.geoms = list(self._scene.geoms[: self._scene.ngeom])
-        self._page.handle.sync(self._model, self._data)
+            self._reference.add_to(self._scene, qpos)
+            self.server.overlay.geoms = list(self._scene.geoms[: self._scene.ngeom])
+        self.server.handle.sync(self._model, self._data)
 
     def close(self) -> None:
         """End the server; a second call does nothing."""
         atexit.unregister(self.close)
         with contextlib.redirect_stdout(io.StringIO()):
-            self._page.handle.close()
+            self.server.handle.close()
         gc.unfreeze()  # see start_server
 
 
 def check_page(host: str, port: int) -> None:
-    """Say at once that a page cannot be served.
+    """Check that a page can be served.
 
     Raises:
-        ConfigError: the port is taken, the host is not this machine's, or the viewer is missing.
+        ConfigError: the port is taken, the host is not an address of this machine, or the viewer is
+            not installed.
     """
     try:
         importlib.import_module("mujoco.studio.web_viewer")

@@ -1,6 +1,6 @@
-"""MuJoCo's web viewer in a thread: where it listens, what it shows beside the model, what it says.
+"""MuJoCo's web viewer in a thread, with additional geoms, on one address and without prints.
 
-Imports all of `mujoco.studio`: import it where it is needed.
+It imports all of `mujoco.studio`, so import it where it is needed.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.view import aim_camera
 
 _START_TIMEOUT_S = 20.0
-# The number in a model that is the page's sky.
+# Custom number of a model with the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
 
 
 class OverlayPlugin(plugin.ViewerPlugin):
-    """Shows geoms beside the model, and lets the camera go along with the robot.
+    """Adds geoms to the model's picture, and lets the camera follow the robot.
 
     Attributes:
-        geoms: what to show; replace the list, do not change it.
+        geoms: to add; replace the list, do not change it.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class OverlayPlugin(plugin.ViewerPlugin):
 
     @messages.handler
     def on_init(self, event: viewer_protocol.ViewerInitEvent) -> None:
-        """Let the camera follow a robot that moves about, and colours be those of videos."""
+        """Let the camera follow a robot that moves about, and use the colours of videos."""
         viewer = event.viewer
         aim_camera(viewer.camera, viewer.model)
         flags = list(viewer.render_flags.flags)
@@ -49,16 +49,15 @@ class OverlayPlugin(plugin.ViewerPlugin):
 
     @messages.handler
     def on_update(self, event: messages.UpdateEvent) -> None:
-        """Take what is to be shown into the next picture."""
-        del event
+        """Add the geoms to the next picture."""
         self.viewer.extra_geoms[:] = self.geoms
 
 
 class QuietViewer(web_viewer.WebViewer):
-    """Listens at one address, rather than at all of them, and prints nothing.
+    """Listens at one address in place of all of them, and prints nothing.
 
     Attributes:
-        address: where; set it before an instance is made.
+        address: where to listen; set it before an instance is made.
     """
 
     address = "127.0.0.1"
@@ -69,21 +68,20 @@ class QuietViewer(web_viewer.WebViewer):
 
     @_host.setter
     def _host(self, value: str) -> None:
-        del value  # MuJoCo's own choice: every address of the machine
+        """Ignore MuJoCo's choice, every address of the machine."""
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def _on_post_model(self, event: messages.PostModelEvent) -> None:
-        del event
         self._update_model()
 
 
 @dataclass(frozen=True)
-class Page:
+class WebServer:
     """A running server.
 
     Attributes:
-        handle: takes states.
-        overlay: what is shown beside the model.
+        handle: receives states.
+        overlay: the additional geoms.
         port: where browsers connect.
     """
 
@@ -92,7 +90,7 @@ class Page:
     port: int
 
 
-def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
+def start_server(model: mujoco.MjModel, address: str, port: int) -> WebServer:
     """Start the viewer in a thread, and return when browsers can connect.
 
     Args:
@@ -103,7 +101,7 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
     Raises:
         ConfigError: it does not start.
     """
-    _let_the_log_decide()
+    _silence_server_log()
     overlay, started, ports = OverlayPlugin(), threading.Event(), []
     config = viewer_protocol.ViewerConfig(
         title="isaacgymenvs_lite", gfx="web", http_port=port or _free_port(address)
@@ -118,9 +116,9 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
             started.set()
         viewer_protocol.run_viewer_loop(viewer)
 
-    # Python collects garbage in whichever thread asks for memory. The viewer's thread, freeing what
-    # others had made, was seen to hang and then to crash, in a process with millions of objects: it
-    # gets to see only what is made from now on.
+    # Python collects garbage in the thread that happens to allocate. In a process with millions of
+    # objects the viewer's thread hung and crashed while it freed objects of other threads. After
+    # `freeze` it frees only objects that are made from now on.
     gc.collect()
     gc.freeze()
     with contextlib.redirect_stdout(io.StringIO()):  # a banner
@@ -129,11 +127,11 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> Page:
     if not ports:
         gc.unfreeze()
         raise ConfigError(f"viewer=web: it did not start within {_START_TIMEOUT_S:.0f} s")
-    return Page(handle, overlay, ports[0])
+    return WebServer(handle, overlay, ports[0])
 
 
-def _let_the_log_decide() -> None:
-    """Take the server's lines about connections from standard output."""
+def _silence_server_log() -> None:
+    """Keep the server's lines about connections off standard output."""
     server_log = logging.getLogger("WebServer")
     server_log.handlers.clear()
     server_log.propagate = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -15,19 +16,53 @@ import mujoco
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder
 from isaacgymenvs_lite.rendering.view import aim_camera
-from isaacgymenvs_lite.viewers.keys import Keys
-from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay, RobotOverlay
+from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 
 log = logging.getLogger(__name__)
 
-# Control steps that a recording may have; a minute and more of every task.
+# Control steps of a recording at most; more than a minute of every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
+# GLFW's key codes: letters are their capitals' ASCII codes.
+_ESCAPE = 256
+
+
+class Keys:
+    """The state that Isaac Gym's viewer keys set, passed from the window's thread to the task's.
+
+    Attributes:
+        sync: V: whether the window shows each step, no faster than the simulated time.
+        recording: R: whether a video is being recorded.
+        quit: ESC: whether the end was requested.
+    """
+
+    HELP = "V: show every step on / off, R: record on / off, ESC: quit"
+
+    def __init__(self) -> None:
+        self.sync = True
+        self.recording = False
+        self.quit = False
+        self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
+
+    def press(self, key: int) -> None:
+        """Queue a key, by GLFW's code; may be called in any thread."""
+        self._pressed.put(key)
+
+    def update(self) -> None:
+        """Apply the keys that were pressed since the last call."""
+        while not self._pressed.empty():
+            key = self._pressed.get()
+            if key == ord("V"):
+                self.sync = not self.sync
+            elif key == ord("R"):
+                self.recording = not self.recording
+            elif key == _ESCAPE:
+                self.quit = True
 
 
 class WindowClosedError(Exception):
-    """A play ends because its window was closed."""
+    """Raised in a play whose window was closed, to end it."""
 
 
 class Window:
@@ -57,8 +92,7 @@ class Window:
         self._read_pose = PoseReader(env)
         self._model: mujoco.MjModel = env.simulation.model
         self._data = mujoco.MjData(self._model)
-        self._ghost = ReferenceOverlay(env) if hasattr(env, "motion_lib") else None
-        self._painter = RobotOverlay(self._model)
+        self._reference = ReferenceOverlay.for_task(env, self._model)
         self._video_writer = VideoWriter()
         self._recorder: PoseRecorder | None = None
         self._steps = 0
@@ -84,7 +118,7 @@ class Window:
         return not self._has_ended
 
     def after_step(self) -> None:
-        """Obey the keys; record and show the step if they say so."""
+        """Apply the keys; record and show the step where they are set to."""
         self._steps += 1
         self.keys.update()
         if not self._has_ended and (self.keys.quit or not self._viewer.is_running()):
@@ -96,21 +130,21 @@ class Window:
             self._wait()
 
     def render(self) -> None:
-        """Show the present state."""
+        """Show the current state."""
         if not self._viewer.is_running():
             return
         with self._viewer.lock():
             qpos = self._read_pose(0)
             self._data.qpos[:] = qpos
             mujoco.mj_forward(self._model, self._data)
-            if self._ghost is not None:
+            if self._reference is not None:
                 scene = self._viewer.user_scn
                 scene.ngeom = 0
-                self._painter.add_to(scene, self._ghost.pose(qpos))
+                self._reference.add_to(scene, qpos)
         self._viewer.sync()
 
     def _wait(self) -> None:
-        """Be no faster than what is simulated."""
+        """Wait until the simulated time has passed."""
         now = time.monotonic()
         time.sleep(max(0.0, self._next_step_s - now))
         self._next_step_s = max(self._next_step_s, now) + self._env.simulation.dt
@@ -137,11 +171,11 @@ class Window:
         self._video_writer.make(VideoJob.from_recording(self._env, recorder, path))
 
     def close(self) -> None:
-        """Close the window, after what was recorded is written; a second call does nothing."""
+        """Write a recording that runs, then close the window; a second call does nothing."""
         atexit.unregister(self.close)
         self._end_recording()
         self._video_writer.close()
         self._viewer.close()
-        # A window that still draws when the process ends takes it down.
+        # A window that still draws when the process ends crashes it.
         for thread in self._threads:
             thread.join(_CLOSING_S)

@@ -1,8 +1,8 @@
 """Training and playing with other RL libraries, from the command line.
 
-    python -m isaacgymenvs_lite.workflows.sb3.train --task Cartpole --num_envs 64 --headless
-    python -m isaacgymenvs_lite.workflows.sb3.play --task Cartpole --use_last_checkpoint
+    python -m isaacgymenvs_lite.workflows sb3 train task=Cartpole num_envs=64
+    python -m isaacgymenvs_lite.workflows sb3 play task=Cartpole
 
-`sb3` (Stable-Baselines3), `skrl` and `rsl_rl` have a package each, which holds what is the
-library's own: an agent made of its parts. Everything else stands here once.
+`training` is the story, `command` the command line, `agent_files` what is read from cfg/<library>/.
+`sb3` (Stable-Baselines3), `skrl` and `rsl_rl` each make an agent from their library's parts.
 """

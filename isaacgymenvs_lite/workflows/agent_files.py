@@ -1,7 +1,7 @@
 """Agent files: cfg/<library>/<Task>.yaml, or default.yaml beside it.
 
-A file holds keyword arguments of the library's classes, by section, and a few keys of the
-workflow's own. It cannot name code: what becomes of it is decided here, not by the file.
+A file holds keyword arguments of the library's classes, by section, and a few keys of the workflow.
+It cannot name code: the workflow chooses the classes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import keys_of, plain, setting
 
 PREFIX = "agent."
-"""What overrides of an agent file begin with on the command line."""
+"""Start of a key of the agent file on the command line."""
 
 _DEFAULT = "default"
 _NUM_NEAREST = 3
@@ -45,16 +45,16 @@ _ACTIVATIONS: dict[str, type[nn.Module]] = {
 
 
 def load_agent_file(
-    library: str, task: str, given: str | None, overrides: Sequence[str]
+    library: str, task: str, given: str, overrides: Sequence[str]
 ) -> dict[str, Any]:
     """Return the content of an agent file.
 
     Args:
         library: folder in cfg/.
-        task: whose file it is; without one of its own, default.yaml.
-        given: a path, or the name of a file of the folder, to take instead; Isaac Lab's
-            `sb3_cfg_entry_point` means the task's own.
-        overrides: `agent.key.below=value` each; the workflow of the library knows the keys.
+        task: name of the task, whose file is read; default.yaml if it has none.
+        given: a path, or the name of a file in the folder, to read instead; '' and Isaac Lab's
+            `sb3_cfg_entry_point` mean the task's file.
+        overrides: `agent.key.below=value` each; the agent checks the keys.
 
     Raises:
         ConfigError: there is no such file, or a value is not valid YAML.
@@ -74,7 +74,7 @@ def seed_of(content: Mapping[str, Any]) -> int:
     """Return the seed of an agent file, as Isaac Lab's have one; 42 if it has none.
 
     Raises:
-        ConfigError: it is no whole number.
+        ConfigError: not a whole number.
     """
     seed = content.get("seed", _SEED)
     if not isinstance(seed, int) or isinstance(seed, bool):
@@ -82,20 +82,20 @@ def seed_of(content: Mapping[str, Any]) -> int:
     return seed
 
 
-def _find(folder: Path, task: str, given: str | None) -> Path:
-    if given is None or given.endswith(_ENTRY_POINT):
+def _find(folder: Path, task: str, given: str) -> Path:
+    if not given or given.endswith(_ENTRY_POINT):
         own = folder / f"{task}.yaml"
         return own if own.is_file() else folder / f"{_DEFAULT}.yaml"
     for path in (Path(given).expanduser(), folder / f"{given}.yaml"):
         if path.is_file():
             return path
     names = [path.stem for path in folder.glob("*.yaml")]
-    raise ConfigError(unknown("--agent", given, names, "or give the path of a file"))
+    raise ConfigError(unknown("agent file", given, names, "or give the path of a file"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class AgentSettings:
-    """The keys that every agent file has."""
+    """The keys that all agent files have."""
 
     max_iterations: int = setting(minimum=1)
     """Rollouts, each with the updates that follow it."""
@@ -111,17 +111,17 @@ def check_keys(
     where: str,
     functions: Mapping[str, Callable[..., Any]] | None = None,
 ) -> None:
-    """Check that a section has no key that its settings do not read.
+    """Check that a section has only keys that its settings read.
 
     Args:
         cls: the settings.
         content: the section.
         where: its path, `agent`.
-        functions: of sections in it, what their keys are arguments of, to find a key that stands
-            one section too high.
+        functions: section -> function whose arguments the section holds, to find a key that was
+            written one section too high.
 
     Raises:
-        ConfigError: it has one; the message names the nearest keys.
+        ConfigError: an unknown key; the message names the nearest ones.
     """
     own = keys_of(cls)
     below = {
@@ -136,9 +136,9 @@ def check_keys(
         near += difflib.get_close_matches(str(key), [*own, *below], n=_NUM_NEAREST, cutoff=0.5)
         near = list(dict.fromkeys(near))[:_NUM_NEAREST]
         names = " or ".join(f"'{path}'" for path in near)
-        asked = f" (did you mean {names}?)" if near else ""
+        question = f" (did you mean {names}?)" if near else ""
         raise ConfigError(
-            f"unknown key '{where}.{key}'{asked}; {where} has {', '.join(sorted(own))}"
+            f"unknown key '{where}.{key}'{question}; {where} has {', '.join(sorted(own))}"
         )
 
 
@@ -148,16 +148,16 @@ def check_arguments(
     where: str,
     reserved: Iterable[str] = (),
 ) -> None:
-    """Check that a section names arguments of a function or class, numbers where it has numbers.
+    """Check that a section holds arguments of a function or class, of the kind of its defaults.
 
     Args:
         function: what will be called with them.
         arguments: the section.
         where: its path, `agent.ppo`.
-        reserved: arguments that the workflow gives, or that could name code.
+        reserved: arguments that the workflow sets, or that could name code.
 
     Raises:
-        ConfigError: one of them is none, or has a value of another kind.
+        ConfigError: an unknown argument, or a value of another kind.
     """
     parameters = inspect.signature(function).parameters
     names = set(parameters) - {"self", *reserved}
@@ -173,14 +173,14 @@ def check_arguments(
 
 
 @contextmanager
-def making(what: str) -> Iterator[None]:
-    """Make something of a library; values that it refuses are a user's mistake.
+def constructing(what: str) -> Iterator[None]:
+    """Report values that a library's constructor refuses as a user's mistake.
 
     Args:
-        what: for the message.
+        what: name of the class, for the message.
 
     Raises:
-        ConfigError: the library raised something.
+        ConfigError: the constructor raised something.
     """
     try:
         yield
@@ -194,7 +194,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def activation(name: str) -> type[nn.Module]:
+def activation_class(name: str) -> type[nn.Module]:
     """Return the class of an activation.
 
     Raises:

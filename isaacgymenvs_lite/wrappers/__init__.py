@@ -4,8 +4,8 @@
 
     env = Sb3VecEnvWrapper(isaacgymenvs_lite.make(task="Ant", num_envs=64))
 
-An adapter goes around the task itself; wrappers of the library go around the adapter. Their modules
-are imported when a name is asked for, as the libraries are optional.
+An adapter goes around the task itself; wrappers of the library go around the adapter. An adapter's
+module is imported when its name is first used, as the libraries are optional.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from isaacgymenvs_lite.utils.optional_packages import require
 
 if TYPE_CHECKING:
-    from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
-    from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+    from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
     from isaacgymenvs_lite.wrappers.record_video import RecordVectorVideo, RecordVideo
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
     from isaacgymenvs_lite.wrappers.rsl_rl_env import RslRlVecEnvWrapper
@@ -37,8 +36,8 @@ __all__ = [
 
 # Name -> its module here, and the package that it needs beside those that are always installed.
 _PLACES: dict[str, tuple[str, str | None]] = {
-    "GymnasiumEnv": ("gymnasium_single", None),
-    "GymnasiumVectorEnv": ("gymnasium_vector", None),
+    "GymnasiumEnv": ("gymnasium_env", None),
+    "GymnasiumVectorEnv": ("gymnasium_env", None),
     "RLGPUEnv": ("rl_games_env", None),
     "RecordVectorVideo": ("record_video", "av"),
     "RecordVideo": ("record_video", "av"),

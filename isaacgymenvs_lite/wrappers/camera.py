@@ -4,18 +4,49 @@ from __future__ import annotations
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.camera import TaskCamera
-
-__all__ = ["RENDER_MODE", "TaskCamera", "checked_render_mode"]
+from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 RENDER_MODE = "rgb_array"
 
 
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return a render mode that there is: `rgb_array`, or None for no pictures.
+class AdapterCamera:
+    """Draws every environment of a task for an adapter.
+
+    Args:
+        task: the task.
+        render_mode: `rgb_array`, or None for no pictures.
+        width: of a picture, pixels.
+        height: pixels.
+
+    Attributes:
+        render_mode: as given.
 
     Raises:
-        ConfigError: another one.
+        ConfigError: another render mode.
     """
-    if render_mode not in (None, RENDER_MODE):
-        raise ConfigError(unknown("render_mode", render_mode, [RENDER_MODE, "None"]))
-    return render_mode
+
+    def __init__(
+        self, task: VecTask, render_mode: str | None, width: int = 320, height: int = 240
+    ) -> None:
+        if render_mode not in (None, RENDER_MODE):
+            raise ConfigError(unknown("render_mode", render_mode, [RENDER_MODE, "None"]))
+        self.render_mode = render_mode
+        self._env_ids = range(task.num_envs)
+        self._camera = TaskCamera(task, width, height)
+
+    def draw(self) -> list[Image]:
+        """Return a picture (height, width, 3) of each environment.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        return self._camera.draw(self._env_ids)
+
+    def render(self) -> list[Image] | None:
+        """Return what `draw` returns; None without a render mode."""
+        return self.draw() if self.render_mode else None
+
+    def close(self) -> None:
+        """Free the renderer; a second call does nothing."""
+        self._camera.close()

@@ -1,4 +1,4 @@
-"""Returns and lengths of episodes, as they end."""
+"""Returns and lengths of ended episodes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class EndedEpisodes:
-    """What the episodes that a step ended came to.
+    """The n episodes that ended with a step.
 
     Attributes:
-        env_ids: (n,) int64, where.
+        env_ids: (n,) int64, their environments.
         returns: (n,) float64 sums of rewards.
         lengths: (n,) int64 control steps.
-        time_s: since the statistics began.
+        time_s: since the start of the statistics.
     """
 
     env_ids: Tensor
@@ -27,7 +27,7 @@ class EndedEpisodes:
 
 
 class EpisodeStatistics:
-    """Sums up the episodes of N environments.
+    """Counts rewards and steps of the episodes of N environments.
 
     Args:
         num_envs: N.
@@ -41,7 +41,7 @@ class EpisodeStatistics:
         self._start_s = time.perf_counter()
 
     def restart(self, mask: Tensor) -> None:
-        """Forget the running episodes of `mask` (N,) bool."""
+        """Start new counts where `mask` (N,) bool is True."""
         self._returns.masked_fill_(mask, 0.0)
         self._lengths.masked_fill_(mask, 0)
 

@@ -1,9 +1,9 @@
-"""Gymnasium's `RecordVideo`, encoded as our other videos are, by PyAV.
+"""Gymnasium's `RecordVideo`, encoded by PyAV as all videos of this project.
 
     env = gymnasium.make("IsaacGymEnvsLite/Ant-v0", render_mode="rgb_array")
     env = RecordVideo(env, "videos", episode_trigger=lambda episode: episode % 10 == 0)
 
-Gymnasium's own classes encode with MoviePy, which brings an ffmpeg and an older Pillow along.
+Gymnasium's own classes encode with MoviePy, which installs an ffmpeg and an older Pillow.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from isaacgymenvs_lite.rendering.video import check_encoder, save_video
 
 
 class _EncodedByPyAV:
-    """What both classes have in common: how they start, and how a recording ends."""
+    """Replaces the start and the end of a recording in Gymnasium's classes."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         check_encoder()
         given = inspect.signature(super().__init__).bind(*args, **kwargs).arguments
         if given.get("episode_trigger") is None and given.get("step_trigger") is None:
-            # Gymnasium's own is in a module that asks for MoviePy.
+            # Gymnasium's own is in a module that imports MoviePy.
             kwargs["episode_trigger"] = is_cube_or_thousandth
-        with suppress(DependencyNotInstalled):  # it asks for MoviePy last, when all else is done
+        with suppress(DependencyNotInstalled):  # raised at the end, when all else is done
             super().__init__(*args, **kwargs)
 
     def stop_recording(self: Any) -> None:
-        """Write what was recorded; without a picture there is no file.
+        """Write the recorded pictures; without any there is no file.
 
         Raises:
             ConfigError: the folder cannot be written.
@@ -46,7 +46,7 @@ class _EncodedByPyAV:
 
 
 def is_cube_or_thousandth(episode: int) -> bool:
-    """Whether an episode is filmed unless told otherwise: 0, 1, 8, ..., 729, and each 1000th."""
+    """Whether an episode is recorded by default: 0, 1, 8, ..., 729, and each 1000th."""
     if episode >= 1000:
         return episode % 1000 == 0
     return round(episode ** (1 / 3)) ** 3 == episode

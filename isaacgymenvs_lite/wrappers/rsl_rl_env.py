@@ -12,15 +12,15 @@ from torch import Tensor
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
 
 ACTOR_GROUP, CRITIC_GROUP = "policy", "critic"
-"""Groups of observations: what policies see, and the states of asymmetric critics."""
+"""Groups of observations: inputs of policies, and states for asymmetric critics."""
 
 
 class RslRlVecEnvWrapper(VecEnv):
     """N environments of a task for rsl_rl's runners.
 
-    Observations have the groups `policy` (N, F) and, of a task with states, `critic` (N, S). Of
-    `extras`: `time_outs` (N,), `log` with what the task tells of all environments together, and
-    what it tells of each, `amp_obs` (N, F) for example.
+    Observations have the groups `policy` (N, F) and, if the task has states, `critic` (N, S).
+    `extras` holds `time_outs` (N,), the task's infos for each environment, `amp_obs` (N, F) for
+    example, and in `log` those for all environments together.
 
     Args:
         task: what `isaacgymenvs_lite.make` returns.
@@ -31,7 +31,7 @@ class RslRlVecEnvWrapper(VecEnv):
         max_episode_length: control steps.
 
     Raises:
-        WrapperError: `task` is no task.
+        WrapperError: `task` is not a task.
     """
 
     def __init__(self, task: Any) -> None:
@@ -46,7 +46,7 @@ class RslRlVecEnvWrapper(VecEnv):
 
     @property
     def episode_length_buf(self) -> Tensor:
-        """(N,) int64 control steps of the running episodes; runners write it, too."""
+        """(N,) int64 control steps of the running episodes; runners also set it."""
         return self.task.progress_buf.to(self.device)
 
     @episode_length_buf.setter

@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.camera import TaskCamera, checked_render_mode
-from isaacgymenvs_lite.wrappers.gymnasium_vector import Bools, Floats, as_numpy
+from isaacgymenvs_lite.wrappers.camera import AdapterCamera
+from isaacgymenvs_lite.wrappers.gymnasium_env import Bools, Floats, as_numpy
 
 
 class Sb3VecEnvWrapper(VecEnv):
@@ -24,10 +24,10 @@ class Sb3VecEnvWrapper(VecEnv):
 
     An ended episode's `infos[i]` holds `terminal_observation` (F,), `TimeLimit.truncated` and
     `episode` {"r": return, "l": length, "t": s since the start}, so that no `VecMonitor` is needed.
-    What the task tells of each environment stands in every `infos[i]`, `amp_obs` (F,) for example,
-    of the step's end; what it tells of all together in `infos[i]["log"]`.
+    Every `infos[i]` also holds the task's infos for environment i at the end of the step, such as
+    `amp_obs` (F,), and in `infos[i]["log"]` those for all environments together.
 
-    Wrap the task with it, and this with the library's own: `VecNormalize(Sb3VecEnvWrapper(task))`.
+    The library's own wrappers go around it: `VecNormalize(Sb3VecEnvWrapper(task))`.
 
     Args:
         task: what `isaacgymenvs_lite.make` returns.
@@ -38,30 +38,26 @@ class Sb3VecEnvWrapper(VecEnv):
         stepper: steps the task; its `last_step` is the last step as tensors.
 
     Raises:
-        WrapperError: `task` is no task.
+        WrapperError: `task` is not a task.
         ConfigError: another render mode.
     """
 
     def __init__(self, task: Any, render_mode: str | None = None) -> None:
         self.stepper = AutoresetTask(task, type(self).__name__)
         self.task = self.stepper.task
-        self._given_render_mode = checked_render_mode(render_mode)
-        self._camera = TaskCamera(self.task)
+        self._camera = AdapterCamera(self.task, render_mode)
         self._actions = torch.zeros(self.task.num_envs, self.task.num_actions)
         super().__init__(self.task.num_envs, self.task.observation_space, self.task.action_space)
 
     def reset(self) -> Floats:
-        """Start new episodes and return their observations (N, F).
-
-        The seed of `seed` counts: what the task draws from now on depends on it alone.
-        """
+        """Start new episodes, with the seed given to `seed`; return observations (N, F)."""
         observations = self.stepper.reset(self._seeds[0])
         self._reset_seeds()
         self._reset_options()
         return as_numpy(observations["obs"])
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Take actions (N, A) for `step_wait`."""
+        """Store actions (N, A) for `step_wait`."""
         self._actions = torch.as_tensor(np.asarray(actions, dtype=np.float32))
 
     def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
@@ -108,22 +104,21 @@ class Sb3VecEnvWrapper(VecEnv):
         Raises:
             RenderingError: this machine cannot draw.
         """
-        return self._camera.draw(range(self.num_envs))
+        return self._camera.draw()
 
-    # --- what Stable-Baselines3 asks each environment for; here there is one task ----------------
+    # --- per-environment calls of Stable-Baselines3; here all environments are one task ----------
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the task, once for each environment."""
-        value = (
-            self._given_render_mode if attr_name == "render_mode" else getattr(self.task, attr_name)
-        )
+        owner = self._camera if attr_name == "render_mode" else self.task
+        value = getattr(owner, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the task, which is that of all environments.
+        """Set an attribute of the task, for all environments.
 
         Raises:
-            ConfigError: of some environments only.
+            ConfigError: `indices` names only some environments.
         """
         if len(set(self._get_indices(indices))) != self.num_envs:
             raise ConfigError(
@@ -140,5 +135,5 @@ class Sb3VecEnvWrapper(VecEnv):
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Say that episodes are monitored, as their returns and lengths are in the infos."""
+        """Return True for `Monitor`, as the infos have the returns and lengths of episodes."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]

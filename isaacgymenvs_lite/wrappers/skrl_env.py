@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""A task as an environment of skrl: torch in and out, without a way through numpy."""
+"""A task as an environment of skrl: torch in and out."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from torch import Tensor
 
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
-from isaacgymenvs_lite.wrappers.camera import TaskCamera, checked_render_mode
+from isaacgymenvs_lite.wrappers.camera import AdapterCamera
 
 
 class SkrlVecEnvWrapper(Wrapper):
     """N environments of a task for skrl's trainers and agents.
 
-    `infos` holds what the task tells of each environment, `amp_obs` (N, F) for example, of the
-    step's end; `episode`, what it tells of all together, which trainers log; and, in steps that end
-    episodes, `final_observations` (N, F), whose rows of ended episodes are their last ones: the
-    observations that `step` returns are those of the next episodes.
+    `infos` holds the task's infos for each environment at the end of the step, `amp_obs` (N, F) for
+    example, and in `episode` those for all environments together, which trainers log. Steps that
+    end episodes add `final_observations` (N, F): the last ones of the ended episodes, where `step`
+    returns the first ones of the next. Rows of other environments mean nothing.
 
     Args:
         task: what `isaacgymenvs_lite.make` returns.
@@ -32,15 +32,14 @@ class SkrlVecEnvWrapper(Wrapper):
         stepper: steps the task.
 
     Raises:
-        WrapperError: `task` is no task.
+        WrapperError: `task` is not a task.
         ConfigError: another render mode.
     """
 
     def __init__(self, task: Any, render_mode: str | None = None) -> None:
         self.stepper = AutoresetTask(task, type(self).__name__)
         self.task = self.stepper.task
-        self._render_mode = checked_render_mode(render_mode)
-        self._camera = TaskCamera(self.task)
+        self._camera = AdapterCamera(self.task, render_mode)
         self._states: Tensor | None = None
         super().__init__(self.task)
 
@@ -63,13 +62,13 @@ class SkrlVecEnvWrapper(Wrapper):
             }
         if step.final_observations is not None:
             infos["final_observations"] = step.final_observations["obs"]
-        # Copies: agents add to the rewards.
+        # Copies, because agents add to the rewards in place.
         columns = (step.rewards, step.terminated, step.truncated)
         rewards, terminated, truncated = (column.clone().unsqueeze(-1) for column in columns)
         return self._observed(step.observations), rewards, terminated, truncated, infos
 
     def state(self) -> Tensor | None:
-        """Return the states (N, S) of asymmetric critics, None of a task without."""
+        """Return the states (N, S) of asymmetric critics; None if the task has none."""
         return self._states
 
     def render(self, *args: Any, **kwargs: Any) -> list[Image] | None:
@@ -78,8 +77,7 @@ class SkrlVecEnvWrapper(Wrapper):
         Raises:
             RenderingError: this machine cannot draw.
         """
-        del args, kwargs
-        return self._camera.draw(range(self.num_envs)) if self._render_mode else None
+        return self._camera.render()
 
     def close(self) -> None:
         """Free renderer and simulation."""
@@ -97,5 +95,5 @@ class SkrlVecEnvWrapper(Wrapper):
 
     @property
     def state_space(self) -> gymnasium.Space | None:
-        """Box of one environment's states, None of a task without."""
+        """Box of one environment's states; None if the task has none."""
         return self.task.state_space if self.task.num_states > 0 else None

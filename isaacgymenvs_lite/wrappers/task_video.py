@@ -1,4 +1,4 @@
-"""Videos of a task at steps or episodes of one's choice, with the calls of gym's RecordVideo."""
+"""Videos of a task at chosen steps or episodes, with the arguments of gym's RecordVideo."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from isaacgymenvs_lite.viewers.video_capture import make_video_folder
 from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
 
-# Control steps of a video that is to last as long as an episode.
+# Control steps, at most, of a video that lasts as long as an episode.
 _MAX_LENGTH = 10_000
 
 
 class TaskVideo:
-    """A task that records videos of its environment 0; everything else is the task's.
+    """Records videos of environment 0 of a task, and passes all other calls to the task.
 
-    gym's wrapper of version 0.2x as scripts of IsaacGymEnvs use it, for what returns four values
-    from a step and batches of them; gymnasium's own wants five. A step copies the numbers of one
-    environment; a thread draws and encodes them.
+    It replaces the wrapper of gym 0.2x in scripts of IsaacGymEnvs, where a step returns batches of
+    four values (gymnasium's wrapper expects five). A step copies the state of one environment; a
+    thread draws and encodes it.
 
     Args:
         env: what `isaacgymenvs_lite.make` returns.
         video_folder: where the files go; made if it does not exist.
         episode_trigger: called with the number of episodes that environment 0 has ended; True
-            begins a video `<name_prefix>-episode-<number>.mp4`.
+            starts a video `<name_prefix>-episode-<number>.mp4`.
         step_trigger: called with the number of steps made; True begins a video
             `<name_prefix>-step-<number>.mp4`. Without any trigger: episodes 0, 1, 8, 27, ..., 729,
             then every thousandth.
         video_length: steps of a video, which may go over the ends of episodes; 0: as long as the
             episode of environment 0.
-        name_prefix: of the files. One that exists already stays, and a number is put behind the
-            new one's name.
+        name_prefix: of the files. A file that exists already stays; the new one gets a number
+            behind its name.
 
     Raises:
         ConfigError: both triggers, or a folder that cannot be written.
@@ -72,11 +72,11 @@ class TaskVideo:
         self._recorder: PoseRecorder | None = None
         self._path = self.video_folder
         self._recorded = 0
-        # Scripts end without closing what they made.
+        # Scripts may end without closing the task.
         atexit.register(self.close_video_recorder)
 
     def __getattr__(self, name: str) -> Any:
-        # Not for names that the constructor has not set yet: a copy asks for them.
+        # Private names and `env` may be looked up before the constructor sets them, by copy.
         if name.startswith("_") or name == "env":
             raise AttributeError(name)
         return getattr(self.env, name)
@@ -87,13 +87,13 @@ class TaskVideo:
         return getattr(self.env, "unwrapped", self.env)
 
     def reset(self, **kwargs: Any) -> Any:
-        """Reset the task; a video may begin."""
+        """Reset the task; a video may start."""
         observations = self.env.reset(**kwargs)
-        self._begin_if_due()
+        self._start_if_due()
         return observations
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
-        """Advance the task; a video may go on, end or begin."""
+        """Advance the task; a video may go on, end or start."""
         result = self.env.step(actions)
         has_ended = bool(result[2][0])
         self.step_id += 1
@@ -103,21 +103,21 @@ class TaskVideo:
             self._recorded += 1
             if self._recorded >= self.video_length if self.video_length > 0 else has_ended:
                 self._finish()
-        self._begin_if_due(new_episode=has_ended)
+        self._start_if_due(new_episode=has_ended)
         return result
 
     def close(self) -> None:
-        """Finish the videos that were begun, then close the task."""
+        """Finish the started videos, then close the task."""
         atexit.unregister(self.close_video_recorder)
         self.close_video_recorder()
         self.env.close()
 
     def close_video_recorder(self) -> None:
-        """End the present video here, and wait until all are written."""
+        """End the current video, and wait until all are written."""
         self._finish()
         self._video_writer.close()
 
-    def _begin_if_due(self, new_episode: bool = True) -> None:
+    def _start_if_due(self, new_episode: bool = True) -> None:
         if self._recorder is not None:
             return
         if self._step_trigger is not None:

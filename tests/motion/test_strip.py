@@ -32,6 +32,13 @@ def test_unknown_clip_is_one_line_and_exit_code_2(
     assert message.count("\n") == 1
 
 
+def test_an_unknown_key_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as exit_info:
+        strip.main(["walk", str(tmp_path / "out.png"), "frame=2"])
+    assert exit_info.value.code == 2
+    assert "unknown key 'frame' (did you mean 'frames'?)" in capsys.readouterr().err
+
+
 def test_strip_shows_poses_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Without a renderer: each pose is a grey panel, as bright as its root is far."""
 
@@ -55,9 +62,13 @@ def test_a_strip_is_drawn(tmp_path: Path) -> None:
         ensure_gl()
     except RenderingError as error:
         pytest.skip(str(error))
-    assert strip.main(["walk", str(tmp_path / "walk.png"), "--frames", "2"]) == 0
+    keys, options = ["frames=2", "seconds=0.9"], ["--frames", "2", "--seconds=0.9"]
+    assert strip.main(["walk", str(tmp_path / "walk.png"), *keys]) == 0
     with PIL.Image.open(tmp_path / "walk.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
+    # The command's older form means the same.
+    assert strip.main(["walk", str(tmp_path / "same.png"), *options]) == 0
+    assert (tmp_path / "same.png").read_bytes() == (tmp_path / "walk.png").read_bytes()
     assert pixels.shape == (320, 400, 3)
     assert pixels.mean() > 100
     assert (pixels[:, :200] != pixels[:, 200:]).any()

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
-from isaacgymenvs_lite.viewers.reference_track import reference_track
+from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
 
 def track_along_the_clip(env: Any, start_s: torch.Tensor, num_steps: int) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.rendering.markers import Sphere
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
-from isaacgymenvs_lite.viewers.reference_track import reference_track
+from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
 
 def pictures(number: int, height: int = 48, width: int = 64) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""A headless Chromium that is told what to do over its debugging port."""
+"""A headless Chromium, controlled over its debugging port."""
 
 from __future__ import annotations
 

@@ -12,13 +12,13 @@ import pytest
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.viewers import video_writer as video_writer
+from isaacgymenvs_lite.viewers import video_writer
 
 
 @pytest.fixture
 def small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr(video_writer, "_ALONE", (160, 120))
-    monkeypatch.setattr(video_writer, "_TILE", (80, 60))
+    monkeypatch.setattr(video_writer, "SINGLE_SIZE", (160, 120))
+    monkeypatch.setattr(video_writer, "TILE_SIZE", (80, 60))
 
 
 @pytest.fixture

@@ -25,28 +25,33 @@ def put_into_clip(env, time_s: float) -> None:
 
 
 def test_it_goes_beside_a_character_that_imitates_perfectly(env):
-    ghost, read = ReferenceOverlay(env), PoseReader(env)
+    overlay, read = ReferenceOverlay(env, env.simulation.model), PoseReader(env)
     for episode, begin_s in enumerate((0.2, 0.6)):
         for step in range(20):
             env.progress_buf[:] = step + 1
             put_into_clip(env, begin_s + step * env.dt)
             qpos = read(0)
-            pose = ghost.pose(qpos)
+            pose = overlay.pose(qpos)
             np.testing.assert_allclose(pose[:2] - qpos[:2], (0.0, 1.0))
             # half a control step of the clip at most, whose joints turn at some rad/s
             assert np.abs(pose[7:] - qpos[7:]).max() < 0.05, (episode, step)
 
 
 def test_steps_may_be_left_out(env):
-    ghost, read = ReferenceOverlay(env), PoseReader(env)
+    overlay, read = ReferenceOverlay(env, env.simulation.model), PoseReader(env)
     for step in range(0, 40, 3):
         env.progress_buf[:] = step + 1
         put_into_clip(env, step * env.dt)
         qpos = read(0)
-        assert np.abs(ghost.pose(qpos)[7:] - qpos[7:]).max() < 0.05
+        assert np.abs(overlay.pose(qpos)[7:] - qpos[7:]).max() < 0.05
 
 
-def test_it_is_a_translucent_figure(env):
+def test_a_task_without_reference_motions_has_no_overlay(make_env):
+    env = make_env("task=Cartpole", "num_envs=1")
+    assert ReferenceOverlay.for_task(env, env.simulation.model) is None
+
+
+def test_it_is_a_translucent_robot(env):
     model = env.simulation.model
     scene = mujoco.MjvScene(model, 100)
     qpos = model.qpos0.copy()

@@ -53,7 +53,7 @@ def in_tmp(tmp_path: Path, monkeypatch) -> Path:
 
 @pytest.fixture
 def no_training(monkeypatch) -> None:
-    """Nothing long may begin: no agent is made."""
+    """Fail when an agent is made."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("a training began")
@@ -66,14 +66,14 @@ def cfg_of(*overrides: str) -> DictConfig:
 
 
 @pytest.mark.parametrize("agent", [PPO, SAC, AMP, HRL], ids=["ppo", "sac", "amp", "hrl"])
-def test_a_training_is_filmed(agent, in_tmp):
+def test_a_training_is_recorded(agent, in_tmp):
     run(cfg_of(*agent, *VIDEOS))
     (run_folder,) = (in_tmp / "runs").iterdir()
     first = run_folder / "videos" / "rl-video-step-0.mp4"
     assert_is_a_video(frames_of(first)[0], 6)
 
 
-def test_a_play_is_filmed_into_the_run_of_its_checkpoint(in_tmp):
+def test_a_play_is_recorded_into_the_run_of_its_checkpoint(in_tmp):
     run(cfg_of(*PPO))
     (checkpoint,) = in_tmp.glob("runs/*/nn/Cartpole.pth")
     play = (

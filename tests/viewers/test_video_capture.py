@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.viewers import video_writer
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 # Base files that are not meant to run.
@@ -35,7 +37,7 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.usefixtures("gl", "small_pictures")
 @pytest.mark.parametrize("task", TASKS)
-def test_every_task_can_be_filmed(task, make_env, tmp_path):
+def test_every_task_can_be_recorded(task, make_env, tmp_path):
     env = make_env(f"task={task}", *(["train=" + task] if "SAC" in task else []), "num_envs=2")
     capture = VideoCapture(env, VideoWriter(), tmp_path, every=100, length=12)
     play(env, capture, 12)
@@ -46,7 +48,7 @@ def test_every_task_can_be_filmed(task, make_env, tmp_path):
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")
-def test_films_begin_every_so_many_steps(make_env, tmp_path):
+def test_videos_start_at_regular_intervals(make_env, tmp_path):
     env = make_env("task=Cartpole", "num_envs=2")
     play(env, VideoCapture(env, VideoWriter(), tmp_path, every=5, length=3), 12)
     assert names(tmp_path) == [f"rl-video-step-{step}.mp4" for step in (0, 10, 5)]
@@ -55,7 +57,7 @@ def test_films_begin_every_so_many_steps(make_env, tmp_path):
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")
-def test_an_older_film_stays(make_env, tmp_path):
+def test_an_older_video_stays(make_env, tmp_path):
     env = make_env("task=Cartpole", "num_envs=1")
     for _ in range(2):
         play(env, VideoCapture(env, VideoWriter(), tmp_path, every=9, length=2), 2)
@@ -75,7 +77,7 @@ def test_several_environments_are_tiles_of_one_picture(make_env, tmp_path):
 
 @pytest.mark.usefixtures("gl", "small_pictures")
 @pytest.mark.parametrize("follow", [True, False])
-def test_the_camera_follows_if_it_is_asked_to(follow, make_env, tmp_path, walk_clip):
+def test_the_camera_follows_unless_it_is_switched_off(follow, make_env, tmp_path, walk_clip):
     env = make_env(
         *("task=HumanoidAMP", "num_envs=1", f"task.env.motion_file={walk_clip}"),
         f"task.env.cameraFollow={follow}",
@@ -94,20 +96,26 @@ def test_the_camera_follows_if_it_is_asked_to(follow, make_env, tmp_path, walk_c
     assert (coloured > 0.1) == follow
 
 
-def test_too_many_films_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
+def test_too_many_videos_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
     env = make_env("task=Cartpole", "num_envs=1")
-    video_writer = VideoWriter()
-    monkeypatch.setattr(VideoWriter, "_work", lambda self: None)  # a drawer that never draws
-    capture = VideoCapture(env, video_writer, tmp_path, every=1, length=1)
+    may_draw = threading.Event()
+
+    def write_late(job: VideoJob) -> Path:
+        assert may_draw.wait(30.0)
+        return job.path
+
+    monkeypatch.setattr(video_writer, "write_video", write_late)
+    capture = VideoCapture(env, VideoWriter(), tmp_path, every=1, length=1)
     for _ in range(20):
         capture.after_step()
+    may_draw.set()
     capture.close()
     assert [record.levelname for record in caplog.records].count("WARNING") == 1
     assert "raise capture_video_freq" in caplog.text
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")
-def test_a_film_that_cannot_be_written_ends_nothing(make_env, tmp_path, caplog):
+def test_a_video_that_cannot_be_written_ends_nothing(make_env, tmp_path, caplog):
     env = make_env("task=Cartpole", "num_envs=1")
     play(env, VideoCapture(env, VideoWriter(), tmp_path / "gone", every=9, length=2), 3)
     assert "cannot write the video" in caplog.text

@@ -1,4 +1,4 @@
-"""The page: served where it is asked for, shown by a headless Chromium where there is one."""
+"""The page, with a headless Chromium if it is installed."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.scene import SceneRenderer
+from isaacgymenvs_lite.rendering.tracks import PoseReader
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
 from tests.viewers.browser import CHROMIUM, Browser
@@ -40,10 +41,15 @@ def test_another_machines_address_is_one_line():
 
 
 @pytest.fixture
-def page(make_env, walk_clip):
+def env(make_env, walk_clip):
     env = make_env("task=HumanoidAMP", "num_envs=2", f"task.env.motion_file={walk_clip}")
     env.reset()
     env.reset_done()
+    return env
+
+
+@pytest.fixture
+def page(env):
     page = WebPage(env, "localhost", 0, real_time=True)
     env.listeners.append(page)
     return page
@@ -78,44 +84,45 @@ def test_the_page_is_served_on_this_machine_only(page, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_the_task_is_no_faster_than_what_it_simulates(page):
-    env = page._env
+@pytest.mark.usefixtures("page")
+def test_the_task_is_no_faster_than_what_it_simulates(env):
     play(env, 0.3)
     assert play(env, 1.0) <= 1.0 / env.simulation.dt + 2
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_a_browser_shows_the_character_and_its_ghost(page, tmp_path):
+def test_a_browser_shows_the_character_and_its_reference(env, page, tmp_path):
     with Browser(tmp_path / "profile", page.url) as browser:
         for _ in range(20):
-            play(page._env, 1.0)
+            play(env, 1.0)
             image = browser.screenshot()
             if is_drawn(image):
                 break
         assert is_drawn(image)
         before = browser.screenshot()
-        play(page._env, 1.0)
+        play(env, 1.0)
         assert (np.abs(browser.screenshot().astype(int) - before) > 30).any(axis=2).mean() > 0.002
-    assert len(page._page.beside.geoms) >= 15  # the ghost has as many bodies
-    assert {round(float(geom.rgba[3]), 2) for geom in page._page.beside.geoms} == {0.35}
+    geoms = page.server.overlay.geoms
+    assert len(geoms) >= 15  # as many as bodies
+    assert {round(float(geom.rgba[3]), 2) for geom in geoms} == {0.35}
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_the_colours_are_those_of_videos(page, gl, tmp_path):
-    model, qpos = page._env.simulation.model, page._read_pose(0)
+def test_the_colours_are_those_of_videos(env, page, gl, tmp_path):
+    model, qpos = env.simulation.model, PoseReader(env)(0)
     with Browser(tmp_path / "profile", page.url) as browser:
         for _ in range(20):
-            play(page._env, 1.0)
+            play(env, 1.0)
             shown = browser.screenshot()
             if is_drawn(shown):
                 break
     height, width = shown[:-40].shape[:2]  # without the line of status
     with SceneRenderer(model, width, height, view=View.of_model(model)) as renderer:
-        filmed = renderer.draw(qpos)
+        recorded = renderer.draw(qpos)
     for row in (10, height - 10):  # sky, floor
         for column in (20, width - 20):
-            off = shown[row, column].astype(int) - filmed[row, column]
-            assert np.abs(off).max() < 45, (row, column, shown[row, column], filmed[row, column])
+            off = shown[row, column].astype(int) - recorded[row, column]
+            assert np.abs(off).max() < 45, (row, column, shown[row, column], recorded[row, column])
 
 
 def test_a_play_goes_on_until_ctrl_c(tmp_path):

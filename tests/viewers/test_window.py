@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.viewers.keys import Keys
+from isaacgymenvs_lite.viewers.window import Keys
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 ESCAPE = 256
@@ -23,7 +23,7 @@ def test_what_the_keys_mean():
     assert (keys.sync, keys.recording, keys.quit) == (True, False, False)
     for key in (ord("V"), ord("R"), ord("X")):
         keys.press(key)
-    assert keys.sync  # only the task's own thread lets them have their effect
+    assert keys.sync  # only the task's thread applies them
     keys.update()
     assert (keys.sync, keys.recording, keys.quit) == (False, True, False)
     for key in (ord("V"), ord("R"), ESCAPE):
@@ -58,8 +58,8 @@ import isaacgymenvs_lite
 from isaacgymenvs_lite.viewers.window import Window
 
 env = isaacgymenvs_lite.make(task="HumanoidAMP", num_envs=2)
-asked = []
-window = Window(env, Path(sys.argv[1]), lambda: asked.append("end"))
+quits = []
+window = Window(env, Path(sys.argv[1]), lambda: quits.append("end"))
 env.listeners.append(window)
 
 def step(seconds):
@@ -78,7 +78,7 @@ window.keys.press(ord("R"))
 step(0.1)
 window.keys.press(256)
 step(0.2)
-assert asked == ["end"], asked
+assert quits == ["end"], quits
 env.close()
 """
 

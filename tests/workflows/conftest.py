@@ -10,14 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from isaacgymenvs_lite.workflows.__main__ import LIBRARIES
 from isaacgymenvs_lite.workflows.library import Library
-from isaacgymenvs_lite.workflows.playing import play
-from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
-from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
-from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
-from isaacgymenvs_lite.workflows.training import train
-
-LIBRARIES = {library.name: library for library in (SB3, SKRL, RSL_RL)}
+from isaacgymenvs_lite.workflows.training import play, train
 
 
 @pytest.fixture(params=sorted(LIBRARIES))
@@ -35,9 +30,14 @@ Command = Callable[..., str]
 def _commanding(
     verb: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> Command:
+    """Return a runner of a verb that adds task and logs, unless the words have them."""
+    defaults = {"task": "Cartpole", "logs": str(tmp_path / "logs")}
+
     def run(library: Library, *words: str) -> str:
+        given = {word.lstrip("-").partition("=")[0] for word in words}
+        added = [f"{key}={value}" for key, value in defaults.items() if key not in given]
         capsys.readouterr()
-        assert verb(library, ["--task", "Cartpole", "--logs", str(tmp_path / "logs"), *words]) == 0
+        assert verb(library, [*added, *words]) == 0
         return capsys.readouterr().out
 
     return run
@@ -52,7 +52,7 @@ def run_train(tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog) -> Com
 
 @pytest.fixture
 def run_play(tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog) -> Command:
-    """Return `run_play(library, *words)`, which returns what it says of the episodes."""
+    """Return `run_play(library, *words)`, which returns what it prints about the episodes."""
     caplog.set_level(logging.INFO)
     return _commanding(play, tmp_path, capsys)
 

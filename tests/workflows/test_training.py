@@ -3,16 +3,19 @@ from __future__ import annotations
 import importlib.util
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
 import pytest
+import torch
 import yaml
 
+from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
 from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
-from isaacgymenvs_lite.workflows.training import train
+from isaacgymenvs_lite.workflows.training import make_task, play_episodes, train
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # rsl_rl normalises no returns, and takes longer.
@@ -26,12 +29,10 @@ def folder_of(tmp_path: Path, library) -> Path:
 
 
 def test_the_pole_stands_after_training(library, run_train, run_play):
-    run_train(
-        library, "--num_envs", "64", "--max_iterations", ITERATIONS[library.name], "num_threads=1"
-    )
-    told = run_play(library, "--num_envs", "32", "--use_last_checkpoint", "num_threads=1")
-    assert "episodes: 32" in told
-    (mean,) = re.findall(r"length: mean ([\d.]+)", told)
+    run_train(library, "num_envs=64", f"max_iterations={ITERATIONS[library.name]}", "num_threads=1")
+    printed = run_play(library, "--num_envs", "32", "--use_last_checkpoint", "num_threads=1")
+    assert "episodes: 32" in printed
+    (mean,) = re.findall(r"length: mean ([\d.]+)", printed)
     assert float(mean) > 400.0  # of 499
 
 
@@ -76,8 +77,68 @@ def test_a_task_without_a_file_of_its_own_trains_with_the_default(library, run_t
     assert (tmp_path / "logs" / library.name / "BallBalance").is_dir()
 
 
-def test_asymmetric_states_are_the_critics(library, run_train):
-    run_train(library, *SMALL, "--max_iterations", "1", "task.env.asymmetric_observations=True")
+# Without normalisers, so that the networks' inputs are rows of the observations or states.
+RAW = {
+    "sb3": ("agent.vec_normalize=null",),
+    "skrl": ("agent.normalize_observations=False",),
+    "rsl_rl": ("agent.actor.obs_normalization=False", "agent.critic.obs_normalization=False"),
+}
+NETWORKS = {
+    "sb3": lambda agent: (
+        agent.model.policy.mlp_extractor.policy_net,
+        agent.model.policy.mlp_extractor.value_net,
+    ),
+    "skrl": lambda agent: (agent.agent.models["policy"].layers, agent.agent.models["value"].layers),
+    "rsl_rl": lambda agent: (agent.runner.alg.actor.mlp, agent.runner.alg.critic.mlp),
+}
+
+
+def rows(batches: list[torch.Tensor]) -> set[tuple[float, ...]]:
+    return {tuple(row) for batch in batches for row in batch.flatten(0, -2).tolist()}
+
+
+def test_critics_see_the_states_without_noise(library, tmp_path, monkeypatch):
+    """Policies see observations only; Stable-Baselines3 has one input for both networks."""
+    given: dict[str, list[torch.Tensor]] = {"obs": [], "states": []}
+
+    def keep(observations: dict[str, torch.Tensor]) -> None:
+        for name, batches in given.items():
+            batches.append(observations[name].clone())
+
+    reset, step = AutoresetTask.reset, AutoresetTask.step
+
+    def kept_reset(self, seed=None):
+        observations = reset(self, seed)
+        keep(observations)
+        return observations
+
+    def kept_step(self, actions):
+        transition = step(self, actions)
+        keep(transition.observations)
+        if transition.final_observations is not None:
+            keep(transition.final_observations)
+        return transition
+
+    monkeypatch.setattr(AutoresetTask, "reset", kept_reset)
+    monkeypatch.setattr(AutoresetTask, "step", kept_step)
+    words = ["num_envs=4", "num_threads=1", "rl_device=cpu", "task.task.randomize=True"]
+    words.append("task.env.asymmetric_observations=True")
+    content = load_agent_file(library.name, "Ant", "", RAW[library.name])
+    content["max_iterations"] = 1
+    with make_task("Ant", words, 1, plays=False) as session:
+        agent = library.make_agent(session.task, content, "cpu", 1)
+        seen: tuple[list[torch.Tensor], list[torch.Tensor]] = ([], [])
+        for network, inputs in zip(NETWORKS[library.name](agent), seen, strict=True):
+            network.register_forward_pre_hook(
+                lambda _, arguments, inputs=inputs: inputs.append(arguments[0].detach().clone())
+            )
+        agent.learn(tmp_path)
+    observations, states = rows(given["obs"]), rows(given["states"])
+    policy_inputs, critic_inputs = rows(seen[0]), rows(seen[1])
+    assert policy_inputs <= observations
+    assert len(policy_inputs - states) >= 4 * 20  # all of a rollout but resets have noise
+    assert critic_inputs <= (observations if library.name == "sb3" else states)
+    assert len(critic_inputs) >= 4 * 20
 
 
 def test_videos_are_written(gl, library, run_train, tmp_path):
@@ -92,10 +153,10 @@ def test_videos_are_written(gl, library, run_train, tmp_path):
     assert (np.abs(frames[5].astype(int) - frames[0]) > 30).any()
 
 
-def test_a_played_checkpoint_can_be_filmed(gl, library, run_train, run_play, tmp_path):
+def test_a_played_checkpoint_can_be_recorded(gl, library, run_train, run_play, tmp_path):
     run_train(library, *SMALL, "--max_iterations", "1")
-    told = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
-    assert "episodes: 4, " in told
+    printed = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
+    assert "episodes: 4, " in printed
     (video,) = (folder_of(tmp_path, library) / "videos").iterdir()
     assert re.fullmatch(r"play_.*-step-0\.mp4", video.name)
 
@@ -158,11 +219,11 @@ def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
 
     assert "Cartpole" in line("--task", "Cartpol")
     assert "'agent.max_iteration' (did you mean 'max_iterations'" in line("agent.max_iteration=3")
-    assert "use --max_iterations" in line("max_iterations=3")
+    assert "(did you mean 'max_iterations'?)" in line("max_iteration=3")
     assert "is no setting of another library's agent" in line("wandb_activate=True")
-    assert "use --task" in line("task=Ant")
+    assert "task=Ant: given as an option as well" in line("--task", "Cartpole", "task=Ant")
     assert "expected one of '', web" in line("viewer=webb")
-    assert "unknown --agent 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
+    assert "unknown agent file 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
     (tmp_path / "file").touch()
     assert "cannot write the log folder" in line("--logs", str(tmp_path / "file"))
     unknown = tmp_path / "agent.yaml"
@@ -190,3 +251,29 @@ def test_the_last_model_of_sb3_is_where_isaac_lab_has_it(run_train, tmp_path):
     folder = folder_of(tmp_path, SB3)
     assert stable_baselines3.PPO.load(folder / "model").num_timesteps == 32 * 4
     assert not list(folder.rglob("*.pkl"))
+
+
+def test_the_first_episode_of_each_environment_counts():
+    """Episodes last 2, 3 and 7 steps."""
+    lengths = torch.tensor([2, 3, 7])
+    stepper = SimpleNamespace(num_envs=3, last_step=None, now=0)
+
+    def step() -> None:
+        stepper.now += 1
+        ended = stepper.now % lengths == 0
+        ids = ended.nonzero().flatten()
+        # Later episodes have another return.
+        episodes = SimpleNamespace(
+            env_ids=ids,
+            lengths=lengths[ids],
+            returns=100.0 * (stepper.now // lengths[ids]).double(),
+        )
+        stepper.last_step = SimpleNamespace(episodes=episodes, truncated=ended & (lengths == 7))
+
+    played = play_episodes(stepper, step)
+    assert stepper.now == 7
+    assert played.lengths.tolist() == [2, 3, 7]
+    assert played.returns.tolist() == [100.0, 100.0, 100.0]
+    assert played.truncated.tolist() == [False, False, True]
+    assert played.lines()[0] == "episodes: 3, 1 to the time limit"
+    assert played.lines()[2] == "length: mean 4.0, min 2, max 7"

@@ -7,7 +7,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumVectorEnv
 
 # One of each manner: in the next step, on request, within the step.
 TASKS = ["Cartpole", "HumanoidAMP", "AnymalTerrain"]

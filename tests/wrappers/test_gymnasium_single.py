@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 import isaacgymenvs_lite  # registers the tasks
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.wrappers.gymnasium_single import GymnasiumEnv
+from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumEnv
 
 assert isaacgymenvs_lite
 
@@ -38,9 +38,9 @@ def test_gymnasiums_checker_has_nothing_to_say(make_single, task: str, walk_clip
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         check_env(env.unwrapped, skip_render_check=True)
-    told = {str(warning.message) for warning in said}
+    messages = {str(warning.message) for warning in said}
     # Observations have no limits, as IsaacGymEnvs' have none.
-    assert not [line for line in told if "infinity" not in line]
+    assert not [line for line in messages if "infinity" not in line]
 
 
 def test_the_checker_passes_with_pictures(gl, make_single):
@@ -71,7 +71,7 @@ def test_the_time_limit_truncates(make_single):
     assert not terminated
 
 
-def test_the_info_tells_states_and_what_the_task_tells(make_single):
+def test_the_info_has_states_and_infos_of_the_task(make_single):
     env = make_single("Ant", overrides=["task.env.asymmetric_observations=True"])
     observation, info = env.reset(seed=1)
     assert np.array_equal(info["states"], observation)

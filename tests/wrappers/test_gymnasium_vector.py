@@ -9,7 +9,7 @@ from gymnasium.wrappers import vector as vector_wrappers
 
 import isaacgymenvs_lite  # registers the tasks
 from isaacgymenvs_lite.errors import ConfigError, WrapperError
-from isaacgymenvs_lite.wrappers.gymnasium_vector import GymnasiumVectorEnv
+from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumVectorEnv
 
 NUM_ENVS = 6
 assert isaacgymenvs_lite
@@ -66,12 +66,12 @@ def test_the_end_of_an_episode_is_in_the_infos(make_envs):
     assert [row is not None for row in infos["final_obs"]] == ended
     for env_id in (2, 3):
         last = infos["final_obs"][env_id]
-        # A step on from where it was, not where the next episode begins.
+        # One step after its last state, not the start of the next episode.
         assert last[0] == pytest.approx(before[env_id, 0] + 0.0166 * last[1], abs=1e-3)
         assert not np.allclose(last, observations[env_id])
 
 
-def test_states_and_what_a_task_tells_are_in_the_infos(make_envs):
+def test_states_and_infos_of_the_task_are_in_the_infos(make_envs):
     envs = make_envs("Ant", overrides=["task.env.asymmetric_observations=True"])
     _, infos = envs.reset(seed=1)
     assert infos["states"].shape == (NUM_ENVS, 60)

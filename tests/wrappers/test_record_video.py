@@ -24,7 +24,7 @@ def frames(file: Path) -> list[np.ndarray]:
         return [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
 
 
-def test_an_episode_is_filmed(gl, tmp_path):
+def test_an_episode_is_recorded(gl, tmp_path):
     env = gymnasium.make("IsaacGymEnvsLite/Cartpole-v0", render_mode="rgb_array")
     env = RecordVideo(env, str(tmp_path / "videos"), video_length=5)
     env.reset(seed=1)
@@ -38,14 +38,14 @@ def test_an_episode_is_filmed(gl, tmp_path):
     assert all(picture.std() > 5 for picture in pictures)
 
 
-def test_the_episodes_that_gymnasium_films():
+def test_the_episodes_that_gymnasium_records():
     from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
 
-    filmed = [episode for episode in range(2500) if is_cube_or_thousandth(episode)]
-    assert filmed == [*(i**3 for i in range(10)), 1000, 2000]
+    recorded = [episode for episode in range(2500) if is_cube_or_thousandth(episode)]
+    assert recorded == [*(i**3 for i in range(10)), 1000, 2000]
 
 
-def test_all_environments_are_filmed_in_one_picture(gl, tmp_path):
+def test_all_environments_are_recorded_in_one_picture(gl, tmp_path):
     envs = gymnasium.make_vec("IsaacGymEnvsLite/Cartpole-v0", num_envs=4, render_mode="rgb_array")
     envs = RecordVectorVideo(
         envs, str(tmp_path / "videos"), step_trigger=lambda step: step == 1, video_length=3

@@ -59,7 +59,7 @@ def test_states_are_the_critics_group(make_cartpole):
     assert env.get_observations()["critic"].shape == (NUM_ENVS, 4)
 
 
-def test_what_the_task_tells_is_in_the_extras(make_task):
+def test_infos_of_the_task_are_in_the_extras(make_task):
     env = RslRlVecEnvWrapper(make_task("HumanoidAMP"))
     *_, extras = env.step(env.task.zero_actions())
     assert extras["amp_obs"].shape == (NUM_ENVS, 210)

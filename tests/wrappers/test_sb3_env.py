@@ -36,7 +36,7 @@ def test_it_speaks_numpy(env):
     assert infos == [{}] * NUM_ENVS
 
 
-def test_a_time_limit_is_told_with_the_last_observation(env):
+def test_a_time_limit_comes_with_the_last_observation(env):
     env.reset()
     observations, rewards, dones, infos = let_time_run_out(env, slice(2, 4))
     assert dones.tolist() == [False, False, True, True, False, False]
@@ -87,12 +87,12 @@ def _own_return(env: Sb3VecEnvWrapper, info: dict) -> float:
     return float(episodes.returns[place])
 
 
-def test_what_the_task_tells_stands_in_each_info(make_task):
+def test_infos_of_the_task_are_in_each_info(make_task):
     env = Sb3VecEnvWrapper(make_task("HumanoidAMP"))
     env.reset()
     *_, infos = env.step(np.zeros((NUM_ENVS, 28)))
-    told = np.stack([info["amp_obs"] for info in infos])
-    assert np.array_equal(told, env.stepper.last_step.per_env["amp_obs"].numpy())
+    rows = np.stack([info["amp_obs"] for info in infos])
+    assert np.array_equal(rows, env.stepper.last_step.per_env["amp_obs"].numpy())
     assert infos[0]["log"] == {"diverged_simulations": 0.0}
 
 

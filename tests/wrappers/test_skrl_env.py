@@ -35,7 +35,7 @@ def test_it_is_one_of_skrls(env):
     assert env.state() is None
 
 
-def test_ends_are_columns_and_told_apart(env):
+def test_falls_and_time_limits_are_columns(env):
     env.reset()
     observations, rewards, terminated, truncated, infos = let_time_run_out(env)
     assert rewards.shape == terminated.shape == truncated.shape == (NUM_ENVS, 1)
@@ -55,7 +55,7 @@ def test_states_are_those_of_the_observations(make_cartpole):
     assert torch.equal(env.state(), observations)
 
 
-def test_what_the_task_tells_of_all_is_what_trainers_log(make_task):
+def test_infos_for_all_environments_are_logged_by_trainers(make_task):
     env = SkrlVecEnvWrapper(make_task("AnymalTerrain"))
     env.reset()
     *_, infos = let_time_run_out(env)

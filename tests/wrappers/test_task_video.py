@@ -1,4 +1,4 @@
-"""Videos that begin at steps and episodes of one's choice, read back."""
+"""Videos that begin at chosen steps and episodes, read back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("gl")
 
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch) -> None:
-    monkeypatch.setattr("isaacgymenvs_lite.viewers.video_writer._ALONE", (64, 48))
+    monkeypatch.setattr("isaacgymenvs_lite.viewers.video_writer.SINGLE_SIZE", (64, 48))
 
 
 def _lengths(folder: Path) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""rsl_rl: PPO, with critics that see the states of asymmetric tasks."""
+"""rsl_rl: PPO, with critics that get the states of asymmetric tasks."""
 
 from __future__ import annotations
 

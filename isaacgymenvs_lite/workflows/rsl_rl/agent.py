@@ -21,15 +21,15 @@ from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     check_arguments,
     check_keys,
-    making,
+    constructing,
 )
-from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
+from isaacgymenvs_lite.workflows.library import load_into, read_parameters
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
 from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
 
 log = logging.getLogger(__name__)
 
-# Given by the workflow, or able to name code.
+# Set by the workflow, or able to name code.
 _RESERVED_PPO = (
     *("actor", "critic", "storage", "device", "multi_gpu_cfg"),
     *("rnd_cfg", "symmetry_cfg"),
@@ -61,7 +61,7 @@ class RslRlAgent:
         task: the task.
         content: of an agent file.
         device: of the networks.
-        seed: the generators are seeded already.
+        seed: not read, as the generators are seeded already.
 
     Attributes:
         stepper: steps the task.
@@ -75,7 +75,6 @@ class RslRlAgent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        del seed
         sections = {"algorithm": PPO, "actor": MLPModel, "distribution": GaussianDistribution}
         check_keys(RslRlSettings, content, "agent", sections)
         settings = read_section(RslRlSettings, content, "agent", complete=True)
@@ -84,7 +83,7 @@ class RslRlAgent:
         self.stepper = env.stepper
         self._device = device
         runner_settings = _runner_settings(settings, task)
-        with making("OnPolicyRunner"):
+        with constructing("OnPolicyRunner"):
             self.runner = OnPolicyRunner(env, runner_settings, None, device)
         algorithm = self.runner.alg
         rows = settings.num_steps_per_env * task.num_envs
@@ -95,7 +94,7 @@ class RslRlAgent:
     def learn(self, folder: Path, log_interval: int | None = None) -> None:
         """See `library.Agent`; rsl_rl logs every iteration."""
         if log_interval is not None:
-            log.info("--log_interval: rsl_rl logs every iteration, whatever it says")
+            log.info("log_interval: rsl_rl logs every iteration; the value has no effect")
         self.runner.logger.log_dir = str(folder)
         self.runner.learn(self.max_iterations)
 
@@ -108,7 +107,7 @@ class RslRlAgent:
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
         state = read_parameters(checkpoint, LIBRARY)
-        apply(lambda: self.runner.alg.load(state, None, True), checkpoint)
+        load_into(lambda: self.runner.alg.load(state, None, True), checkpoint)
 
     def player(self) -> Callable[[], None]:
         """See `library.Agent`."""
@@ -125,7 +124,7 @@ class RslRlAgent:
 
 
 def _runner_settings(settings: RslRlSettings, task: VecTask) -> dict[str, Any]:
-    """Return what the runner wants to be told; the classes are named here only."""
+    """Return the runner's configuration; an agent file cannot name its classes."""
     check_arguments(PPO, settings.algorithm, "agent.algorithm", _RESERVED_PPO)
     check_arguments(
         GaussianDistribution, settings.distribution, "agent.distribution", ("output_dim",)

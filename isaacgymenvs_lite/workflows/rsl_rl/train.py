@@ -1,6 +1,4 @@
-"""Trains an agent of rsl_rl: python -m isaacgymenvs_lite.workflows.rsl_rl.train --help."""
-
-from __future__ import annotations
+"""Trains an agent of rsl_rl: python -m isaacgymenvs_lite.workflows rsl_rl train."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO, in normalised environments where the agent file asks for it."""
+"""Stable-Baselines3: PPO, with observations and rewards normalised if the agent file says so."""
 
 from __future__ import annotations
 

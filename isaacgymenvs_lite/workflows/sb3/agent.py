@@ -1,5 +1,11 @@
 # pyright: reportMissingImports=false
-"""PPO of Stable-Baselines3 on a task."""
+"""PPO of Stable-Baselines3 on a task.
+
+A user can load the statistics of a normalised environment without the agent:
+
+    env = VecNormalize(Sb3VecEnvWrapper(task))
+    load_statistics(env, "logs/sb3/Ant/<date>/model.npz")
+"""
 
 from __future__ import annotations
 
@@ -8,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, LogEveryNTimesteps
 from stable_baselines3.common.logger import configure
@@ -21,18 +28,17 @@ from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
-    activation,
+    activation_class,
     check_arguments,
     check_keys,
-    making,
+    constructing,
 )
-from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
+from isaacgymenvs_lite.workflows.library import load_into, read_parameters
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY
 from isaacgymenvs_lite.workflows.sb3.isaac_lab import is_flat, to_sections
-from isaacgymenvs_lite.workflows.sb3.statistics import load_statistics, save_statistics
 from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
 
-# Given by the workflow, or able to name code.
+# Set by the workflow, or able to name code.
 _RESERVED = (
     *("policy", "env", "seed", "device", "batch_size", "policy_kwargs"),
     *("tensorboard_log", "_init_setup_model", "rollout_buffer_class", "rollout_buffer_kwargs"),
@@ -41,7 +47,7 @@ _RESERVED_POLICY = (
     *("observation_space", "action_space", "lr_schedule", "activation_fn"),
     *("features_extractor_class", "features_extractor_kwargs", "optimizer_class"),
 )
-# Numbers, or "lin_3e-4": from it to zero, as Stable-Baselines3's zoo and Isaac Lab write it.
+# Numbers, or "lin_3e-4": linearly to zero, as Stable-Baselines3's zoo and Isaac Lab write it.
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _LINEAR = "lin_"
 
@@ -68,10 +74,10 @@ class _Rollout:
 
 
 class Sb3Agent:
-    """PPO, `VecNormalize` around the environment where the agent file has `vec_normalize`.
+    """PPO, with `VecNormalize` around the environment if the agent file has `vec_normalize`.
 
-    A checkpoint is `checkpoints/model_<steps>.zip`, the last one `model.zip`, which PPO.load reads,
-    and beside it a `.npz` with the normalisers' statistics.
+    Checkpoints are `checkpoints/model_<steps>.zip` and at the end `model.zip`, for `PPO.load`, each
+    with a `.npz` beside it that holds the normalisers' statistics.
 
     Args:
         task: the task.
@@ -105,10 +111,10 @@ class Sb3Agent:
         self._env: VecEnv = self.normalizer or adapter
         arguments = _ppo_arguments(settings)
         self.minibatch_rows = _minibatch_rows(settings, task.num_envs)
-        function = activation(settings.policy.get("activation", "elu"))
+        function = activation_class(settings.policy.get("activation", "elu"))
         policy = {k: v for k, v in settings.policy.items() if k != "activation"}
         check_arguments(ActorCriticPolicy, policy, "agent.policy", _RESERVED_POLICY)
-        with making("PPO"):
+        with constructing("PPO"):
             self.model = PPO(
                 "MlpPolicy",
                 self._env,
@@ -133,7 +139,7 @@ class Sb3Agent:
         self._save(folder / "model.zip")
 
     def save(self, folder: Path) -> Path:
-        """See `library.Agent`; of a normalised environment also the statistics, `.npz`."""
+        """See `library.Agent`; also writes the statistics of a normalised environment, `.npz`."""
         path = folder / "checkpoints" / f"model_{self.model.num_timesteps}.zip"
         path.parent.mkdir(exist_ok=True)
         self._save(path)
@@ -147,14 +153,14 @@ class Sb3Agent:
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
         read_parameters(checkpoint, LIBRARY)
-        # Without its data, which would be unpickled.
+        # load_data=False: the data would be unpickled.
         _, parameters, _ = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
-        apply(lambda: self.model.set_parameters(parameters, exact_match=True), checkpoint)
+        load_into(lambda: self.model.set_parameters(parameters, exact_match=True), checkpoint)
         if self.normalizer is not None:
             statistics = checkpoint.with_suffix(".npz")
             if not statistics.is_file():
                 raise CheckpointError(
-                    f"--checkpoint {checkpoint}: the agent file has vec_normalize, and there are no"
+                    f"checkpoint={checkpoint}: the agent file has vec_normalize, and there are no"
                     f" statistics beside it: {statistics.name} is missing"
                 )
             load_statistics(self.normalizer, statistics)
@@ -196,12 +202,12 @@ def _make_normalizer(settings: Sb3Settings, env: VecEnv) -> VecNormalize | None:
         return None
     check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
     gamma = settings.ppo.get("gamma", 0.99)
-    with making("VecNormalize"):
+    with constructing("VecNormalize"):
         return VecNormalize(env, gamma=float(gamma), **normalize)
 
 
 def _ppo_arguments(settings: Sb3Settings) -> dict[str, Any]:
-    """Return the section `ppo` with its schedules made.
+    """Return the section `ppo` with schedules as functions.
 
     Raises:
         ConfigError: a key or a value that cannot be used.
@@ -225,7 +231,7 @@ def _minibatch_rows(settings: Sb3Settings, num_envs: int) -> int:
     """Return the rows of a minibatch.
 
     Raises:
-        ConfigError: they are said twice, or not at all.
+        ConfigError: the agent file has both keys for it, or none.
     """
     if (settings.minibatches is None) == (settings.batch_size is None):
         raise ConfigError("agent: expected either minibatches, of an epoch, or batch_size, in rows")
@@ -233,3 +239,41 @@ def _minibatch_rows(settings: Sb3Settings, num_envs: int) -> int:
         return settings.batch_size
     rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
     return max(2, rollout.n_steps * num_envs // (settings.minibatches or 1))
+
+
+def save_statistics(normalizer: VecNormalize, file: str | Path) -> None:
+    """Write mean, variance and count of observations and returns to an `.npz` file.
+
+    `VecNormalize.save` pickles the object, and reading a pickle can run code.
+    """
+    np.savez(Path(file), **_statistics(normalizer))
+
+
+def load_statistics(normalizer: VecNormalize, file: str | Path) -> None:
+    """Load statistics from a file, without running code from it.
+
+    Raises:
+        CheckpointError: they belong to other observations, or the file is damaged.
+    """
+
+    def assign() -> None:
+        with np.load(file, allow_pickle=False) as saved:
+            for name, own in _statistics(normalizer).items():
+                value = saved[name]
+                if value.shape != np.shape(own):
+                    raise ValueError(f"{name} has shape {value.shape}, not {np.shape(own)}")
+                kind, part = name.split("_")
+                moments = normalizer.obs_rms if kind == "obs" else normalizer.ret_rms
+                setattr(moments, part, value if part != "count" else float(value))
+
+    load_into(assign, Path(file))
+
+
+def _statistics(normalizer: VecNormalize) -> dict[str, Any]:
+    named = {"obs": normalizer.obs_rms, "ret": normalizer.ret_rms}
+    return {
+        f"{name}_{part}": getattr(moments, part)
+        for name, moments in named.items()
+        if normalizer.norm_obs or name == "ret"
+        for part in ("mean", "var", "count")
+    }

@@ -7,9 +7,9 @@
     policy_kwargs: {activation_fn: nn.ELU, net_arch: [32, 32]}
     normalize_input: True
 
-Older ones write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`, which
-their reader evaluates. Here it is parsed: numbers, texts, lists, dictionaries and names of
-activations are all that it may hold, and nothing of it is run.
+Older files write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`, which
+Isaac Lab evaluates. Here it is parsed and never run; it may hold numbers, texts, lists,
+dictionaries and names of activations.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FLAT_KEYS = (
     *("n_timesteps", "policy", "policy_kwargs", "n_minibatches", "device"),
     *("normalize_input", "normalize_value", "clip_obs"),
 )
-# Of PPO, but nothing that a file can say.
+# Arguments of PPO that a file cannot set.
 _NOT_KEYS = (
     *("env", "tensorboard_log", "_init_setup_model"),
     *("rollout_buffer_class", "rollout_buffer_kwargs"),
@@ -52,11 +52,11 @@ def is_flat(content: Mapping[str, Any]) -> bool:
 
 
 def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
-    """Return what an agent file of Isaac Lab says, in the sections of our own.
+    """Return the content of Isaac Lab's agent file in the sections of ours.
 
     Args:
         content: of the file.
-        num_envs: of the training, which `n_timesteps` and `n_minibatches` are shared by.
+        num_envs: of the training; `n_timesteps` and `n_minibatches` count for all environments.
 
     Raises:
         ConfigError: an unknown key, or a value that cannot be used.
@@ -71,7 +71,7 @@ def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
     if content.get("policy", _POLICY) != _POLICY:
         raise ConfigError(f"agent.policy: got {content['policy']!r}, expected {_POLICY}")
     if "device" in content:
-        log.info("agent.device is not read: --device says where the networks are")
+        log.info("agent.device is not read: rl_device=cuda:0 puts the networks on a GPU")
     own = (*_OWN_KEYS, "batch_size")
     ppo = {name: content[name] for name in arguments if name in content and name not in own}
     ppo.setdefault("n_steps", _N_STEPS)
@@ -118,7 +118,7 @@ def _normalizer(content: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _policy(arguments: Any) -> dict[str, Any]:
-    """Return `policy_kwargs`, the activation by our name of it."""
+    """Return `policy_kwargs` with our name of the activation."""
     if isinstance(arguments, str):
         arguments = _parsed(arguments)
     if not isinstance(arguments, Mapping):
@@ -136,10 +136,10 @@ def _policy(arguments: Any) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> Any:
-    """Return what a line of Python means, without running it.
+    """Return the value of a line of Python, without running it.
 
     Raises:
-        ConfigError: there is more in it than numbers, texts, lists, dictionaries, activations.
+        ConfigError: it holds more than numbers, texts, lists, dictionaries and activations.
     """
     refusal = (
         f"agent.policy_kwargs={text[:60]!r}: expected a mapping, or dict(...) of numbers, lists and"
@@ -163,7 +163,7 @@ def _value(node: ast.expr) -> Any:
             if not all(
                 isinstance(key, ast.Constant) and isinstance(key.value, str) for key in keys
             ):
-                raise ValueError("a key that is no text")
+                raise ValueError("a key that is not text")
             pairs = zip(keys, values, strict=True)
             return {key.value: _value(value) for key, value in pairs}  # type: ignore[union-attr]
         case ast.List(elts=entries) | ast.Tuple(elts=entries):

@@ -1,11 +1,9 @@
-"""Plays an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows.sb3.play --help."""
-
-from __future__ import annotations
+"""Plays an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows sb3 play."""
 
 import sys
 
-from isaacgymenvs_lite.workflows.playing import play
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY
+from isaacgymenvs_lite.workflows.training import play
 
 if __name__ == "__main__":
     sys.exit(play(LIBRARY))

@@ -1,6 +1,4 @@
-"""Trains an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows.sb3.train --help."""
-
-from __future__ import annotations
+"""Trains an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows sb3 train."""
 
 import sys
 

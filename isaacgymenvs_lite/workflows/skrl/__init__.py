@@ -1,4 +1,4 @@
-"""skrl: PPO, with critics that see the states of asymmetric tasks."""
+"""skrl: PPO, with critics that get the states of asymmetric tasks."""
 
 from __future__ import annotations
 

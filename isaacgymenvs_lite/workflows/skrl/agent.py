@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import logging
 import sys
-from collections.abc import Callable, Mapping
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,26 +15,30 @@ from typing import Any
 import torch
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from skrl.trainers.torch import SequentialTrainer, SequentialTrainerCfg
+from torch import Tensor, nn
 
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
-    activation,
+    activation_class,
     check_arguments,
     check_keys,
-    making,
+    constructing,
 )
-from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
-from isaacgymenvs_lite.workflows.progress import ProgressLines
+from isaacgymenvs_lite.workflows.library import load_into, read_parameters
 from isaacgymenvs_lite.workflows.skrl import LIBRARY
-from isaacgymenvs_lite.workflows.skrl.models import Critic, GaussianPolicy
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 
-# Made by the workflow of keys of its own: classes and functions are nothing that a file can name.
+log = logging.getLogger(__name__)
+
+_NUM_EPISODES = 100
+# Classes and functions, which a file cannot name; the agent file has other keys for them.
 _RESERVED = (
     *("experiment", "rewards_shaper", "learning_rate_scheduler", "learning_rate_scheduler_kwargs"),
     *("observation_preprocessor", "observation_preprocessor_kwargs"),
@@ -61,7 +68,7 @@ class SkrlSettings(AgentSettings):
     normalize_values: bool = setting(False)
     reward_scale: float = setting(1.0)
     target_kl: float | None = setting(None, above=0)
-    """What the learning rate is adapted to; None: it stays."""
+    """KL divergence that the learning rate is adapted to; None: a constant learning rate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +85,7 @@ class SkrlAgent:
         task: the task.
         content: of an agent file.
         device: of the networks.
-        seed: the generators are seeded already.
+        seed: not read, as the generators are seeded already.
 
     Attributes:
         stepper: steps the task.
@@ -92,7 +99,6 @@ class SkrlAgent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        del seed
         check_keys(SkrlSettings, content, "agent", {"ppo": PPO_CFG, "network": NetworkSettings})
         if isinstance(content.get("network"), Mapping):
             check_keys(NetworkSettings, content["network"], "agent.network")
@@ -110,23 +116,23 @@ class SkrlAgent:
             "device": device,
         }
         network = settings.network
-        layers = (network.units, activation(network.activation))
+        layers = (network.units, activation_class(network.activation))
         models = {
             "policy": GaussianPolicy(*layers, network.initial_log_std, **spaces),
             "value": Critic(*layers, **spaces),
         }
         memory = RandomMemory(memory_size=self._rollouts, num_envs=env.num_envs, device=device)
-        with making("PPO"):
-            cfg = PPO_CFG(**settings.ppo, **self._made_of(settings, device))
+        with constructing("PPO"):
+            cfg = PPO_CFG(**settings.ppo, **self._class_arguments(settings, device))
             self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
         self.minibatch_rows = self._rollouts * env.num_envs // max(1, cfg.mini_batches)
         networks = models.values()
         self.num_parameters = sum(p.numel() for network in networks for p in network.parameters())
 
-    def _made_of(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
-        """Return what of PPO's configuration is a class or function, by the file's own keys."""
-        made: dict[str, Any] = {"rewards_shaper": lambda rewards, *_: rewards * scale}
+    def _class_arguments(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
+        """Return the arguments of PPO_CFG that are classes or functions, see `_RESERVED`."""
         scale = settings.reward_scale
+        made: dict[str, Any] = {"rewards_shaper": lambda rewards, *_: rewards * scale}
         sizes: dict[str, Any] = {}
         if settings.normalize_observations:
             sizes["observation"] = self._env.observation_space
@@ -151,7 +157,7 @@ class SkrlAgent:
         interval = self._interval * self._rollouts
         self.agent.checkpoint_interval = experiment.checkpoint_interval = interval
         steps = self.max_iterations * self._rollouts
-        # None: no progress bar where nobody looks.
+        # None: a progress bar on a terminal only; elsewhere `ProgressLines`.
         cfg = SequentialTrainerCfg(
             timesteps=steps,
             headless=True,
@@ -175,11 +181,11 @@ class SkrlAgent:
         """See `library.Agent`."""
         modules = read_parameters(checkpoint, LIBRARY)
 
-        def take() -> None:
+        def load_modules() -> None:
             for name, module in self.agent.checkpoint_modules.items():
                 module.load_state_dict(modules[name])
 
-        apply(take, checkpoint)
+        load_into(load_modules, checkpoint)
 
     def player(self) -> Callable[[], None]:
         """See `library.Agent`."""
@@ -194,3 +200,106 @@ class SkrlAgent:
             observations, *_ = self._env.step(outputs["mean_actions"])
 
         return step
+
+
+def mlp(inputs: int, units: Sequence[int], outputs: int, activation: type[nn.Module]) -> nn.Module:
+    """Return linear layers with an activation after each but the last."""
+    layers: list[nn.Module] = []
+    for size in units:
+        layers += [nn.Linear(inputs, size), activation()]
+        inputs = size
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
+
+
+class GaussianPolicy(GaussianMixin, Model):
+    """Computes mean actions from observations (n, F); one learned log standard deviation each.
+
+    Args:
+        units: of the hidden layers.
+        activation: of the hidden layers.
+        initial_log_std: of all actions.
+        spaces: observation_space, state_space, action_space and device.
+    """
+
+    def __init__(
+        self,
+        units: Sequence[int],
+        activation: type[nn.Module],
+        initial_log_std: float,
+        **spaces: Any,
+    ) -> None:
+        Model.__init__(self, **spaces)
+        GaussianMixin.__init__(self, clip_actions=False)
+        self.layers = mlp(self.num_observations, units, self.num_actions, activation)
+        self.log_std_parameter = nn.Parameter(torch.full((self.num_actions,), initial_log_std))
+
+    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
+        """Return mean actions (n, A) and the log standard deviation (A,)."""
+        return self.layers(inputs["observations"]), {"log_std": self.log_std_parameter}
+
+
+class Critic(DeterministicMixin, Model):
+    """Computes values from states (n, S), or from observations (n, F) of a task without states.
+
+    Args:
+        units: of the hidden layers.
+        activation: of the hidden layers.
+        spaces: observation_space, state_space, action_space and device.
+    """
+
+    def __init__(self, units: Sequence[int], activation: type[nn.Module], **spaces: Any) -> None:
+        Model.__init__(self, **spaces)
+        DeterministicMixin.__init__(self)
+        self._input = "observations" if self.state_space is None else "states"
+        inputs = self.num_observations if self.state_space is None else self.num_states
+        self.layers = mlp(inputs, units, 1, activation)
+
+    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
+        """Return values (n, 1)."""
+        return self.layers(inputs[self._input]), {}
+
+
+class ProgressLines:
+    """Logs progress and the last episodes every few seconds, without a terminal; a `StepListener`.
+
+    Args:
+        stepper: steps the task.
+        num_steps: control steps of the training.
+        interval_s: from one line to the next.
+    """
+
+    def __init__(self, stepper: AutoresetTask, num_steps: int, interval_s: float = 10.0) -> None:
+        self._stepper = stepper
+        self._num_steps = num_steps
+        self._interval_s = interval_s
+        self._first_step = stepper.num_steps
+        self._returns: deque[float] = deque(maxlen=_NUM_EPISODES)
+        self._lengths: deque[int] = deque(maxlen=_NUM_EPISODES)
+        self._start_s = self._last_line_s = time.monotonic()
+
+    def after_step(self) -> None:
+        """Count the episodes that ended with the previous step; write a line when it is due."""
+        if self._stepper.last_step is not None:
+            ended = self._stepper.last_step.episodes
+            self._returns.extend(ended.returns.tolist())
+            self._lengths.extend(ended.lengths.tolist())
+        now_s = time.monotonic()
+        if now_s - self._last_line_s >= self._interval_s:
+            self._last_line_s = now_s
+            log.info("%s", self._line(now_s - self._start_s))
+
+    def render(self) -> None:
+        """Do nothing: there is nothing to show."""
+
+    def close(self) -> None:
+        """Do nothing: nothing is open."""
+
+    def _line(self, passed_s: float) -> str:
+        steps = self._stepper.num_steps - self._first_step + 1
+        frames_per_s = steps * self._stepper.num_envs / passed_s
+        parts = [f"step {steps}/{self._num_steps}", f"fps {frames_per_s:,.0f}"]
+        if self._returns:
+            count = len(self._returns)
+            parts.append(f"episode length {sum(self._lengths) / count:.0f}")
+            parts.append(f"reward {sum(self._returns) / count:.2f}")
+        return ", ".join(parts)

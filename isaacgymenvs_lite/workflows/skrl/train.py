@@ -1,6 +1,4 @@
-"""Trains an agent of skrl: python -m isaacgymenvs_lite.workflows.skrl.train --help."""
-
-from __future__ import annotations
+"""Trains an agent of skrl: python -m isaacgymenvs_lite.workflows skrl train."""
 
 import sys
 

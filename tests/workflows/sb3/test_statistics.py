@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import isaacgymenvs_lite
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.workflows.sb3.statistics import load_statistics, save_statistics
+from isaacgymenvs_lite.workflows.sb3.agent import load_statistics, save_statistics
 from isaacgymenvs_lite.wrappers import Sb3VecEnvWrapper
 
 
@@ -34,7 +34,7 @@ def test_statistics_come_back(normalizer, tmp_path):
     assert other.ret_rms.count == normalizer.ret_rms.count > 3
 
 
-def test_those_of_another_task_are_an_error(normalizer, tmp_path):
+def test_statistics_of_another_task_are_an_error(normalizer, tmp_path):
     save_statistics(normalizer, tmp_path / "model.npz")
     with np.load(tmp_path / "model.npz") as saved:
         np.savez(tmp_path / "other.npz", **{**saved, "obs_mean": np.zeros(60)})

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.workflows.checkpoint_files import apply, read_parameters
+from isaacgymenvs_lite.workflows.library import load_into, read_parameters
 from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
 from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
@@ -68,4 +68,4 @@ def test_files_that_are_none(tmp_path: Path):
 def test_parameters_of_another_network_are_an_error(tmp_path: Path):
     layer, other = torch.nn.Linear(2, 3), torch.nn.Linear(2, 4)
     with pytest.raises(CheckpointError, match="of another network or task"):
-        apply(lambda: layer.load_state_dict(other.state_dict()), tmp_path / "a.pt")
+        load_into(lambda: layer.load_state_dict(other.state_dict()), tmp_path / "a.pt")

@@ -3,14 +3,17 @@ from __future__ import annotations
 import logging
 import re
 
+import pytest
 import torch
 
+pytest.importorskip("skrl")
+
 import isaacgymenvs_lite
-from isaacgymenvs_lite.workflows.progress import ProgressLines
+from isaacgymenvs_lite.workflows.skrl.agent import ProgressLines
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 
-def test_lines_tell_steps_and_episodes(caplog):
+def test_lines_have_steps_and_episodes(caplog):
     caplog.set_level(logging.INFO)
     task = isaacgymenvs_lite.make(
         seed=1, task="Cartpole", num_envs=4, sim_device="cpu", rl_device="cpu"

@@ -1,0 +1,370 @@
+"""Tasks as environments of Gymnasium: numpy in and out.
+
+`gymnasium_ids` registers `make_vector_env` and `make_single_env`, so that
+
+    gymnasium.make_vec("IsaacGymEnvsLite/Ant-v0", num_envs=64)
+    gymnasium.make("IsaacGymEnvsLite/Ant-v0")
+
+return a `GymnasiumVectorEnv` and a `GymnasiumEnv`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from isaacgymenvs_lite.config.compose import compose_task
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.env_factory import make_from_config
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.utils.random_stream import RandomStream
+from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
+from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera
+
+Floats = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+
+def make_vector_env(
+    task: str,
+    num_envs: int,
+    render_mode: str | None = None,
+    *,
+    width: int = 320,
+    height: int = 240,
+    overrides: Sequence[str] = (),
+    config_dir: str | Path | None = None,
+    **keys: Any,
+) -> GymnasiumVectorEnv:
+    """Make what `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0", num_envs=N, ...)` returns.
+
+    Args:
+        task: name of a task file.
+        num_envs: N.
+        render_mode: `rgb_array` or None.
+        width: of a picture, pixels.
+        height: pixels.
+        overrides: as on train.py's command line, `["task.env.episodeLength=200"]`.
+        config_dir: a folder with further task files, below task/.
+        keys: keys of cfg/config.yaml: `num_threads=2`. `seed` gives the task its own sequence of
+            random numbers from the start, as `reset(seed=...)` does.
+
+    Raises:
+        ConfigError: an unknown key or a value that cannot be used.
+    """
+    made, random = _make(task, num_envs, overrides, config_dir, keys)
+    return GymnasiumVectorEnv(made, render_mode, width=width, height=height, random=random)
+
+
+def make_single_env(
+    task: str,
+    render_mode: str | None = None,
+    *,
+    width: int = 320,
+    height: int = 240,
+    overrides: Sequence[str] = (),
+    config_dir: str | Path | None = None,
+    **keys: Any,
+) -> GymnasiumEnv:
+    """Make what `gymnasium.make("IsaacGymEnvsLite/<Task>-v0", ...)` returns.
+
+    Arguments and errors as `make_vector_env`.
+    """
+    made, random = _make(task, 1, overrides, config_dir, keys)
+    return GymnasiumEnv(made, render_mode, width=width, height=height, random=random)
+
+
+def _make(
+    task: str,
+    num_envs: int,
+    overrides: Sequence[str],
+    config_dir: str | Path | None,
+    keys: dict[str, Any],
+) -> tuple[VecTask, RandomStream]:
+    words = [f"num_envs={num_envs}", "rl_device=cpu"]
+    words += [f"{key}={_as_word(value)}" for key, value in keys.items()]
+    cfg = compose_task(task, [*words, *overrides], config_dir)
+    settings = check_config(cfg)
+    random = RandomStream()
+    if "seed" in keys and settings.seed >= 0:
+        random.seed(settings.seed)
+    with random:
+        made = make_from_config(
+            cfg,
+            sim_device=settings.sim_device,
+            rl_device=settings.rl_device,
+            graphics_device_id=settings.graphics_device_id,
+        )
+    limit_torch_threads(made, threads_for_envs(num_envs), settings.num_threads)
+    return made, random
+
+
+def _as_word(value: Any) -> str:
+    """Return a value as it is written on train.py's command line."""
+    return "null" if value is None else str(value)
+
+
+class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
+    """N environments of a task; `gymnasium.make_vec("IsaacGymEnvsLite/<Task>-v0")` makes one.
+
+    A step that ends an episode returns the first observation of the next one
+    (`AutoresetMode.SAME_STEP`). Row i of `infos["final_obs"]` then holds the last observation of
+    environment i's ended episode, and `infos["final_info"]` its last infos.
+
+    `infos["states"]` (N, S), for asymmetric critics, belong to the returned observations. All other
+    infos, such as `amp_obs` (N, F), belong to the step: an ended episode has its last ones.
+
+    Args:
+        task: what `isaacgymenvs_lite.make` returns.
+        render_mode: `rgb_array` or None.
+        width: of a picture, pixels.
+        height: pixels.
+        random: random numbers of the task.
+
+    Attributes:
+        task: the task.
+        stepper: steps the task.
+
+    Raises:
+        WrapperError: `task` is not a task.
+        ConfigError: another render mode.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  as Gymnasium declares it
+        "render_modes": [RENDER_MODE],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        task: Any,
+        render_mode: str | None = None,
+        *,
+        width: int = 320,
+        height: int = 240,
+        random: RandomStream | None = None,
+    ) -> None:
+        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        self.task = self.stepper.task
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": _render_fps(self.task)}
+        self._camera = AdapterCamera(self.task, render_mode, width, height)
+        self.num_envs = self.task.num_envs
+        self.single_observation_space = self.task.observation_space
+        self.single_action_space = self.task.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Start new episodes, in all environments or in those of `options["reset_mask"]`.
+
+        Args:
+            seed: seeds the one sequence that all environments of the task draw from.
+            options: `reset_mask`, (N,) bool with at least one True; other keys are not read.
+
+        Returns:
+            observations (N, F) and infos.
+
+        Raises:
+            ConfigError: another kind of mask.
+        """
+        super().reset(seed=seed)
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            observations = self.stepper.reset(seed)
+        else:
+            observations = self.stepper.reset_some(self._checked_mask(mask), seed)
+        others = {name: rows for name, rows in observations.items() if name != "obs"}
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        return as_numpy(observations["obs"]), _masked(others, {}, everywhere)
+
+    def step(self, actions: Floats) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
+        """Advance by one control step; see the class docstring.
+
+        Args:
+            actions: (N, A).
+
+        Returns:
+            observations (N, F), rewards (N,), terminated (N,), truncated (N,) and infos.
+        """
+        step = self.stepper.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
+        return (
+            as_numpy(step.observations["obs"]),
+            as_numpy(step.rewards),
+            as_numpy(step.terminated),
+            as_numpy(step.truncated),
+            self._infos(step),
+        )
+
+    def _infos(self, step: Transition) -> dict[str, Any]:
+        now = {name: rows for name, rows in step.observations.items() if name != "obs"}
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        infos = _masked({**step.per_env, **now}, step.scalars, everywhere)
+        if step.final_observations is not None:
+            ended = as_numpy(step.ended)
+            end = dict(step.final_observations)
+            last = as_numpy(end.pop("obs"))
+            final = np.full(self.num_envs, None, dtype=object)
+            for env_id in ended.nonzero()[0]:
+                final[env_id] = last[env_id].copy()
+            infos |= {"final_obs": final, "_final_obs": ended.copy()}
+            final_info = _masked({**step.per_env, **end}, step.scalars, ended)
+            infos |= {"final_info": final_info, "_final_info": ended.copy()}
+        return infos
+
+    def _checked_mask(self, mask: Any) -> torch.Tensor:
+        shape = (self.num_envs,)
+        fits = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == shape
+        if not fits or not mask.any():
+            given = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else repr(mask)
+            raise ConfigError(
+                f"options['reset_mask']: got {given}, expected a numpy array of {shape} bool with"
+                " at least one True"
+            )
+        return torch.from_numpy(mask.copy())
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return a picture (height, width, 3) of each environment; None without a render mode.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        pictures = self._camera.render()
+        return None if pictures is None else tuple(pictures)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free renderer and simulation."""
+        self._camera.close()
+        self.stepper.close()
+
+
+class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
+    """One environment; `gymnasium.make("IsaacGymEnvsLite/<Task>-v0")` makes one.
+
+    The step that ends an episode returns its last observation, and `reset` starts the next. `info`
+    holds `states` (S,) for asymmetric critics and the task's other infos, `amp_obs` for example.
+
+    Args:
+        task: a task with `num_envs=1`.
+        render_mode: `rgb_array` or None.
+        width: of a picture, pixels.
+        height: pixels.
+        random: random numbers of the task.
+
+    Attributes:
+        task: the task.
+        stepper: steps the task.
+
+    Raises:
+        WrapperError: `task` is not a task.
+        ConfigError: a task with more environments, or another render mode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [RENDER_MODE]}  # noqa: RUF012  as Gymnasium
+
+    def __init__(
+        self,
+        task: Any,
+        render_mode: str | None = None,
+        *,
+        width: int = 320,
+        height: int = 240,
+        random: RandomStream | None = None,
+    ) -> None:
+        self.stepper = AutoresetTask(task, type(self).__name__, random)
+        self.task = self.stepper.task
+        if self.task.num_envs != 1:
+            raise ConfigError(
+                f"GymnasiumEnv: got a task with num_envs={self.task.num_envs}, expected 1;"
+                " GymnasiumVectorEnv takes more"
+            )
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": _render_fps(self.task)}
+        self._camera = AdapterCamera(self.task, render_mode, width, height)
+        self.observation_space = self.task.observation_space
+        self.action_space = self.task.action_space
+        self._is_closed = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Start a new episode; `options` are not read.
+
+        Returns:
+            observation (F,) and info.
+        """
+        super().reset(seed=seed)
+        observations = self.stepper.reset(seed)
+        return _row(observations.pop("obs")), {name: _row(v) for name, v in observations.items()}
+
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Advance by one control step with an action (A,)."""
+        step = self.stepper.step(torch.as_tensor(np.asarray(action, dtype=np.float32))[None])
+        observations = dict(step.final_observations or step.observations)
+        observation = _row(observations.pop("obs"))
+        info = {name: _row(rows) for name, rows in {**step.per_env, **observations}.items()}
+        return (
+            observation,
+            float(step.rewards[0]),
+            bool(step.terminated[0]),
+            bool(step.truncated[0]),
+            {**info, **step.scalars},
+        )
+
+    def render(self) -> Image | None:  # type: ignore[override]
+        """Return a picture (height, width, 3); None without a render mode.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        pictures = self._camera.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Free renderer and simulation; a second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._camera.close()
+            self.stepper.close()
+
+
+def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:
+    """Return a tensor of any device as an array."""
+    return tensor.cpu().numpy()
+
+
+def _render_fps(task: VecTask) -> int:
+    """Return the pictures per second that show a task in real time, a whole number."""
+    return max(1, round(1.0 / task.simulation.dt))
+
+
+def _masked(
+    per_env: dict[str, torch.Tensor], scalars: dict[str, float], mask: Bools
+) -> dict[str, Any]:
+    """Return infos in Gymnasium's form: an array of N rows by name, and its mask by `_<name>`."""
+    infos: dict[str, Any] = {}
+    for name, rows in per_env.items():
+        infos[name] = as_numpy(rows).copy()
+        infos[f"_{name}"] = mask.copy()
+    for name, value in scalars.items():
+        infos[name] = np.full(len(mask), value)
+        infos[f"_{name}"] = mask.copy()
+    return infos
+
+
+def _row(rows: torch.Tensor) -> Any:
+    """Return the only row of (1, ...): an array, or a number."""
+    return as_numpy(rows)[0].copy()
