@@ -53,7 +53,7 @@ class CpuBatchSimulation:
     """N simulations of one model on a thread pool; implements `SimulationBackend`.
 
     Args:
-        model: the compiled model; its timestep is that of one physics step.
+        model: the compiled model; its timestep is one physics step.
         num_envs: N, at least 1.
         substeps: physics steps of one `step()`.
         num_threads: worker threads; 0 for as many of the CPUs that this process may use as have

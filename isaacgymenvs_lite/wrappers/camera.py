@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.rendering.camera import TaskCamera
+from isaacgymenvs_lite.rendering.tracks import TaskCamera
 
 __all__ = ["RENDER_MODE", "TaskCamera", "checked_render_mode"]
 
