@@ -241,7 +241,8 @@ def test_private_uses_are_found(tmp_path):
     file = tmp_path / "test_it.py"
     file.write_text(
         "class Own:\n    def __init__(self): self._mine = 1\n"
-        "def test(agent, patch):\n    Own()._mine, agent._theirs, agent._disc_loss, agent.__dict__\n"
+        "def test(agent, patch):\n"
+        "    Own()._mine, agent._theirs, agent._disc_loss, agent.__dict__\n"
         "    patch.setattr(agent, '_patched', 1)\n"
     )
     assert sorted(private_uses(file)) == ["test_it.py:4: _theirs", "test_it.py:5: _patched"]

@@ -126,6 +126,7 @@ class TorchThreads:
         self._has_warned = False
 
     def add(self, task: Any, most: int, is_chosen: bool = False) -> None:
+        """Set a task's limit; `is_chosen`: it overrides the user's other settings."""
         if self.held_off:
             return
         if not self.limits:
@@ -140,6 +141,7 @@ class TorchThreads:
         self._apply()
 
     def remove(self, key: int) -> None:
+        """Remove the limit of the task with this id, if there is one."""
         if self.limits.pop(key, None) is not None:
             self._apply()
 
