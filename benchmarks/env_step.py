@@ -50,7 +50,7 @@ def main() -> None:
     simulation = env.simulation
     raw = Batch(simulation.model, args.num_envs, args.threads)
     env.reset()
-    batch = simulation._batch  # type: ignore[attr-defined]
+    batch = simulation.batch  # type: ignore[attr-defined]
     raw_controls, controls = raw.bind("ctrl"), batch.bind("ctrl")
 
     def round_s() -> tuple[float, float]:

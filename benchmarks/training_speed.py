@@ -206,7 +206,7 @@ def time_parts(agent: Any) -> dict[str, float]:
     def physics() -> None:
         # The same step again and again: left alone the humanoids would fall and cost more.
         for _ in range(agent.horizon_length):
-            raw.state[:] = simulation._batch.state
+            raw.state[:] = simulation.batch.state
             raw.step(nstep=simulation.substeps)
 
     def acting() -> None:

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.paths import cfg_dir
+from tests.tiny import TINY_DISCRIMINATOR
 
 SCRIPT = """\
 import isaacgym
@@ -161,12 +162,9 @@ ENVS = {
     "HumanoidAMP": "episodeLength: 300, motion_file: theirs.npz, numAMPObsSteps: 2",
 }
 SMALL_AMP = [
-    "train.params.config.amp_batch_size=32",
+    *TINY_DISCRIMINATOR,
     "train.params.config.amp_minibatch_size=16",
-    "train.params.config.amp_obs_demo_buffer_size=64",
-    "train.params.config.amp_replay_buffer_size=64",
     "train.params.network.mlp.units=[16]",
-    "train.params.network.disc.units=[16]",
 ]
 
 

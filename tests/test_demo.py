@@ -19,22 +19,9 @@ from isaacgymenvs_lite.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
+from tests.tiny import TINY_AMP
 
-CONFIG = "train.params.config"
-TINY = (
-    "num_envs=4",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=1",
-    "train.params.network.mlp.units=[16,8]",
-    "train.params.network.disc.units=[16,8]",
-    f"{CONFIG}.mixed_precision=False",
-    f"{CONFIG}.horizon_length=2",
-    f"{CONFIG}.mini_epochs=1",
-    f"{CONFIG}.amp_obs_demo_buffer_size=16",
-    f"{CONFIG}.amp_replay_buffer_size=64",
-    f"{CONFIG}.imitation_frequency=0",
-)
+TINY = (*TINY_AMP, "max_iterations=1")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from isaacgymenvs_lite import check
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.poselib_writing import save_poselib_npy
+from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions_dir
 from isaacgymenvs_lite.paths import assets_dir
 

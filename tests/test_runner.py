@@ -32,25 +32,13 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteErro
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from tests.tiny import CONFIG, TINY_AMP
 
-CONFIG = "train.params.config"
 TINY = (
     "task=HumanoidAMP",
-    "num_envs=4",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=2",
     "task.env.episodeLength=4",
     "+train.params.torch_threads=1",
-    "train.params.network.mlp.units=[16,8]",
-    "train.params.network.disc.units=[16,8]",
-    f"{CONFIG}.mixed_precision=False",
-    f"{CONFIG}.horizon_length=4",
-    f"{CONFIG}.mini_epochs=1",
-    f"{CONFIG}.amp_batch_size=16",
-    f"{CONFIG}.amp_obs_demo_buffer_size=16",
-    f"{CONFIG}.amp_replay_buffer_size=64",
-    f"{CONFIG}.imitation_frequency=0",
+    *TINY_AMP,
 )
 SCALARS = {
     # CommonAgent, learning.md section 2

@@ -1,4 +1,4 @@
-"""Brings a clip's bodies into the order of a humanoid, or says why that cannot be done."""
+"""Reorders a clip's bodies to match a humanoid, and refuses clips of other skeletons."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HINGE_TOLERANCE_RAD = 0.01
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
-    Logs a warning when hinge joints (knees, elbows) turn about other axes than y, as that part of
+    Logs a warning when hinge joints (knees, elbows) rotate about other axes than y, as that part of
     the motion is dropped, and when the clip was made for a body of other dimensions.
 
     Raises:
@@ -67,7 +67,7 @@ def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
             )
     if order == list(range(skeleton.num_bodies)):
         return clip
-    _log.info("%s: bodies brought into the order of the humanoid", clip.name)
+    _log.info("%s: bodies reordered as in the humanoid", clip.name)
     return dataclasses.replace(
         clip,
         body_names=skeleton.body_names,
@@ -84,7 +84,7 @@ def _parent_name(names: tuple[str, ...], parent: int) -> str:
 
 
 def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
-    # The root's offset is left out: it is only the place of the character in its file.
+    # The root's offset does not count: it is only the position of the character in its file.
     difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)[1:]
     if difference.max() > _OFFSET_TOLERANCE_M:
         body = int(difference.argmax()) + 1

@@ -15,7 +15,7 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 
 # How far the length of a stored quaternion may be from 1.
 _UNIT_TOLERANCE = 1e-3
-# Fewer repeated pairs than this are a character that stands still, not data stored twice.
+# Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
 
 
@@ -24,7 +24,7 @@ class MotionClip:
     """T >= 2 frames of a skeleton with J bodies; z up, quaternions xyzw, arrays of floats.
 
     Attributes:
-        name: where the clip comes from: its path, or `deepmimic:<name>`.
+        name: the source of the clip: its path, or `deepmimic:<name>`.
         fps: frames per second.
         body_names: J names, root first.
         parent_indices: J body ids, -1 for the root; parents come before children.
@@ -121,7 +121,7 @@ class MotionClip:
         self._check_values()
 
     def find_repeated_frames(self) -> int | None:
-        """Find out whether every pose is stored twice in a row.
+        """Find whether every pose is stored twice in a row.
 
         Returns:
             The index, 0 or 1, of the first frame that is followed by its own copy (1: the clip
@@ -130,7 +130,7 @@ class MotionClip:
         same = (self.local_rotation[1:] == self.local_rotation[:-1]).all(axis=(1, 2))
         same &= (self.root_translation[1:] == self.root_translation[:-1]).all(axis=1)
         if same.all():
-            return None  # The character stands still: no frame is a copy rather than a pose.
+            return None  # The character does not move: no frame is a copy rather than a pose.
         for first in (0, 1):
             pairs = same[first::2]
             if len(pairs) >= _MIN_REPEATED_PAIRS and pairs.all():
@@ -140,8 +140,8 @@ class MotionClip:
     def drop_repeated_frames(self) -> MotionClip:
         """Return the clip without the copies, at half the fps, if every pose is stored twice.
 
-        Stored velocities are kept: they were smoothed over many frames and are right. A clip
-        without copies is returned as it is.
+        Stored velocities are kept: they were smoothed over many frames and are correct. A clip
+        without copies is returned unchanged.
         """
         first = self.find_repeated_frames()
         if first is None:

@@ -5,8 +5,8 @@
     python -m isaacgymenvs_lite.motion.convert dance.bvh dance.npz mapping=lafan1
 
 IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file. The suffix of OUT
-says its format: .npz (this project's), .npy (poselib's), .txt or .json (DeepMimic's), .csv (joint
-angles). Keys:
+determines its format: .npz (this project's), .npy (poselib's), .txt or .json (DeepMimic's), .csv
+(joint angles). Keys:
 
     fps=30              frames per second of OUT (default: as IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
@@ -28,11 +28,11 @@ from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
-from isaacgymenvs_lite.motion.formats.deepmimic_writing import save_deepmimic
+from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
+from isaacgymenvs_lite.motion.formats.files import check_output
 from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import save_npz
-from isaacgymenvs_lite.motion.formats.poselib_writing import save_poselib_npy
-from isaacgymenvs_lite.motion.formats.writing import check_output
+from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping, shipped_mappings
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
@@ -46,7 +46,7 @@ _POSES_ONLY = "velocities (they are computed again from the poses) and limb leng
 
 @dataclass(frozen=True)
 class _Format:
-    """How a clip is written, and what of it the format has no place for."""
+    """How a clip is written, and what the format loses of it."""
 
     save: Callable[[Path, MotionClip, Skeleton], object]
     lost: str
@@ -54,8 +54,8 @@ class _Format:
 
 _DEEPMIMIC = _Format(
     lambda path, clip, _skeleton: save_deepmimic(path, clip),
-    f"{_POSES_ONLY}, turns of the hands, sword and shield; what a knee or elbow turns out of its "
-    "axis; reading lifts a clip whose feet are below the ground",
+    f"{_POSES_ONLY}, rotations of the hands, sword and shield, and of knees and elbows out of "
+    "their axes; reading lifts a clip whose feet are below the ground",
 )
 _FORMATS = {
     ".npz": _Format(lambda path, clip, _skeleton: save_npz(path, clip), "nothing"),
@@ -65,7 +65,7 @@ _FORMATS = {
     ),
     ".txt": _DEEPMIMIC,
     ".json": _DEEPMIMIC,
-    ".csv": _Format(save_joint_csv, f"{_POSES_ONLY}; what a hinge turns out of its axis"),
+    ".csv": _Format(save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
 }
 
 
@@ -91,8 +91,8 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     """Convert one clip; returns the path of the output.
 
     Raises:
-        UserError: the input cannot be read, the output cannot be written, or exists; nothing is
-            left half-written.
+        UserError: the input cannot be read, the output cannot be written, or exists. No partial
+            output remains.
     """
     path = Path(out)
     check_output(path, _FORMATS, settings.overwrite)
@@ -104,8 +104,8 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     else:
         if settings.mapping:
             raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one")
-        asked = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
-        clip, skeleton = load_single_clip(source, asked)
+        skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
+        clip, skeleton = load_single_clip(source, skeletons)
         clip = cut(clip, settings.start_s, settings.end_s)
         if settings.fps is not None:
             clip = resample(clip, settings.fps)

@@ -19,7 +19,7 @@ _TIMED = ("local_rotation", "root_translation", "linear_velocity_w", "angular_ve
 
 
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
-    """Return the frames nearest to `start_s` up to those nearest to `end_s`, both included.
+    """Return the frames from the one nearest to `start_s` to the one nearest to `end_s`.
 
     Raises:
         MotionFileError: the times are not in the clip, or fewer than two frames remain.
@@ -43,7 +43,7 @@ def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> M
 def resample(clip: MotionClip, fps: float) -> MotionClip:
     """Return the clip at another frame rate, poses and velocities interpolated.
 
-    The first frame stays; the last one is the last that the new rate meets.
+    The first frame is kept; the last one is the last multiple of the new frame time in the clip.
     """
     num_frames = int(clip.length_s * fps + _TIME_ROUNDING_S) + 1
     if num_frames < 2:
@@ -69,8 +69,8 @@ def resample(clip: MotionClip, fps: float) -> MotionClip:
 def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
     """Return rotations (..., 4) xyzw at `share` (...) of the shorter way from start to end.
 
-    Other than `rotations.slerp`, which keeps the steps of the original's motion library, exact for
-    nearly equal rotations.
+    Exact for nearly equal rotations, unlike `rotations.slerp`, which repeats the original motion
+    library's arithmetic.
     """
     a, b = (torch.from_numpy(np.asarray(turn, dtype=np.float64)) for turn in (start, end))
     way = rotations.quat_log(rotations.quat_mul(rotations.quat_conjugate(a), b))
@@ -79,7 +79,7 @@ def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray)
 
 
 def _blend(values: FloatArray, before: npt.NDArray[np.integer], share: FloatArray) -> FloatArray:
-    """Return values (T, ...) between the rows `before` and those behind them."""
+    """Return values (T, ...) interpolated between the rows `before` and the next ones."""
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     blended = values[before] * (1.0 - share) + values[before + 1] * share
     return blended.astype(values.dtype)

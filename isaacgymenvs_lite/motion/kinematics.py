@@ -1,7 +1,7 @@
 """Forward kinematics and velocities of sequences of poses, in numpy arrays; results are float64.
 
-T frames, J bodies; quaternions xyzw; z up. The formulas are those of poselib, whose files hold
-the same velocities (agreement with a real file: 3e-6 m/s, 1e-3 rad/s).
+T frames, J bodies; quaternions xyzw; z up. The formulas are poselib's, whose files hold the
+same velocities (agreement with a real file: 3e-6 m/s, 1e-3 rad/s).
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def linear_velocities(positions: FloatArray, fps: float) -> FloatArray:
 def angular_velocities(rotation: FloatArray, fps: float) -> FloatArray:
     """Return the smoothed world angular velocities (T, J, 3) rad/s of rotations (T, J, 4).
 
-    The rotation from each frame to the next; the last frame counts as standing still (so do the
-    files of poselib), then the Gaussian filter along time.
+    The rotation from each frame to the next; the last frame gets zero velocity (as in the files
+    of poselib), then the Gaussian filter along time.
     """
     turns = _tensor(rotation)
     steps = rotations.quat_mul(turns[1:], rotations.quat_conjugate(turns[:-1]))
@@ -81,9 +81,9 @@ def joint_velocities(local_rotation: FloatArray, fps: float) -> FloatArray:
     """Return the angular velocities (T, J, 3) rad/s of joints, in the child's frame, T >= 2.
 
     The rotation from each frame to the next, not smoothed; the last frame repeats the one before.
-    The arithmetic is that of the original in the precision of the data: for float32 rotations the
-    arc cosine of a number near 1 is off by up to 0.03 rad/s at 60 fps where a joint hardly turns.
-    Joint velocities then agree with those that IsaacGymEnvs trained on to 3e-6 rad/s.
+    The arithmetic is the original's, in the precision of the data: for float32 rotations the
+    arc cosine of a number near 1 is off by up to 0.03 rad/s at 60 fps where a joint hardly rotates.
+    Joint velocities then agree with IsaacGymEnvs' to 3e-6 rad/s.
     """
     local = torch.from_numpy(np.ascontiguousarray(local_rotation))
     if local.dtype != torch.float32:
@@ -129,7 +129,7 @@ def _canonical(q: torch.Tensor) -> torch.Tensor:
 
 
 def _smooth(x: FloatArray) -> FloatArray:
-    """Filter x (T, ...) along time with the Gaussian; beyond the ends the end values go on."""
+    """Filter x (T, ...) along time with the Gaussian; beyond the ends, with the end values."""
     reach = np.arange(-_FILTER_RADIUS, _FILTER_RADIUS + 1)
     weights = np.exp(-0.5 * (reach / _FILTER_SIGMA) ** 2)
     weights /= weights.sum()

@@ -1,4 +1,4 @@
-"""From the name of a motion file to clips in memory: the one place that knows all formats."""
+"""Reads clips by the name of a motion file, in any of the formats."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from isaacgymenvs_lite.motion.formats.deepmimic_package import (
     find_in_package,
     is_package_name,
 )
+from isaacgymenvs_lite.motion.formats.files import read_json
 from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_poselib_npy
-from isaacgymenvs_lite.motion.formats.reading import read_json
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 
 _DATASET_SUFFIXES = (".yaml", ".yml")
@@ -50,7 +50,7 @@ def load_clips(
             clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
             others are one clip with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
             `.json` of DeepMimic, `.csv` of joint angles.
-        skeleton: the humanoid, in whose order the bodies of the clips are brought; by default the
+        skeleton: the humanoid; the bodies of the clips are reordered to match it. By default the
             one with 28 degrees of freedom.
 
     Raises:
@@ -81,11 +81,11 @@ def load_clips(
 def load_single_clip(
     motion_file: str | Path, skeletons: Sequence[Skeleton] = ()
 ) -> tuple[MotionClip, Skeleton]:
-    """Read one clip, of whichever of the humanoids it was made for.
+    """Read one clip of any of the humanoids.
 
     Args:
         motion_file: as in `load_clips`, but no data set.
-        skeletons: the humanoids, by default all that are shipped; a format that does not name
+        skeletons: the humanoids, by default all that are shipped; a format without names of
             bodies is read for the first.
 
     Returns:
@@ -114,7 +114,7 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
         search_dirs: the folders to look in, in this order.
 
     Raises:
-        MotionFileError: there is no such file; says where was looked and what is shipped.
+        MotionFileError: there is no such file; the message lists the folders and the shipped clips.
     """
     folders = [Path()] if Path(name).is_absolute() else search_dirs
     for folder in folders:
@@ -140,9 +140,9 @@ def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, 
 
 
 def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, Skeleton]:
-    """Read one clip by the suffix of its file, for the one of the humanoids whose bodies it has.
+    """Read one clip by the suffix of its file, for the humanoid that has its bodies.
 
-    What does not say its bodies is of the first.
+    A format without names of bodies is read for the first.
     """
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
@@ -152,7 +152,7 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if path.suffix not in readers:
-        hint = f"; make a clip of it first: {_CONVERT}" if path.suffix == ".bvh" else ""
+        hint = f"; convert it first: {_CONVERT}" if path.suffix == ".bvh" else ""
         raise MotionFileError(
             f"{path}: a clip ends in {', '.join(readers)} and a data set in .yaml, "
             f"found '{path.suffix}'{hint}"

@@ -10,10 +10,10 @@ import numpy as np
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
-# A mirror keeps turns about y, which lies across it, and reverses those about x and z.
-_VECTOR = np.array([1.0, -1.0, 1.0])
-_TURN_VECTOR = np.array([-1.0, 1.0, -1.0])
-_TURN = np.array([-1.0, 1.0, -1.0, 1.0])
+# A mirror keeps rotations about y, its normal, and reverses rotations about x and z.
+_LINEAR = np.array([1.0, -1.0, 1.0])
+_ANGULAR = np.array([-1.0, 1.0, -1.0])
+_QUATERNION = np.array([-1.0, 1.0, -1.0, 1.0])
 
 
 def partners(body_names: Sequence[str]) -> list[int]:
@@ -34,22 +34,22 @@ def partners(body_names: Sequence[str]) -> list[int]:
 def mirror_rotations(body_names: Sequence[str], rotation: FloatArray) -> FloatArray:
     """Return the mirror image of rotations (..., J, 4) xyzw, relative to parents or to the world.
 
-    The bodies' frames must mirror each other, as those of the humanoid do.
+    The bodies' frames must mirror each other, as the humanoid's do.
     """
-    return np.asarray(rotation)[..., partners(body_names), :] * _TURN.astype(rotation.dtype)
+    return np.asarray(rotation)[..., partners(body_names), :] * _QUATERNION.astype(rotation.dtype)
 
 
 def mirror_clip(clip: MotionClip, name: str) -> MotionClip:
     """Return the mirror image of a clip, called `name`; raises as `partners`."""
     order = partners(clip.body_names)
-    vector, turn_vector = (v.astype(clip.root_translation.dtype) for v in (_VECTOR, _TURN_VECTOR))
+    linear, angular = (v.astype(clip.root_translation.dtype) for v in (_LINEAR, _ANGULAR))
     return dataclasses.replace(
         clip,
         name=name,
         local_rotation=mirror_rotations(clip.body_names, clip.local_rotation),
-        root_translation=clip.root_translation * vector,
-        linear_velocity_w=clip.linear_velocity_w[:, order] * vector,
-        angular_velocity_w=clip.angular_velocity_w[:, order] * turn_vector,
+        root_translation=clip.root_translation * linear,
+        linear_velocity_w=clip.linear_velocity_w[:, order] * linear,
+        angular_velocity_w=clip.angular_velocity_w[:, order] * angular,
     )
 
 

@@ -1,7 +1,7 @@
 """The motion library: states of reference clips at any time, in batches on the device.
 
-All clips lie one behind the other in flat tensors, so that a call is a few gathers whatever the
-number of clips. The semantics are those of the AMP and ASE motion libraries; quaternions xyzw.
+All clips are concatenated in flat tensors, so that a call is a few gathers for any number of
+clips. The semantics are the AMP and ASE motion libraries'; quaternions xyzw.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class MotionLib:
 
     Args:
         motion_file: a clip or a data set, see `loader.load_clips`.
-        num_dofs: degrees of freedom of the humanoid, which names its skeleton.
+        num_dofs: degrees of freedom of the humanoid, which determine its skeleton.
         key_body_ids: K body ids whose positions `get_motion_state` returns.
-        device: where the tensors live.
+        device: of the tensors.
         repair_repeated_frames: drop the copies in clips that store every pose twice.
         skeleton: the humanoid, if it is none of the shipped ones.
 
@@ -143,9 +143,9 @@ class MotionLib:
     def get_motion_state(self, motion_ids: _Ids, motion_times: _Times) -> MotionState:
         """Return the states of clips (n,) at times (n,) in s.
 
-        Positions and rotations are interpolated between frames, velocities are those of the frame
+        Positions and rotations are interpolated between frames, velocities are taken from the frame
         at or before the time. Before the start the first two frames are extrapolated backwards;
-        after the end the last pose stays.
+        after the end the last pose is returned.
         """
         row, next_row, blend = self._rows(motion_ids, motion_times)
         frame = self._frames.index_select(0, row)
@@ -176,7 +176,7 @@ class MotionLib:
         return torch.lerp(self._body_pos[row], self._body_pos[next_row], blend.view(-1, 1, 1))
 
     def _rows(self, motion_ids: _Ids, motion_times: _Times) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the rows (n,) of the frames around the times and how far between them (n,)."""
+        """Return the rows (n,) of the frames before and after the times, and blend factors (n,)."""
         ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
         times = torch.as_tensor(motion_times, dtype=torch.float64, device=self.device)
         start, last, length, dt = self._motions.index_select(0, ids).unbind(-1)
@@ -199,7 +199,7 @@ class MotionLib:
         self._lengths_s = self._motions[:, 2].float()
 
     def _build_frame_tables(self, key_ids: list[int]) -> None:
-        """Make the per-frame tensors; a row of `_frames` holds all that a state is made of."""
+        """Make the per-frame tensors; a row of `_frames` holds the parts of a state."""
         frames, body_pos = [], []
         for clip in self._clips:
             positions, _ = clip.global_poses()
@@ -214,7 +214,7 @@ def _frame_rows(
 ) -> kinematics.FloatArray:
     """Return the frames (T, D): positions, root and joint rotations, root and DOF velocities.
 
-    `positions` (T, 1 + K, 3) m are those of the root and the key bodies.
+    `positions` (T, 1 + K, 3) m belong to the root and the key bodies.
     """
     columns = _dof_columns(skeleton).numpy()
     joints = list(skeleton.dof_body_ids)
@@ -241,7 +241,7 @@ def _dof_columns(skeleton: Skeleton) -> Tensor:
 
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:
-    """Drop frames that are stored twice, or warn of them."""
+    """Drop frames that are stored twice, or log a warning."""
     if clip.find_repeated_frames() is None:
         return clip
     if not repair:

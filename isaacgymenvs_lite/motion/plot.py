@@ -1,4 +1,4 @@
-"""Draws what a clip does: python -m isaacgymenvs_lite.motion.plot CLIP out=FILE.png.
+"""Plots a clip: python -m isaacgymenvs_lite.motion.plot CLIP out=FILE.png.
 
 Over time: the angles of all joints (rad; of ball joints the length of the rotation vector), the
 height of the root (m), and when each foot is on the ground.
@@ -20,17 +20,17 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
 from isaacgymenvs_lite.motion.kinematics import forward_kinematics
 from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
 log = logging.getLogger(__name__)
 
-# A foot whose body is this much above its lowest place in the clip, and slower than this, stands.
-_STANDING_HEIGHT_M, _STANDING_SPEED = 0.05, 0.4
+# A foot at most this far above its lowest place, and slower than this, is on the ground.
+_CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[
 
 
 def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
-    """Return when each foot (T,) stands: it is low, and slow."""
+    """Return for each foot the frames (T,) in which it is on the ground: low, and slow."""
     places, _ = forward_kinematics(
         clip.parent_indices, clip.local_translation, clip.local_rotation, clip.root_translation
     )
@@ -64,13 +64,13 @@ def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
             continue
         heights = places[:, body, 2]
         speeds = np.linalg.norm(clip.linear_velocity_w[:, body], axis=-1)
-        low = heights < heights.min() + _STANDING_HEIGHT_M
-        contacts[name] = np.asarray(low & (speeds < _STANDING_SPEED))
+        low = heights < heights.min() + _CONTACT_HEIGHT_M
+        contacts[name] = np.asarray(low & (speeds < _CONTACT_SPEED))
     return contacts
 
 
 def plot_clip(name: str, settings: PlotSettings) -> Path:
-    """Draw a clip; return the file.
+    """Plot a clip; return the file.
 
     Raises:
         UserError: the clip cannot be read, the file cannot be written, matplotlib is missing.
@@ -94,7 +94,7 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     path = Path(settings.out)
     try:
         figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:  # ValueError: a format that it does not know
+    except (OSError, ValueError) as error:  # ValueError: an unknown format
         raise ConfigError(f"out={settings.out}: cannot be written ({error})") from error
     log.info("%s: wrote %s", clip.name, path)
     return path
@@ -103,8 +103,8 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
 def _draw_contacts(
     axes: Any, times_s: npt.NDArray[np.float64], contacts: dict[str, npt.NDArray[np.bool_]]
 ) -> None:
-    for row, stands in enumerate(contacts.values()):
-        axes.fill_between(times_s, row, row + 0.8, where=stands, step="mid", linewidth=0)
+    for row, contact in enumerate(contacts.values()):
+        axes.fill_between(times_s, row, row + 0.8, where=contact, step="mid", linewidth=0)
     axes.set_yticks([row + 0.4 for row in range(len(contacts))])
     axes.set_yticklabels([name.replace("_", " ") for name in contacts])
     axes.set_ylabel("on the ground")

@@ -33,13 +33,13 @@ class Skeleton:
         body_names: J names.
         parent_indices: J body ids, -1 for the root; parents come before children.
         local_translation: (J, 3) m, origin of a body in its parent's frame. The root's row is its
-            place in the model file and takes no part in kinematics.
+            position in the model file, which kinematics does not use.
         dof_body_ids: G body ids, one per joint group, in DOF order.
         dof_offsets: G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
         foot_body_ids: K body ids, the foot that each row of `foot_corners` belongs to.
         foot_corners: (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
-        dof_names: one name per DOF, such as abdomen_x or right_elbow; those of the drives. Empty
-            where the model has not one drive per DOF.
+        dof_names: one name per DOF, such as abdomen_x or right_elbow, from the actuators. Empty if
+            the model does not have one actuator per DOF.
         dof_limits: (num_dofs, 2) rad, lowest and highest value of each DOF; (0, 2) without names.
     """
 
@@ -70,7 +70,7 @@ class Skeleton:
 
     @property
     def hinge_body_ids(self) -> tuple[int, ...]:
-        """The bodies that turn about their y axis only."""
+        """The bodies that rotate about their y axis only."""
         groups = zip(self.dof_body_ids, self.dof_sizes, strict=True)
         return tuple(body for body, size in groups if size == 1)
 
@@ -79,14 +79,14 @@ class Skeleton:
         """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model.
 
         Raises:
-            ConfigError: a body has several joints, or one that is no ball joint and no y hinge.
+            ConfigError: a body has several joints, or another one than a ball joint or y hinge.
         """
         model = mujoco.MjModel.from_xml_path(str(path))
         # Body 0 is MuJoCo's world: it is left out and all ids move down by one.
         bodies = [model.body(i) for i in range(1, model.nbody)]
         dof_body_ids, dof_offsets = _joint_groups(model, path)
         foot_body_ids, foot_corners = _foot_corners(model)
-        dof_names, dof_limits = _drives(model, dof_offsets[-1])
+        dof_names, dof_limits = _actuators(model, dof_offsets[-1])
         return cls(
             body_names=tuple(body.name for body in bodies),
             parent_indices=tuple(int(body.parentid[0]) - 1 for body in bodies),
@@ -134,7 +134,7 @@ def skeleton_for_num_dofs(num_dofs: int) -> Skeleton:
 def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
     """Return the model file, relative to the assets folder, of the humanoid with these bodies.
 
-    Their order does not count. None: no shipped humanoid has exactly these.
+    Their order does not matter. None: no shipped humanoid has exactly these.
     """
     for num_dofs, file in _HUMANOIDS.items():
         if set(skeleton_for_num_dofs(num_dofs).body_names) == set(body_names):
@@ -181,13 +181,13 @@ def _foot_corners(model: mujoco.MjModel) -> tuple[tuple[int, ...], npt.NDArray[n
     return tuple(body_ids), np.concatenate(corners)
 
 
-def _drives(
+def _actuators(
     model: mujoco.MjModel, num_dofs: int
 ) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
-    """Return the names of the drives, which stand in DOF order, and their limits (num_dofs, 2)."""
+    """Return the names of the actuators, in DOF order, and their limits (num_dofs, 2)."""
     if model.nu != num_dofs:
         return (), np.zeros((0, 2))
-    # A drive of a ball joint carries the limits of its axis, a hinge has them itself.
+    # The actuator of a ball joint's axis has the axis' limits; a hinge has its own.
     hinges = model.jnt_type[model.actuator_trnid[:, 0]] == mujoco.mjtJoint.mjJNT_HINGE
     limits = np.where(
         hinges[:, None], model.jnt_range[model.actuator_trnid[:, 0]], model.actuator_lengthrange

@@ -23,8 +23,8 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.clip_to_qpos import pose_figure
 from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.motion.qpos import clip_to_qpos
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.schema import keys_of, setting
@@ -65,7 +65,7 @@ def save_strip(
     """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
 
     Args:
-        clip: a clip of a shipped humanoid, see `pose_figure`.
+        clip: a clip of a shipped humanoid, see `clip_to_qpos`.
         path: the file.
         span_s: time to show; the poses are those nearest in the clip.
         num_frames: number of poses.
@@ -75,15 +75,15 @@ def save_strip(
         MissingPackageError: Pillow is not installed.
         RenderingError: this machine cannot draw.
     """
-    require("PIL", "writing pictures")  # its absence should show before the drawing
-    model, poses = pose_figure(clip)
+    require("PIL", "writing pictures")  # before the drawing
+    model, poses = clip_to_qpos(clip)
     times_s = np.arange(num_frames) * (span_s / num_frames)
     frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
     return save_png(path, draw_poses(model, poses[frames], azimuth_deg))
 
 
 def save_png(path: str | Path, image: Image) -> Path:
-    """Write a picture (height, width, 3) with few colours, so that it stays small.
+    """Write a picture (height, width, 3) with few colours, for a small file.
 
     Raises:
         MissingPackageError: Pillow is not installed.

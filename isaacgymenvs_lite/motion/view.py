@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.clip_to_qpos import pose_figure
 from isaacgymenvs_lite.motion.loader import load_single_clip
+from isaacgymenvs_lite.motion.qpos import clip_to_qpos
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video
 from isaacgymenvs_lite.rendering.view import View, aim_camera
@@ -31,7 +31,8 @@ from isaacgymenvs_lite.schema import setting
 
 log = logging.getLogger(__name__)
 
-_WIDTH, _HEIGHT = 480, 480
+WIDTH, HEIGHT = 480, 480
+"""Pixels of the video."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class ViewSettings:
     out: str = setting("")
     """File to write, .mp4 or .webp; '': show it in a window."""
     seconds: float = setting(0.0, minimum=0)
-    """Time to show; 0: the clip's length. A clip that ends goes on from its start."""
+    """Time to show; 0: the clip's length. A clip that ends starts again."""
     azimuth: float = setting(90.0)
     """Degrees: 90 from the right, 180 from the front."""
 
@@ -50,21 +51,21 @@ def view_clip(name: str, settings: ViewSettings) -> None:
     """Show or record a clip, on the humanoid that it was made for.
 
     Raises:
-        UserError: the clip cannot be read, or there is no way to show it.
+        UserError: the clip cannot be read, or cannot be shown here.
     """
     if settings.out:
         check_encoder()
     else:
         check_display("motion.view without out=", "out=FILE.mp4")
     clip, _ = load_single_clip(name)
-    model, qpos = pose_figure(clip)
+    model, qpos = clip_to_qpos(clip)
     poses = qpos[_frames(clip, settings.seconds)]
     if not settings.out:
         _show(model, poses, clip.fps, settings.azimuth)
         return
     view = View(azimuth_deg=settings.azimuth)
     images = draw_tracks(
-        model, [poses], [Path(clip.name).name], width=_WIDTH, height=_HEIGHT, view=view
+        model, [poses], [Path(clip.name).name], width=WIDTH, height=HEIGHT, view=view
     )
     path = save_video(settings.out, images, clip.fps)
     log.info("%s: wrote %s, %d frames at %g Hz", clip.name, path, len(poses), clip.fps)

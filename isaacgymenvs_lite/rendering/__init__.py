@@ -1,1 +1,1 @@
-"""Pictures and videos of what figures do, without a screen: GL, scene, tracks, files."""
+"""Pictures and videos of robots, drawn without a screen."""

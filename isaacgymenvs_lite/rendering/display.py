@@ -1,4 +1,4 @@
-"""Whether there is a display to open a window on."""
+"""Checks that a window can be opened on this machine."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from isaacgymenvs_lite.errors import ConfigError
 _INSTEAD = "headless=True with viewer=web for a browser, or with capture_video=True for videos"
 
 
-def check_display(asked: str = "headless=False", instead: str = _INSTEAD) -> None:
-    """Say at once that there is no display, or nothing to open a window with.
+def check_display(setting: str = "headless=False", instead: str = _INSTEAD) -> None:
+    """Check that a window can be opened.
 
     Args:
-        asked: what wants the window.
-        instead: what works without one.
+        setting: what needs the window, for the message.
+        instead: what works without one, for the message.
 
     Raises:
-        ConfigError: so it is.
+        ConfigError: there is no display, or no library to open a window with.
     """
     try:
         with warnings.catch_warnings():
@@ -26,9 +26,9 @@ def check_display(asked: str = "headless=False", instead: str = _INSTEAD) -> Non
             shown = bool(importlib.import_module("glfw").init())
     except Exception as error:  # the library behind it may be missing in many ways
         raise ConfigError(
-            f"{asked}: no window can be opened here ({error}); without one: {instead}"
+            f"{setting}: no window can be opened here ({error}); without one: {instead}"
         ) from error
     if not shown:
         raise ConfigError(
-            f"{asked}: there is no display (DISPLAY is not set?); without one: {instead}"
+            f"{setting}: there is no display (DISPLAY is not set?); without one: {instead}"
         )

@@ -1,8 +1,8 @@
 """The choice of an OpenGL library that draws without a screen.
 
 MuJoCo reads the environment variable MUJOCO_GL when it is imported, and by default takes a library
-that needs a screen. `ensure_gl` makes the choice later, when the first picture is wanted, so that
-nobody has to set a variable before starting Python.
+that needs a screen. `ensure_gl` makes the choice later, before the first picture, so that no
+variable has to be set before Python starts.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from isaacgymenvs_lite.errors import UserError
 
 log = logging.getLogger(__name__)
 
-# What renders without a screen on Linux, in the order of trying: on the GPU or by Mesa's drivers,
-# then in software only.
+# Libraries that render without a screen on Linux, in the order of trying: EGL on the GPU or with
+# Mesa's drivers, OSMesa in software only.
 _BACKENDS = ("egl", "osmesa")
 _PLATFORM_VARIABLE = "PYOPENGL_PLATFORM"
-_GL_MODULES = ("OpenGL", "mujoco.egl", "mujoco.osmesa")
+GL_MODULES = ("OpenGL", "mujoco.egl", "mujoco.osmesa")
 
 
 class RenderingError(UserError, RuntimeError):
@@ -33,23 +33,23 @@ class RenderingError(UserError, RuntimeError):
 
 @functools.cache
 def ensure_gl() -> str:
-    """Let MuJoCo draw without a screen, and return the library that does it.
+    """Choose a library for MuJoCo to draw without a screen, and return its name.
 
-    A value of MUJOCO_GL that the user has set is respected. Otherwise EGL is tried, then OSMesa,
+    A value of MUJOCO_GL in the environment is respected. Otherwise EGL is tried, then OSMesa,
     and MUJOCO_GL is set to the one that works. Off Linux MuJoCo's own choice is kept.
 
     Raises:
         RenderingError: none works; the message names the Debian packages.
     """
-    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # it tells how it was installed
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # it logs its own installation
     given = os.environ.get("MUJOCO_GL", "")
     candidates = _BACKENDS if platform.system() == "Linux" and not given else (given,)
     reasons = []
     for name in candidates:
         platform_before = os.environ.get(_PLATFORM_VARIABLE)
         try:
-            _try_backend(name)
-        except Exception as error:  # whatever a library that is missing or broken raises
+            try_backend(name)
+        except Exception as error:  # a library that is missing or broken raises all kinds
             reasons.append(f"{name or 'default'}: {' '.join(str(error).split())}")
             log.debug("MUJOCO_GL=%s does not work", name, exc_info=True)
             _forget_backend(platform_before)
@@ -60,8 +60,8 @@ def ensure_gl() -> str:
     raise RenderingError(_advice(given, reasons))
 
 
-def _try_backend(name: str) -> None:
-    """Choose a library and prove it by a picture; raises whatever is wrong with it."""
+def try_backend(name: str) -> None:
+    """Choose a library and draw a picture with it; raises the library's errors."""
     from mujoco.rendering.classic import gl_context
 
     if name:
@@ -75,7 +75,7 @@ def _try_backend(name: str) -> None:
 def _forget_backend(platform_before: str | None) -> None:
     """Undo the import of a library: PyOpenGL binds itself to one for the life of its modules."""
     for module in list(sys.modules):
-        if any(module == name or module.startswith(f"{name}.") for name in _GL_MODULES):
+        if any(module == name or module.startswith(f"{name}.") for name in GL_MODULES):
             del sys.modules[module]
     _set_or_remove(_PLATFORM_VARIABLE, platform_before)
 

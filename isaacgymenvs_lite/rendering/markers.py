@@ -1,4 +1,4 @@
-"""Markers: what a picture shows beside the figures, such as where one is asked to go."""
+"""Markers: shapes that a picture shows beside robots, such as an arrow in the target direction."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ Marker = Arrow | Sphere
 def arrow_on_ground(
     xy_w: tuple[float, float], direction: tuple[float, float], colour: Colour
 ) -> Arrow:
-    """Return an arrow just above the ground that begins beside a character.
+    """Return an arrow just above the ground that starts beside a character.
 
     Args:
         xy_w: m, where the character is.
-        direction: unit, where it shall go or look.
+        direction: unit vector of the target direction.
         colour: of the arrow.
     """
     (x, y), (dx, dy) = xy_w, direction

@@ -21,32 +21,32 @@ Image = npt.NDArray[np.uint8]
 Track = npt.NDArray[np.float64]
 """(T, nq), joint positions of one figure at T times, in MuJoCo's order and conventions."""
 
-# MuJoCo takes the nearest and the farthest that is seen from the size of the model. A terrain's
-# would cut off the robot, hence at most this many distances of the camera.
+# MuJoCo derives the clipping planes from the size of the model. A terrain's size would cut off the
+# robot, hence at most this many distances of the camera.
 _MAX_EXTENT = 0.7
 # Half the width of the area in which shadows are drawn, in distances of the camera: with MuJoCo's
-# one size of the model the shadow map ends in the picture, as noise on the floor.
+# default, one size of the model, the shadow map ends within the picture, as noise on the floor.
 _SHADOW_HALF_WIDTH = 4.2
-# The light above what is looked at, in distances of the camera: over the head of a figure.
+# Height of the light above the point looked at, in distances of the camera: over the robot's head.
 _LIGHT_ABOVE = 0.45
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
 _ARROW_WIDTH_M = 0.03
 _FLOOR_STEP_M = 10.0
-# Where a label begins, and where its letters stand: pixels from the left and from the top. They are
-# of one size in every picture, so that a share of the picture would cut them in a small one.
+# Left edge and base line of a label: pixels from the left and from the top. Letters have one size
+# in every picture, so that a share of the picture would cut them in a small one.
 _LABEL_LEFT, _LABEL_BASE = 10, 26
 
 
 class SceneRenderer:
-    """Draws one model; the camera goes along with a free root body. Use it in a `with` statement.
+    """Draws one model; the camera follows a free root body. Use it in a `with` statement.
 
     Args:
         model: the model; it is not changed.
         width: of the pictures, pixels.
         height: pixels.
-        view: from where; a model that is fixed to the world is drawn whole unless one is given.
+        view: the camera; by default it shows the whole of a model that is fixed to the world.
         fast: coarser shadows, jagged edges and no reflections, for videos rendered in software.
 
     Raises:
@@ -70,7 +70,7 @@ class SceneRenderer:
             view = View() if has_free_root(model) else View.of_model(model)
         self._view = view
         self._ground = TerrainWindow(model)
-        self._ground.move(np.zeros(2))  # the renderer takes long for all of it
+        self._ground.move(np.zeros(2))  # the renderer is slow with the whole terrain
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = view.azimuth_deg, view.elevation_deg
         self._camera.distance = view.distance_m
@@ -102,18 +102,18 @@ class SceneRenderer:
         """
         self._data.qpos[:] = qpos
         self._aim(np.asarray(qpos if look_at is None else look_at)[:3])
-        # What a picture needs of mj_forward: where everything is.
+        # The part of mj_forward that a picture needs: all poses.
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        # The map of shadows has the light in its middle: what is looked at has to be there. It
-        # begins at the light: a low one leaves out distant floor, which would have speckles.
+        # The shadow map is centred at the light: the point looked at has to be there. It starts at
+        # the light: a low one leaves out distant floor, which would have speckles.
         self._data.light_xpos[:, :2] += self._camera.lookat[:2]
         self._data.light_xpos[:, 2] = self._camera.lookat[2] + _LIGHT_ABOVE * self._camera.distance
         mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
         if np.linalg.norm(self._camera.lookat - self._floor_at) > _FLOOR_STEP_M:
-            # MuJoCo lays an endless floor about the place that it looked from before.
+            # MuJoCo centres an infinite floor at the previous position of the camera.
             self._floor_at = self._camera.lookat.copy()
             self._renderer.update_scene(self._data, self._camera)
         if self._fast:
@@ -125,7 +125,7 @@ class SceneRenderer:
         return self._renderer.render()
 
     def _aim(self, root: npt.NDArray[np.float64]) -> None:
-        """Let the camera look at a root (3,) m, and the ground be there."""
+        """Point the camera at a root (3,) m, and move the drawn piece of terrain there."""
         view, lookat = self._view, self._camera.lookat
         if not view.moves_about:
             lookat[:] = (*view.centre_xy_m, view.look_at_height_m)
@@ -170,7 +170,7 @@ class SceneRenderer:
         return geom
 
     def _add_label(self, text: str) -> None:
-        """Write into the upper left corner, in the plane that the camera looks at."""
+        """Write into the upper left corner, in the plane through the point looked at."""
         camera = self._camera
         azimuth, elevation = np.deg2rad(camera.azimuth), np.deg2rad(camera.elevation)
         to_the_right = np.array((np.sin(azimuth), -np.cos(azimuth), 0.0))

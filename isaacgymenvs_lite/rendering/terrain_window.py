@@ -1,6 +1,7 @@
-"""Rough ground for pictures: only the piece about a robot is drawn, and its height is known.
+"""Terrain for pictures: draws only the piece around a robot, and gives the height of the ground.
 
-A terrain of a hundred metres has more than a million cells; software draws it in about a second.
+A terrain of a hundred metres has more than a million cells: drawing it in software takes about a
+second.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-# Half the side of the piece that is drawn, and how far a robot may go before another piece is.
+# Half the side of the piece that is drawn, and how far a robot may go before it is replaced.
 _HALF_SIDE_M = 14.0
 _STEP_M = 4.0
 # Half the side of the square whose mean height is "the ground" at a place.
@@ -17,7 +18,7 @@ _GROUND_HALF_SIDE_M = 1.0
 
 
 class TerrainWindow:
-    """The piece of a model's height field that is about a place.
+    """The piece of a model's height field around a place.
 
     Args:
         model: changed by `move`: its height field becomes a smaller one. Models without a height
@@ -35,7 +36,7 @@ class TerrainWindow:
         (geoms,) = np.nonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD))
         self._geom = int(geoms[0])
         self._place = model.geom_pos[self._geom].copy()
-        # One that is where its body is would stay there.
+        # MuJoCo would not move a geom that has its body's frame.
         model.geom_sameframe[self._geom] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         # m from one number to the next, along x and y
         self._cell = 2.0 * self._size[:2] / (np.array((columns, rows)) - 1)
@@ -48,7 +49,7 @@ class TerrainWindow:
         return float(self._place[2] + self._size[2] * self._heights[y0:y1, x0:x1].mean())
 
     def move(self, xy: npt.NDArray[np.float64]) -> bool:
-        """Let the model's height field be the piece about `xy` (2,); return whether it changed."""
+        """Make the piece around `xy` (2,) the model's height field; return whether it changed."""
         if self._model.nhfield == 0:
             return False
         if self._centre_xy is not None and np.abs(xy - self._centre_xy).max() < _STEP_M:

@@ -1,11 +1,11 @@
-"""Tracks: what a figure did, as MuJoCo joint positions over time, to be drawn.
+"""Tracks: recorded motion as MuJoCo joint positions over time, and pictures of the current state.
 
     recorder = PoseRecorder(env, num_steps=150)
     ...                                             # recorder.step() after each env.step
     (track,) = recorder.tracks()
 
-Recording copies a few numbers per step, so that a training or a measurement is not slowed down by
-the drawing; see `video` for that.
+Recording copies a few numbers per step, so that drawing does not slow down a training or a
+measurement; `video` draws tracks later.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.rendering.markers import Marker
-from isaacgymenvs_lite.rendering.scene import Track
+from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer, Track
+from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_buffers import StateConverter
 
@@ -38,7 +39,7 @@ class TrackMaker:
     def track(
         self, root_states: Tensor, dof_pos: Tensor, object_states: Tensor | None = None
     ) -> Track:
-        """Return the track of what was at T times.
+        """Return the track of states at T times.
 
         Args:
             root_states: (T, 7 or more).
@@ -57,11 +58,11 @@ class TrackMaker:
 
 
 class PoseRecorder:
-    """Keeps what some environments of a task do.
+    """Records the motion of some environments of a task.
 
     Args:
         env: a task (`VecTask`).
-        num_steps: control steps to keep; later ones are not.
+        num_steps: control steps to keep; later ones are ignored.
         env_ids: which environments.
     """
 
@@ -75,7 +76,7 @@ class PoseRecorder:
         self._states: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self) -> None:
-        """Keep the present state; call it after `env.step`, before resets."""
+        """Record the current state; call it after `env.step`, before resets."""
         if len(self._states) < self._num_steps:
             simulation = self._simulation
             state = (simulation.root_states, simulation.dof_pos, simulation.object_states)
@@ -84,19 +85,19 @@ class PoseRecorder:
             self._markers.append(tuple(self._markers_of(env_id) for env_id in self._ids.tolist()))
 
     def tracks(self) -> list[Track]:
-        """Return one track for each environment, of the steps kept so far; [] before the first."""
+        """Return one track for each environment, of the recorded steps; [] before the first."""
         if not self._states:
             return []
         columns = [torch.stack(column, dim=1) for column in zip(*self._states, strict=True)]
         return [self._maker.track(*states) for states in zip(*columns, strict=True)]
 
     def markers(self) -> list[tuple[tuple[Marker, ...], ...]]:
-        """Return what was to be seen beside the figures: for each step, for each environment."""
+        """Return the markers beside the figures: for each step, for each environment."""
         return list(self._markers)
 
 
 class PoseReader:
-    """Reads the present pose of environments of a task.
+    """Reads the current pose of environments of a task.
 
     Args:
         env: a task (`VecTask`).
@@ -107,7 +108,44 @@ class PoseReader:
         self._maker = TrackMaker(env.simulation.model)
 
     def __call__(self, env_id: int) -> npt.NDArray[np.float64]:
-        """Return the joint positions (nq,) of an environment, those of objects included."""
+        """Return the joint positions (nq,) of an environment, objects included."""
         simulation = self._simulation
         states = (simulation.root_states, simulation.dof_pos, simulation.object_states)
         return self._maker.track(*(of_all[env_id : env_id + 1] for of_all in states))[0]
+
+
+class TaskCamera:
+    """Draws the current state of a task's environments; OpenGL is loaded with the first picture.
+
+    Args:
+        task: a task (`VecTask`).
+        width: of a picture, pixels.
+        height: pixels.
+    """
+
+    def __init__(self, task: Any, width: int = 320, height: int = 240) -> None:
+        self._task = task
+        self._size = (width, height)
+        self._renderer: SceneRenderer | None = None
+
+    def draw(self, env_ids: Sequence[int]) -> list[Image]:
+        """Return a picture (height, width, 3) of each of the environments.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        if self._renderer is None:
+            model = self._task.simulation.model
+            view = View.of_model(model)
+            self._renderer = SceneRenderer(model, *self._size, view=view, fast=True)
+        recorder = PoseRecorder(self._task, num_steps=1, env_ids=env_ids)
+        recorder.step()
+        (markers,) = recorder.markers()
+        tracks = zip(recorder.tracks(), markers, strict=True)
+        return [self._renderer.draw(track[0], markers=beside) for track, beside in tracks]
+
+    def close(self) -> None:
+        """Free the renderer; a second call does nothing."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

@@ -1,4 +1,4 @@
-"""Video files of what figures do: drawn without a display, encoded without a system's ffmpeg.
+"""Video files of robots: drawn without a display, encoded without the system's ffmpeg.
 
     images = draw_tracks(env.simulation.model, tracks, labels=("reference", "policy"))
     save_video("walk.mp4", images, fps=1.0 / env.dt)
@@ -85,7 +85,7 @@ class VideoWriter:
         try:
             self._container.mux(self._stream.encode(frame))
         except OSError as error:
-            self._num_images = 0  # there is nothing to finish
+            self._num_images = 0  # `close` removes the file
             raise self._unwritable(error.strerror) from error
 
     def _unwritable(self, reason: str | None) -> ConfigError:
@@ -120,7 +120,7 @@ class VideoWriter:
 
 
 def check_encoder() -> None:
-    """Say at once that videos cannot be encoded here.
+    """Check that videos can be encoded.
 
     Raises:
         MissingPackageError: PyAV is not installed.
@@ -141,7 +141,7 @@ def draw_tracks(
     view: View | None = None,
     follow: bool = True,
 ) -> Iterator[Image]:
-    """Draw tracks in panels, each with a camera of its own, for as long as all of them last.
+    """Draw tracks in panels, each with a camera of its own, until the shortest one ends.
 
     Args:
         model: of the figures.
@@ -153,7 +153,7 @@ def draw_tracks(
         fast: see `SceneRenderer`.
         columns: panels side by side; None: all of them.
         view: see `SceneRenderer`.
-        follow: go along with figures that move about, rather than look at where each begins.
+        follow: move the cameras with the robots; False: keep them at the robots' first places.
 
     Yields:
         A picture (rows * height, columns * width, 3) for each time; panels that remain are black.

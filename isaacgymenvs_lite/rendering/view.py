@@ -1,4 +1,4 @@
-"""Where a camera stands: what of a model is to be seen, from which side and how far away."""
+"""Views: the direction, distance and target of a camera that shows a model."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy.typing as npt
 
 Points = npt.NDArray[np.float64]
 
-# Distances in half diagonals of what is shown: a figure with room about it to move in, and what
-# stays at its place as a whole.
+# Distances in half diagonals of what is shown: a moving robot with room around it, and a fixed one
+# as a whole.
 _ROOM, _WHOLE = 2.6, 2.1
 _MIN_DISTANCE_M = 1.6
 # A robot that is this high above the ground in its default pose flies.
 _FLIES_M = 0.3
 _ELEVATION_DEG = -12.0
-# On rough ground steps and slopes about the robot are to be seen.
+# On rough ground the picture shows steps and slopes around the robot.
 _TERRAIN_ELEVATION_DEG, _TERRAIN_DISTANCE_M = -20.0, 3.0
-# Floors say nothing about where a robot is.
+# Floors do not count for the size of a model.
 _GROUNDS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
@@ -35,7 +35,7 @@ class View:
             root; of one that does not move about above the origin.
         centre_xy_m: where it looks if the figure does not move about.
         moves_about: whether the camera looks at a root body.
-        flies: whether it goes along in height, too.
+        flies: whether the camera also follows the root's height.
     """
 
     azimuth_deg: float = 90.0
@@ -73,7 +73,7 @@ class View:
 
 
 def aim_camera(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
-    """Let the camera of a viewer begin with the view of a model, and follow a robot."""
+    """Set the camera of a viewer to the view of a model; it follows a robot."""
     view = View.of_model(model)
     camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
     camera.distance = view.distance_m

@@ -1,1 +1,1 @@
-"""The only package that steps a simulator; tasks see batched state tensors."""
+"""Physics: the only package that steps a simulator. Tasks read and write batched tensors."""

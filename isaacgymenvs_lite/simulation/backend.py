@@ -1,4 +1,4 @@
-"""What every simulation backend offers to tasks: the Protocol, tensor by tensor.
+"""The Protocol of a simulation backend, tensor by tensor, and `make_simulation`, which makes one.
 
 A backend holds `num_envs` copies of one MuJoCo model. Tasks read and write float32 torch tensors
 on `device`, in Isaac Gym's layout: quaternions are xyzw, positions and velocities are in world
@@ -11,13 +11,13 @@ forces and sensors are computed when they are read: read the property again afte
 write. A backend may keep each component of all environments together in memory (`cpu_batch` does):
 take `reshape` or `flatten`, not `view`.
 
-Beside the robot a model may have objects: bodies without children that hang in the world by a free
-joint of their own and stand after all bodies of the robot in the file. Body and DOF tensors do not
-contain them.
+Beside the robot a model may have objects: bodies without children, each on a free joint of its own,
+after all bodies of the robot in the file. Body and DOF tensors do not contain them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import mujoco
@@ -26,12 +26,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import ConfigError, unknown
+
 
 class SimulationBackend(Protocol):
     """N simulations of one model: B bodies, D degrees of freedom, U actuators, K objects.
 
-    The B bodies are all but the world and the objects. The D degrees of freedom are those of all
-    joints but the free root joint and the objects', in file order; a ball joint counts three.
+    The B bodies are all but the world and the objects. The D degrees of freedom belong to
+    all joints but the free root joint and the objects', in file order; a ball joint counts three.
     """
 
     model: mujoco.MjModel
@@ -114,11 +116,11 @@ class SimulationBackend(Protocol):
         ...
 
     def sensor(self, *names: str) -> Tensor:
-        """Return (N, k) what sensors of the model measured in the last physics step, side by side.
+        """Return what sensors of the model measured in the last physics step, (N, k).
 
         Zero for environments written since then. MuJoCo's units, and world axes unless the sensor
-        has a frame of its own; forces of `contact` sensors are those that their first body exerts.
-        Sensors that stand together in the model, in this order, are read in one go.
+        has a frame of its own; `contact` sensors measure the force that their first body exerts.
+        Sensors that are neighbours in the model, in this order, are read in one go.
 
         Args:
             names: as in the model, at least one.
@@ -146,14 +148,14 @@ class SimulationBackend(Protocol):
     def failed(self) -> Tensor:
         """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
 
-        It was put back to its default state; the task should end the episode.
+        It was reset to its default state; the task should end the episode.
         """
         ...
 
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Give a field of the model a value for each environment; return them, (N, ...), to write.
 
-        Poses of bodies and joints (`body_pos`, `jnt_axis`, ...) must stay those of the model.
+        Poses of bodies and joints (`body_pos`, `jnt_axis`, ...) must not be changed.
 
         Args:
             field: as in `MjModel`, or `opt.<field>` of its options.
@@ -161,7 +163,7 @@ class SimulationBackend(Protocol):
         ...
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
-        """Bring up to date what MuJoCo derives from fields such as masses, of `env_ids` (n,)."""
+        """Recompute what MuJoCo derives from fields such as masses, of `env_ids` (n,)."""
         ...
 
     def set_controls(self, controls: Tensor) -> None:
@@ -175,7 +177,7 @@ class SimulationBackend(Protocol):
     def write_state(
         self, env_ids: Tensor, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
     ) -> None:
-        """Put n environments into a new state and recompute their body tensors.
+        """Set n environments to a new state.
 
         Their objects go back to their places in the model, at rest. All memory of the earlier state
         (warm start, controls, contact forces) is cleared; the other environments are left
@@ -190,11 +192,11 @@ class SimulationBackend(Protocol):
         ...
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
-        """Put k objects of n environments into new states.
+        """Set k objects of n environments to new states.
 
         The rest of these environments, the robot included, and the other environments are left
-        bit-identical. The solver's warm start of these environments is cleared, so that what
-        follows depends on their states and controls alone.
+        bit-identical. The solver's warm start of these environments is cleared, so that the
+        next steps depend on their states and controls alone.
 
         Args:
             env_ids: (n,) int64, each once, in any order.
@@ -206,3 +208,45 @@ class SimulationBackend(Protocol):
     def close(self) -> None:
         """Free the simulations and their threads; the backend cannot be used afterwards."""
         ...
+
+
+def _cpu_batch(
+    model: mujoco.MjModel, num_envs: int, substeps: int, num_threads: int
+) -> SimulationBackend:
+    from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
+
+    return CpuBatchSimulation(model, num_envs, substeps, num_threads)
+
+
+_BACKENDS: dict[str, Callable[[mujoco.MjModel, int, int, int], SimulationBackend]] = {
+    "cpu_batch": _cpu_batch,
+}
+
+
+def backend_names() -> list[str]:
+    """Names that `make_simulation` accepts."""
+    return sorted(_BACKENDS)
+
+
+def make_simulation(
+    model: mujoco.MjModel,
+    num_envs: int,
+    substeps: int,
+    num_threads: int = 0,
+    backend: str = "cpu_batch",
+) -> SimulationBackend:
+    """Make `num_envs` simulations of `model`.
+
+    Args:
+        model: the compiled model.
+        num_envs: number of simulations.
+        substeps: physics steps of one control step.
+        num_threads: CPU worker threads; 0 for as many CPUs as have enough work.
+        backend: one of `backend_names()`.
+
+    Raises:
+        ConfigError: an unknown backend or a number out of range.
+    """
+    if backend not in _BACKENDS:
+        raise ConfigError(unknown("simulation backend", backend, backend_names()))
+    return _BACKENDS[backend](model, num_envs, substeps, num_threads)

@@ -1,11 +1,9 @@
 """Physics on the CPU: `mujoco.batch.Batch` behind the backend Protocol.
 
 The batch keeps float64 rows; each step converts what tasks read into preallocated float32 tensors
-once. Where the bodies are and how they move, which not all tasks need, is computed on first use
-after a step.
-
-The batch is not asked where the bodies are and how they move: after a step that would take its
-whole stages of positions and velocities, several times the work of our own kinematics.
+once. Poses and velocities of the bodies, which not all tasks need, are computed on first use after
+a step, by `kinematics`: the batch would run MuJoCo's whole stages of positions and velocities for
+them, which is several times the work.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.simulation.kinematic_tree import Floats
+from isaacgymenvs_lite.simulation.kinematics import Floats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_buffers import (
     StateBuffers,
@@ -35,16 +33,16 @@ from isaacgymenvs_lite.utils.threads import thread_count
 log = logging.getLogger(__name__)
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
-# MuJoCo puts a simulation with one of these warnings back to its default state by itself.
+# MuJoCo itself resets a simulation with one of these warnings to its default state.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
-# A joint faster than this (rad/s or m/s) is no motion but a simulation on its way to infinity;
+# A joint faster than this (rad/s or m/s) means that the simulation diverges;
 # PhysX stopped such bodies at 100 rad/s.
 _MAX_SPEED = 1000.0
 _ROWS_IN_CACHE = 128
-# Waking a thread takes some 10 us, and 100 us on a busy machine: of less work it gains nothing.
+# Waking a thread takes some 10 us, and 100 us on a busy machine: less work is not worth one.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
-# Attributes that look into the batch's own memory.
+# Attributes that share the batch's own memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
@@ -52,14 +50,14 @@ _VIEWS = (
 
 
 class CpuBatchSimulation:
-    """N simulations of one model on a thread pool; meets `SimulationBackend`.
+    """N simulations of one model on a thread pool; implements `SimulationBackend`.
 
     Args:
-        model: the compiled model; its timestep is that of one physics step.
+        model: the compiled model; its timestep is one physics step.
         num_envs: N, at least 1.
         substeps: physics steps of one `step()`.
         num_threads: worker threads; 0 for as many of the CPUs that this process may use as have
-            enough to do. Results do not depend on it.
+            enough work. Results do not depend on it.
 
     Raises:
         ConfigError: a number out of range.
@@ -108,11 +106,11 @@ class CpuBatchSimulation:
         self._force_rows: list[np.ndarray] | None = None
         # (N, warnings, [last info, count]) -> counts
         self._warnings = batch.warning[:, _DIVERGED, 1]
-        layout, planes = self.layout, self._planes
+        layout, buffers = self.layout, self._buffers
         self._contacts: list[tuple[Floats, np.ndarray]] = []
         for what, columns, forces in (
-            ("bodies", layout.contact_columns, planes.contact_forces),
-            ("objects", layout.object_contact_columns, planes.object_contact_forces),
+            ("bodies", layout.contact_columns, buffers.contact_forces),
+            ("objects", layout.object_contact_columns, buffers.object_contact_forces),
         ):
             if columns is not None:
                 _check_order(columns, what)
@@ -121,23 +119,23 @@ class CpuBatchSimulation:
 
     def _allocate(self) -> None:
         self._converter = StateConverter(self.model, self.layout)
-        self._planes = StateBuffers(self.layout, self.num_envs)
-        self.root_states = as_tensor(self._planes.root_states)
-        self.dof_pos = as_tensor(self._planes.dof_pos)
-        self.dof_vel = as_tensor(self._planes.dof_vel)
-        self._body_pos = as_tensor(self._planes.body_pos)
-        self._body_rot = as_tensor(self._planes.body_rot)
-        self.contact_forces = as_tensor(self._planes.contact_forces)
-        self.object_states = as_tensor(self._planes.object_states)
-        self.object_contact_forces = as_tensor(self._planes.object_contact_forces)
-        self._body_lin_vel = as_tensor(self._planes.body_lin_vel)
-        self._body_ang_vel = as_tensor(self._planes.body_ang_vel)
+        self._buffers = StateBuffers(self.layout, self.num_envs)
+        self.root_states = as_tensor(self._buffers.root_states)
+        self.dof_pos = as_tensor(self._buffers.dof_pos)
+        self.dof_vel = as_tensor(self._buffers.dof_vel)
+        self._body_pos = as_tensor(self._buffers.body_pos)
+        self._body_rot = as_tensor(self._buffers.body_rot)
+        self.contact_forces = as_tensor(self._buffers.contact_forces)
+        self.object_states = as_tensor(self._buffers.object_states)
+        self.object_contact_forces = as_tensor(self._buffers.object_contact_forces)
+        self._body_lin_vel = as_tensor(self._buffers.body_lin_vel)
+        self._body_ang_vel = as_tensor(self._buffers.body_ang_vel)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
         # Environments written since the last step: nothing was measured there yet.
         self._written = np.zeros(self.num_envs, dtype=bool)
-        self._speeds = [self._planes.velocities]
+        self._speeds = [self._buffers.velocities]
         if self.object_names:
-            self._speeds.append(self._planes.object_states[7:].reshape(-1, self.num_envs))
+            self._speeds.append(self._buffers.object_states[7:].reshape(-1, self.num_envs))
 
     @property
     def dt(self) -> float:
@@ -145,9 +143,22 @@ class CpuBatchSimulation:
         return self.model.opt.timestep * self.substeps
 
     @property
+    def batch(self) -> Batch:
+        """MuJoCo's batch of simulations, for tests and debugging.
+
+        After a change of its state the tensors are current again after the next step.
+
+        Raises:
+            RuntimeError: the simulation was closed.
+        """
+        if self._batch is None:
+            raise RuntimeError("the simulation was closed; make a new task to go on")
+        return self._batch
+
+    @property
     def num_threads(self) -> int:
         """Worker threads in use."""
-        return self._require_batch().nthread
+        return self.batch.nthread
 
     @property
     def body_pos(self) -> Tensor:
@@ -176,9 +187,9 @@ class CpuBatchSimulation:
     @property
     def dof_forces(self) -> Tensor:
         """(N, D) torques of actuators, springs and dampers; see `SimulationBackend.dof_forces`."""
-        batch = self._require_batch()
+        batch = self.batch
         if self._force_rows is None:
-            # Asked for when somebody first wants them: the batch copies them out at every step.
+            # Bound at the first use: from then on the batch copies them out at every step.
             self._force_rows = [batch.bind("qfrc_actuator"), batch.bind("qfrc_passive")]
         dofs = slice(self.layout.dof_vel_adr, self.layout.num_qvel)
         actuators, passive = (rows[:, dofs] for rows in self._force_rows)
@@ -186,7 +197,7 @@ class CpuBatchSimulation:
 
     def sensor(self, *names: str) -> Tensor:
         """Return (N, k) what sensors measured; see `SimulationBackend.sensor`."""
-        self._require_batch()
+        _ = self.batch  # raises after `close`
         columns = self.layout.sensor_columns
         for name in names:
             if name not in columns:
@@ -198,42 +209,42 @@ class CpuBatchSimulation:
 
     def _measured(self, rows: np.ndarray) -> Tensor:
         """Return rows (N, k) of the last physics step as a tensor (N, k), component-major."""
-        planes = np.empty(rows.T.shape, dtype=np.float32)
-        # A plane of the batch's rows is a number out of each, far from the next: block by block
-        # these stay in the cache from one plane to the next.
+        columns = np.empty(rows.T.shape, dtype=np.float32)
+        # A component is one number of each of the batch's rows, far from the next one: of a block
+        # of rows they stay in the cache from one component to the next.
         for first in range(0, self.num_envs, _ROWS_IN_CACHE):
             block = slice(first, first + _ROWS_IN_CACHE)
-            planes[:, block] = rows[block].T
+            columns[:, block] = rows[block].T
         if self._written.any():
-            planes[:, self._written] = 0.0
-        return as_tensor(planes)
+            columns[:, self._written] = 0.0
+        return as_tensor(columns)
 
     def _require_bodies(self) -> None:
-        self._require_batch()
-        if not self._planes.bodies_are_current:
-            self._converter.fill_bodies(self._planes)
+        _ = self.batch  # raises after `close`
+        if not self._buffers.bodies_are_current:
+            self._converter.fill_bodies(self._buffers)
 
     def _require_body_velocities(self) -> None:
         self._require_bodies()
-        if not self._planes.has_body_velocities:
-            self._converter.fill_body_velocities(self._planes)
+        if not self._buffers.has_body_velocities:
+            self._converter.fill_body_velocities(self._buffers)
 
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Return a field's values for each environment; see `SimulationBackend.expand`."""
-        return self._require_batch().expand(field)
+        return self.batch.expand(field)
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
         """See `SimulationBackend.update_constants`."""
-        self._require_batch().set_const(env_ids)
+        self.batch.set_const(env_ids)
 
     def set_controls(self, controls: Tensor) -> None:
         """Set the actuators' controls, (N, U), for the next steps."""
-        self._require_batch()
+        _ = self.batch  # raises after `close`
         self._ctrl64.copy_(controls)
 
     def step(self) -> None:
         """Advance all simulations by `substeps` physics steps and refresh the state tensors."""
-        batch = self._require_batch()
+        batch = self.batch
         try:
             batch.step(nstep=self.substeps)
             raised = None
@@ -245,10 +256,10 @@ class CpuBatchSimulation:
         self._recover(batch, raised)
 
     def _recover(self, batch: Batch, raised: np.ndarray | None) -> None:
-        """Put diverged simulations back to the default state, flag and count them."""
+        """Reset diverged simulations to the default state, flag and count them."""
         diverged = np.zeros(self.num_envs, dtype=bool)
         for speeds in self._speeds:
-            # Asking each environment is slow: only if some number is too large, or none.
+            # Testing each environment is slow: only if some number is too large or NaN.
             if not -_MAX_SPEED <= speeds.min() <= speeds.max() <= _MAX_SPEED:
                 diverged |= (np.abs(speeds) > _MAX_SPEED).any(axis=0)
         if raised is not None:
@@ -268,13 +279,13 @@ class CpuBatchSimulation:
     def write_state(
         self, env_ids: Tensor, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
     ) -> None:
-        """Put n environments into a new state; see `SimulationBackend.write_state`."""
-        self._require_batch()
+        """Set n environments to a new state; see `SimulationBackend.write_state`."""
+        _ = self.batch  # raises after `close`
         rows = env_ids.numpy()
         if len(rows) == 0:
             return
         qpos, qvel = self._converter.rows(root_states, dof_pos, dof_vel)
-        # What Batch.reset does, without its work per simulation: the next step starts from the row.
+        # As Batch.reset, without its work per simulation: the next step starts from the row.
         self._state_rows[rows] = self._default_state
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
@@ -282,8 +293,8 @@ class CpuBatchSimulation:
         self._refresh_rows(rows, qpos, qvel)
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
-        """Put k objects of n environments; see `SimulationBackend.write_object_states`."""
-        self._require_batch()
+        """Set k objects of n environments; see `SimulationBackend.write_object_states`."""
+        _ = self.batch  # raises after `close`
         if len(env_ids) == 0 or len(object_ids) == 0:
             return
         rows, objects = env_ids.numpy(), object_ids.numpy()
@@ -291,30 +302,25 @@ class CpuBatchSimulation:
         places = np.ix_(rows, objects)
         self._object_qpos[places], self._object_qvel[places] = qpos, qvel
         self._warmstart_rows[rows] = 0.0
-        self._planes.replace_objects(rows, objects, self._converter.states_of_objects(qpos, qvel))
+        self._buffers.replace_objects(rows, objects, self._converter.states_of_objects(qpos, qvel))
 
     def _refresh(self) -> None:
         """Convert the batch's rows of all environments into the state tensors."""
-        self._converter.fill(self._planes, self._qpos_rows, self._qvel_rows)
+        self._converter.fill(self._buffers, self._qpos_rows, self._qvel_rows)
         for forces, rows in self._contacts:
             # The sensor reports the force that the body exerts; tasks want the force on it.
             forces[:] = rows.T
             np.negative(forces, out=forces)
 
     def _refresh_rows(self, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """The same for environments (n,) that were written: they have no contact forces yet."""
-        planes = StateBuffers(self.layout, len(rows))
-        self._converter.fill(planes, qpos, qvel)
-        if self._planes.bodies_are_current:
-            self._converter.fill_bodies(planes)
-        if self._planes.has_body_velocities:
-            self._converter.fill_body_velocities(planes)
-        self._planes.replace(rows, planes)
-
-    def _require_batch(self) -> Batch:
-        if self._batch is None:
-            raise RuntimeError("the simulation was closed; make a new task to go on")
-        return self._batch
+        """Convert qpos and qvel of written environments (n,), which have no contact forces yet."""
+        buffers = StateBuffers(self.layout, len(rows))
+        self._converter.fill(buffers, qpos, qvel)
+        if self._buffers.bodies_are_current:
+            self._converter.fill_bodies(buffers)
+        if self._buffers.has_body_velocities:
+            self._converter.fill_body_velocities(buffers)
+        self._buffers.replace(rows, buffers)
 
     def close(self) -> None:
         """Free the simulations and their threads; a second call does nothing."""
@@ -328,7 +334,7 @@ def _check_order(columns: np.ndarray, what: str) -> None:
     """Check that the contact sensors' columns (B, 3) of sensordata follow on each other."""
     if (np.diff(columns.ravel()) != 1).any():
         raise ConfigError(
-            f"the contact sensors of the model's {what} must stand together, in body order"
+            f"the contact sensors of the model's {what} must follow one another, in body order"
         )
 
 

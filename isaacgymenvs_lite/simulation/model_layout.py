@@ -2,9 +2,9 @@
 
 Turns a compiled model into the index arrays that backends and tasks need, once.
 
-An object is a body without children that hangs in the world by a free joint and does not hold the
-first joint of the model, which is the robot's. All objects stand after the robot's bodies, so that
-qpos, qvel and body arrays of MuJoCo begin with the robot's part.
+An object is a body without children on a free joint of its own that is not the first joint of the
+model, which is the robot's. All objects come after the robot's bodies, so that MuJoCo's qpos, qvel
+and body arrays begin with the robot's part.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class ModelLayout:
         """Read the layout of a compiled model.
 
         Raises:
-            ConfigError: a free joint that is neither the first joint of the model nor that of an
-                object after all other bodies; contact sensors of some bodies but not of others.
+            ConfigError: a free joint that is neither the first joint of the model nor an object's,
+                after all other bodies; contact sensors of some bodies but not of others.
         """
         num_objects = _count_objects(model)
         has_free_root = model.njnt > 0 and model.jnt_type[0] == _FREE
@@ -138,7 +138,7 @@ def _count_objects(model: mujoco.MjModel) -> int:
         if model.nbody - body != len(objects) - place:
             others = (i for i in range(body + 1, model.nbody) if i not in objects)
             raise ConfigError(
-                f"free body '{name}' stands before body '{model.body(next(others)).name}'; expected"
+                f"free body '{name}' comes before body '{model.body(next(others)).name}'; expected"
                 " free bodies other than the robot after all other bodies: move it to the end"
             )
     return len(objects)

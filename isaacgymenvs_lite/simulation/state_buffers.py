@@ -1,8 +1,12 @@
-"""From MuJoCo's coordinates to the float32 state that tasks read, and back.
+"""The float32 state that tasks read, and its conversion from and to MuJoCo's qpos and qvel.
 
-The state of many environments is kept component-major: one contiguous plane (a number per
+The state of many environments is kept component-major: one contiguous row (a number per
 environment) for each component. Reductions and rotations over components, which is most of what
-tasks do, then run along memory, in a fraction of the time that rows of three or four numbers take.
+tasks do, then run along memory, in a fraction of the time that three or four neighbours take.
+
+A free body, the robot's root or an object, has a state of 13 numbers: position, rotation xyzw,
+linear and angular velocity in world axes. MuJoCo orders quaternions wxyz and keeps the angular
+velocity of a free joint in the body's own frame; its quaternions need not be of unit length.
 """
 
 from __future__ import annotations
@@ -13,25 +17,23 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.simulation.body_velocities import BodyVelocities
-from isaacgymenvs_lite.simulation.forward_kinematics import ForwardKinematics
-from isaacgymenvs_lite.simulation.free_bodies import (
-    QPOS_SIZE,
-    QVEL_SIZE,
-    STATE_SIZE,
-    Doubles,
-    fill_free_states,
-    free_joint_coordinates,
-)
-from isaacgymenvs_lite.simulation.kinematic_tree import MIN_LENGTH, Floats, KinematicTree
+from isaacgymenvs_lite.simulation.kinematics import MIN_LENGTH, Floats, Kinematics, unit_quats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.utils.rotations import quat_log
+from isaacgymenvs_lite.utils.rotations import quat_log, rotate_components, xyzw_from_wxyz
+
+Doubles = npt.NDArray[np.float64]
+
+STATE_SIZE = 13
+QPOS_SIZE = 7
+QVEL_SIZE = 6
+# Where in qpos position and rotation xyzw of a state are.
+_QPOS_ROWS = np.append(np.arange(3), xyzw_from_wxyz(torch.arange(3, 7)).numpy())
 
 
 class StateBuffers:
     """The state of n environments with B bodies, D degrees of freedom and K objects, float32.
 
-    All is zero at first; names and units as in `SimulationBackend`, with the environments last.
+    All are zero at first; names and units as in `SimulationBackend`, with the environments last.
 
     Attributes:
         root_states: (13, n).
@@ -46,8 +48,8 @@ class StateBuffers:
         object_contact_forces: (3, K, n).
         body_lin_vel: (3, B, n).
         body_ang_vel: (3, B, n).
-        bodies_are_current: whether `body_pos` and `body_rot` are those of the rest; made on demand.
-        has_body_velocities: whether the body velocities are; they are made on demand, too.
+        bodies_are_current: whether `body_pos` and `body_rot` belong to `qpos`; see `fill_bodies`.
+        has_body_velocities: whether the body velocities do; see `fill_body_velocities`.
     """
 
     def __init__(self, layout: ModelLayout, num_envs: int) -> None:
@@ -58,7 +60,7 @@ class StateBuffers:
         first_body = first_qpos + layout.num_qpos
         first_object = first_body + 10 * num_bodies
         num_rows = first_object + (STATE_SIZE + 3) * num_objects
-        # One piece of memory, so that environments are replaced in one operation.
+        # One block of memory, so that environments are replaced in one operation.
         self._all = np.zeros((num_rows, num_envs), dtype=np.float32)
         self.root_states = self._all[:STATE_SIZE]
         self.dof_vel = self._all[STATE_SIZE:first_dof_pos]
@@ -75,9 +77,9 @@ class StateBuffers:
         self.has_body_velocities = False
 
     def replace(self, env_ids: npt.NDArray[np.integer], others: StateBuffers) -> None:
-        """Put the n environments of `others` in place of `env_ids` (n,).
+        """Copy the n environments of `others` to `env_ids` (n,).
 
-        Where these have bodies and their velocities the others must have them, too.
+        Bodies and velocities that are current here must be so in `others`.
         """
         _replace_columns(self._all, env_ids, others._all)
         if self.has_body_velocities:
@@ -89,7 +91,7 @@ class StateBuffers:
         object_ids: npt.NDArray[np.integer],
         states: Floats,
     ) -> None:
-        """Put k objects of n environments into `states` (13, k, n), without contact forces."""
+        """Set k objects of n environments to `states` (13, k, n), without contact forces."""
         places = object_ids[:, None], env_ids
         self.object_states[:, *places] = states
         self.object_contact_forces[:, *places] = 0.0
@@ -101,13 +103,13 @@ def _replace_columns(mine: Floats, columns: npt.NDArray[np.integer], theirs: Flo
     torch.from_numpy(mine).index_copy_(mine.ndim - 1, ids, torch.from_numpy(theirs))
 
 
-def as_tensor(planes: Floats) -> Tensor:
-    """Return planes (d, n) or (d, B, n) as a tensor (n, d) or (n, B, d) on the same memory."""
-    return torch.from_numpy(planes.T)
+def as_tensor(buffer: Floats) -> Tensor:
+    """Return a buffer (d, n) or (d, B, n) as a tensor (n, d) or (n, B, d) on the same memory."""
+    return torch.from_numpy(buffer.T)
 
 
 class StateConverter:
-    """Makes planes from rows of qpos and qvel, and such rows from states.
+    """Converts rows of qpos and qvel into state buffers, and states into such rows.
 
     Args:
         model: the compiled model.
@@ -116,61 +118,61 @@ class StateConverter:
 
     def __init__(self, model: mujoco.MjModel, layout: ModelLayout) -> None:
         self._layout = layout
-        tree = KinematicTree(model, len(layout.body_names))
-        self._kinematics = ForwardKinematics(tree)
-        self._body_velocities = BodyVelocities(tree)
+        self._kinematics = Kinematics(model, len(layout.body_names))
         self._ball_qpos = layout.ball_qpos.T
         self._ball_dofs = layout.ball_dofs.T
         self._objects_qpos0 = model.qpos0[layout.num_qpos :].copy()
 
-    @np.errstate(all="ignore")  # a simulation may be on its way to infinity
-    def fill(self, planes: StateBuffers, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
-        """Fill in all but the contact forces and the bodies.
+    @np.errstate(all="ignore")  # a simulation may be diverging
+    def fill(self, buffers: StateBuffers, qpos_rows: Doubles, qvel_rows: Doubles) -> None:
+        """Fill in everything but the contact forces and the bodies.
 
         Args:
-            planes: of n environments.
+            buffers: of n environments.
             qpos_rows: (n, nq) in MuJoCo's conventions.
             qvel_rows: (n, nv) in MuJoCo's conventions.
         """
         layout = self._layout
-        planes.bodies_are_current = planes.has_body_velocities = False
-        qpos = planes.qpos
+        buffers.bodies_are_current = buffers.has_body_velocities = False
+        qpos = buffers.qpos
         qpos[:] = qpos_rows.T[: layout.num_qpos]
-        planes.dof_vel[:] = qvel_rows.T[layout.dof_vel_adr : layout.num_qvel]
+        buffers.dof_vel[:] = qvel_rows.T[layout.dof_vel_adr : layout.num_qvel]
         if layout.has_free_root:
-            fill_free_states(planes.root_states, qpos[:7], qvel_rows.T[:6])
-        planes.dof_pos[layout.scalar_dofs] = qpos[layout.scalar_qpos]
+            fill_free_states(buffers.root_states, qpos[:7], qvel_rows.T[:6])
+        buffers.dof_pos[layout.scalar_dofs] = qpos[layout.scalar_qpos]
         if self._ball_qpos.size > 0:
             quats = torch.from_numpy(qpos[self._ball_qpos]).permute(2, 1, 0)
-            planes.dof_pos[self._ball_dofs] = quat_log(quats).permute(2, 1, 0).numpy()
+            buffers.dof_pos[self._ball_dofs] = quat_log(quats).permute(2, 1, 0).numpy()
         if layout.object_names:
-            planes.object_states[:] = self.states_of_objects(*self.of_objects(qpos_rows, qvel_rows))
+            buffers.object_states[:] = self.states_of_objects(
+                *self.of_objects(qpos_rows, qvel_rows)
+            )
 
     @np.errstate(all="ignore")
-    def fill_bodies(self, planes: StateBuffers) -> None:
-        """Fill in where the bodies are, from what `fill` has filled in."""
-        planes.bodies_are_current = True
-        self._kinematics(planes.qpos, planes.body_pos, planes.body_rot)
+    def fill_bodies(self, buffers: StateBuffers) -> None:
+        """Fill in the poses of the bodies, after `fill`."""
+        buffers.bodies_are_current = True
+        self._kinematics.poses(buffers.qpos, buffers.body_pos, buffers.body_rot)
 
     @np.errstate(all="ignore")
-    def fill_body_velocities(self, planes: StateBuffers) -> None:
-        """Fill in the body velocities, from what `fill_bodies` has filled in."""
-        planes.has_body_velocities = True
-        # The velocities of a root that is not free are no part of qvel.
-        qvel = planes.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]
-        self._body_velocities(
-            planes.qpos,
+    def fill_body_velocities(self, buffers: StateBuffers) -> None:
+        """Fill in the velocities of the bodies, after `fill_bodies`."""
+        buffers.has_body_velocities = True
+        # Only a free root has velocities in qvel.
+        qvel = buffers.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]
+        self._kinematics.velocities(
+            buffers.qpos,
             qvel,
-            planes.body_pos,
-            planes.body_rot,
-            planes.body_lin_vel,
-            planes.body_ang_vel,
+            buffers.body_pos,
+            buffers.body_rot,
+            buffers.body_lin_vel,
+            buffers.body_ang_vel,
         )
 
     def of_objects(self, qpos_rows: Doubles, qvel_rows: Doubles) -> tuple[Doubles, Doubles]:
         """Return the objects' parts (n, K, 7) and (n, K, 6) of qpos (n, nq) and qvel (n, nv).
 
-        They look into the same memory.
+        They share memory with the arguments.
         """
         layout = self._layout
         shape = (len(qpos_rows), len(layout.object_names))
@@ -223,3 +225,31 @@ class StateConverter:
         qpos[layout.num_qpos :] = self._objects_qpos0[:, None]
         qvel[layout.num_qvel :] = 0.0
         return qpos.T, qvel.T
+
+
+def fill_free_states(states: Floats, qpos: Floats | Doubles, qvel: Doubles) -> None:
+    """Compute states from the coordinates of free joints.
+
+    Args:
+        states: (13, ..., n), filled in.
+        qpos: (7, ..., n).
+        qvel: (6, ..., n).
+    """
+    states[:7] = qpos[_QPOS_ROWS]
+    states[7:] = qvel
+    rotations = unit_quats(states[3:7].copy())
+    states[10:] = rotate_components(rotations, states[10:])
+
+
+def free_joint_coordinates(states: Doubles) -> tuple[Doubles, Doubles]:
+    """Return qpos (7, ..., n) and qvel (6, ..., n) of states (13, ..., n).
+
+    Rotations of another than unit length do not scale the velocity.
+    """
+    qpos = np.empty((QPOS_SIZE, *states.shape[1:]))
+    qpos[_QPOS_ROWS] = states[:7]
+    qvel = states[7:].copy()
+    length = np.sqrt(np.square(states[3:7]).sum(axis=0))
+    x, y, z, w = states[3:7] / np.maximum(length, MIN_LENGTH)
+    qvel[3:] = rotate_components((-x, -y, -z, w), states[10:])
+    return qpos, qvel

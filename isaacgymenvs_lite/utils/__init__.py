@@ -1,1 +1,1 @@
-"""Helpers without state: rotations and the tensor arithmetic that tasks share."""
+"""Helpers that several packages share: rotations, files, threads, optional packages."""

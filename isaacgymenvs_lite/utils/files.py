@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files: they appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from isaacgymenvs_lite.errors import ConfigError
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a name beside `path` to write to; it becomes `path` at the end, or is removed.
+    """Yield a temporary path to write to; it is renamed to `path` at the end, or removed.
 
-    The content is on the disk before the name is, so that a crash leaves the old file or the new.
+    The content reaches the disk before the new name does, so that a crash leaves the old file or
+    the new one.
 
     Raises:
         OSError: the folder is missing, cannot be written or is full.
@@ -31,11 +32,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def written_for_user(path: Path, key: str) -> Iterator[Path]:
-    """Do as `atomic_write` in a folder that is made if need be.
+    """Write as `atomic_write` and create the folder if it does not exist.
 
     Args:
         path: the file.
-        key: setting that named it, for the message.
+        key: setting that gave the path, for the message.
 
     Raises:
         ConfigError: the folder cannot be made or written, or is full.

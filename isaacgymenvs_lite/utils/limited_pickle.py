@@ -1,7 +1,7 @@
-"""Reads the instructions of a stranger's pickle, few of them and none that can do harm.
+"""Base of the unpicklers of foreign files: it executes few instructions, none of them harmful.
 
-A pickle is a program. Which functions it may call is up to the reader that builds on this class;
-here it is kept from ending the process or taking its memory: the unpickler in C reserves memory for
+A pickle is a program. Subclasses decide which functions it may call; this class keeps it from
+ending the process or exhausting its memory: the unpickler in C reserves memory for
 the highest number that a file gives a value, and the hash of a tuple of tuples of tuples overflows
 the stack.
 """
@@ -13,8 +13,8 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-# What torch.save and numpy.save write, with protocols 2 to 4; of protocol 0 what it takes to read a
-# file up to the name that it asks for.
+# What torch.save and numpy.save write, with protocols 2 to 4; of protocol 0 those that are needed
+# to read a file up to the first name that it imports.
 _OPCODES = (
     *("PROTO", "FRAME", "STOP", "MARK", "POP", "POP_MARK"),
     *("GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "BINPERSID"),
@@ -31,11 +31,11 @@ _PythonUnpickler: Any = pickle._Unpickler  # type: ignore[attr-defined]
 
 
 class LimitedUnpickler(_PythonUnpickler):
-    """Python's unpickler, the one that is written in Python, with the instructions above.
+    """Python's unpickler (the implementation in Python) with the instructions above.
 
     Attributes:
-        key_types: of the keys of dictionaries; cheap to hash.
-        error: what is raised for a dictionary that no file of ours has.
+        key_types: allowed types of dictionary keys; cheap to hash.
+        error: raised for any other dictionary.
     """
 
     stack: list[Any]
@@ -49,11 +49,11 @@ class LimitedUnpickler(_PythonUnpickler):
 
     @abstractmethod
     def find_class(self, module: str, name: str) -> Any:
-        """Return what a name stands for; raise for all but those that a file needs."""
+        """Return the object of a name; raise for all names that a file does not need."""
 
     @abstractmethod
     def build(self, instance: Any, state: Any) -> None:
-        """Give an object its state; raise ValueError for one that has none."""
+        """Give an object its state; raise ValueError for one that takes none."""
 
     def load_build(self) -> None:
         """Give the newest object its state."""

@@ -1,4 +1,4 @@
-"""Packages that only an extra brings along, and the error for one that is missing."""
+"""Optional packages, which an extra installs, and the error for a missing one."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ EXTRAS = {
     "stable_baselines3": "sb3",
     "wandb": "wandb",
 }
-# Modules that are called otherwise where one installs them.
-_SPOKEN = {"PIL": "Pillow", "av": "av (PyAV)"}
+# Module -> name of the package, where they differ.
+_PACKAGE_NAMES = {"PIL": "Pillow", "av": "av (PyAV)"}
 
 
 def require(module: str, wanted_by: str, otherwise: str = "") -> None:
@@ -36,11 +36,12 @@ def require(module: str, wanted_by: str, otherwise: str = "") -> None:
         otherwise: what to do without it, for the message.
 
     Raises:
-        MissingPackageError: it is not; the message names the extra.
+        MissingPackageError: it is not installed; the message names the extra.
     """
     if importlib.util.find_spec(module) is None:
+        package = _PACKAGE_NAMES.get(module, module)
         message = (
-            f"{wanted_by} needs the package {_SPOKEN.get(module, module)}, which is not installed;"
+            f"{wanted_by} needs the package {package}, which is not installed;"
             f' pip install "isaacgymenvs-lite[{EXTRAS[module]}]"'
         )
         raise MissingPackageError(f"{message} or {otherwise}" if otherwise else message)

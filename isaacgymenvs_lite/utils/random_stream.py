@@ -1,4 +1,4 @@
-"""Random numbers of one environment, apart from those of everybody else in the process."""
+"""A random stream of one environment, independent of the rest of the process."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from torch import Tensor
 
 
 class RandomStream:
-    """Lends torch's CPU generator a state of its own. Use it in a `with` statement.
+    """Switches torch's CPU generator to a state of its own. Use it in a `with` statement.
 
-    Tasks draw from torch's generator, as the agent that acts in them does. An environment that
-    somebody seeds must not make the agent repeat its noise; until it is seeded it draws with all
-    others. Switching the state costs about a microsecond.
+    Tasks draw from torch's generator, and so does the agent that acts in them. Seeding an
+    environment must not make the agent repeat its noise. Without a seed the environment uses the
+    state of the process. Switching the state costs about a microsecond.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class RandomStream:
         self._others: Tensor | None = None
 
     def seed(self, seed: int) -> None:
-        """Begin a sequence of one's own."""
+        """Start a sequence of its own."""
         self._own = torch.Generator().manual_seed(seed).get_state()
 
     def __enter__(self) -> RandomStream:

@@ -1,8 +1,8 @@
 """Rotations as quaternions (x, y, z, w) and rotation vectors, batched over leading dimensions.
 
 The one place where Isaac's order (x, y, z, w) meets MuJoCo's (w, x, y, z). Function names and
-conventions are those of IsaacGymEnvs' `torch_jit_utils` and of the AMP code, so that task code
-reads the same. Quaternions are unit unless said; angles are in rad; every function accepts
+conventions follow IsaacGymEnvs' `torch_jit_utils` and the AMP code, so that task code reads the
+same. Quaternions are unit unless said; angles are in rad; every function accepts
 float32 or float64 tensors and returns the same dtype.
 
 Functions named `..._components` take and return one tensor (or numpy array) per component, for
@@ -57,7 +57,7 @@ def quat_mul(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_mul_components(a: Iterable[_Array], b: Iterable[_Array]) -> tuple[_Array, ...]:
-    """Return the four components of `quat_mul` from those of a and b."""
+    """Return the four components of `quat_mul` from the components of a and b."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -74,7 +74,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def cross_components(a: Iterable[_Array], b: Iterable[_Array]) -> tuple[_Array, ...]:
-    """Return the three components of `cross` from those of a and b."""
+    """Return the three components of `cross` from the components of a and b."""
     ax, ay, az = a
     bx, by, bz = b
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -102,7 +102,7 @@ def quat_apply(q: Tensor, v: Tensor) -> Tensor:
 
 
 def rotate_components(q: Iterable[_Array], v: Iterable[_Array]) -> tuple[_Array, ...]:
-    """Return the three components of `quat_apply` from those of q and v."""
+    """Return the three components of `quat_apply` from the components of q and v."""
     x, y, z, w = q
     vx, vy, vz = v
     tx, ty, tz = cross_components((x, y, z), (vx, vy, vz))
@@ -160,7 +160,7 @@ def quat_log(q: Tensor) -> Tensor:
     computes as the length of an actuator on a ball joint (`mju_quat2Vel`).
     """
     x, y, z, w = q.unbind(-1)
-    # Never zero, so that the limit of angle / sin_half at no rotation, 2, comes out by itself.
+    # Never zero, so that the limit of angle / sin_half at no rotation, 2, needs no special case.
     sin_half = torch.sqrt(x * x + y * y + z * z).clamp(min=1e-8)
     # atan2 with the sign of w moved to the numerator picks the rotation of at most pi.
     angle = 2.0 * torch.atan2(torch.copysign(sin_half, w), w.abs())
@@ -195,7 +195,7 @@ def exp_map_to_quat(exp_map: Tensor, keep_long: bool = False) -> Tensor:
 def exp_map_to_quat_components(
     exp_map: Iterable[Tensor], keep_long: bool = False
 ) -> tuple[Tensor, ...]:
-    """Return the four components of `exp_map_to_quat` from those of the rotation vectors."""
+    """Return the four components of `exp_map_to_quat` from the rotation vectors' components."""
     x, y, z = exp_map
     length = torch.sqrt(x * x + y * y + z * z)
     angle = length - 2.0 * math.pi * torch.round(length / (2.0 * math.pi))
@@ -218,7 +218,7 @@ def quat_to_tan_norm(q: Tensor) -> Tensor:
 
 
 def tan_norm_components(q: Iterable[_Array]) -> tuple[_Array, ...]:
-    """Return the six components of `quat_to_tan_norm` from those of q."""
+    """Return the six components of `quat_to_tan_norm` from the components of q."""
     x, y, z, w = q
     x2, z2, w2 = x + x, z + z, w + w
     scale = w2 * w - 1.0

@@ -1,11 +1,11 @@
-"""How many threads work where: the physics, the networks and the tensors between them take turns.
+"""Thread counts of the physics, the networks and the tensor operations between them.
 
-With `train.py` all three are given the same number, the key `num_threads`, and never work at the
-same time, so that no two of them fight for a CPU.
+With `train.py` all three get the same number, the key `num_threads`. They never run at the same
+time, so that they do not compete for CPUs.
 
-Other trainers compute with torch's own threads, which meet behind every operation. For few rows
-that costs more than it saves, and on a busy machine each meeting waits for a thread that the system
-has put aside. So torch is limited to fewer threads while a small task is open
+Other trainers compute with torch's own threads, which synchronise after every operation. For few
+rows that costs more than it saves, and on a busy machine each synchronisation waits for a thread
+that the system has suspended. So torch is limited to fewer threads while a small task is open
 (`limit_torch_threads`). docs/speed.md has the measurements.
 """
 
@@ -24,10 +24,10 @@ from isaacgymenvs_lite.utils.openmp import threads_spin
 
 log = logging.getLogger(__name__)
 
-# A second thread begins to pay from twice as much on, on a machine with nothing else to do.
+# On an idle machine a second thread saves time from twice as much on.
 _ENVS_PER_THREAD = 256
 _PRODUCTS_PER_THREAD = 20_000_000
-# A user's choice.
+# Environment variables by which users choose.
 _COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -45,7 +45,7 @@ def one_torch_thread() -> Iterator[None]:
     """Run torch's CPU operations on the calling thread only.
 
     A task's tensors are small: waking a second thread costs more than it saves (observations of
-    1,024 humanoids take half the time on one thread), and the physics threads want the CPUs.
+    1,024 humanoids take half the time on one thread), and the physics threads need the CPUs.
     """
     before = torch.get_num_threads()
     if before == 1:
@@ -59,9 +59,9 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def threads_for_envs(num_envs: int) -> int:
-    """Return the torch threads that a trainer of a task can use, known by its environments only.
+    """Return the torch threads that a trainer can use, judged by the number of environments.
 
-    A minibatch of PPO has some eight rows for each environment.
+    A minibatch of PPO has about eight rows for each environment.
     """
     return max(1, num_envs // _ENVS_PER_THREAD)
 
@@ -76,55 +76,57 @@ def threads_for_products(products: int) -> int:
 
 
 def limit_torch_threads(task: Any, most: int, num_threads: int = 0) -> None:
-    """Let torch compute on at most so many threads until `task` is closed.
+    """Limit torch's threads until `task` is closed.
 
-    The process has one such number. It is changed only here, with one line in the log, and put back
-    when the last task is closed. With several tasks open the highest limit counts. It is left alone
+    The process has one such number. It is changed only here, with one line in the log, and restored
+    when the last task is closed. With several tasks open the highest limit counts. Nothing is
+    changed
 
     - when OMP_NUM_THREADS or MKL_NUM_THREADS is set, unless `num_threads` is,
-    - when torch has another number than the one that it takes by itself, again unless it is, and
-    - for good, once somebody calls `torch.set_num_threads` while a task is open.
+    - when torch's number is not its default, unless `num_threads` is set, and
+    - after a call of `torch.set_num_threads` while a task is open.
 
     Args:
-        task: what the limit is for; a second call replaces the first one's limit.
+        task: owner of the limit; a second call replaces its limit.
         most: see `threads_for_envs` and `threads_for_products`.
-        num_threads: the key; unless 0 it counts instead of `most`.
+        num_threads: the key; unless 0 it replaces `most`.
     """
-    _limits.add(task, num_threads or most, is_chosen=num_threads > 0)
+    torch_threads.add(task, num_threads or most, is_chosen=num_threads > 0)
 
 
 def release_torch_threads(task: Any) -> None:
-    """Forget a task's limit; without one nothing happens."""
-    _limits.remove(id(task))
+    """Remove a task's limit, if it has one."""
+    torch_threads.remove(id(task))
 
 
 @contextmanager
 def trainer_sets_threads() -> Iterator[None]:
-    """Let nothing limit torch for tasks made inside: their trainer has a key of its own."""
-    _limits.held_off += 1
+    """Disable limits for tasks made inside: their trainer has a key of its own."""
+    torch_threads.held_off += 1
     try:
         yield
     finally:
-        _limits.held_off -= 1
+        torch_threads.held_off -= 1
 
 
-class _TorchThreads:
-    """Torch's number of threads and who limits it; there is one, as torch has one number.
+class TorchThreads:
+    """Torch's number of threads and its limits; one object, as torch has one number.
 
     Attributes:
-        limits: of each open task, by its id.
-        before: torch's number without them; None while there are none.
+        limits: limit of each open task, by its id.
+        before: torch's number without limits; None while there are none.
         given: the number that was set last.
-        held_off: how many trainers set the number themselves at present.
+        held_off: how many trainers currently set the number themselves.
     """
 
     def __init__(self) -> None:
         self.limits: dict[int, int] = {}
         self.before: int | None = None
         self.given = self.held_off = 0
-        self._has_told = False
+        self._has_warned = False
 
     def add(self, task: Any, most: int, is_chosen: bool = False) -> None:
+        """Set a task's limit; `is_chosen`: it overrides the user's other settings."""
         if self.held_off:
             return
         if not self.limits:
@@ -133,12 +135,13 @@ class _TorchThreads:
                 return
             self.before = self.given = number
         if id(task) not in self.limits:
-            # A task that nobody closes must not hold it for ever.
+            # A task that is never closed must not keep its limit for ever.
             weakref.finalize(task, self.remove, id(task)).atexit = False
         self.limits[id(task)] = most
         self._apply()
 
     def remove(self, key: int) -> None:
+        """Remove the limit of the task with this id, if there is one."""
         if self.limits.pop(key, None) is not None:
             self._apply()
 
@@ -147,20 +150,20 @@ class _TorchThreads:
         if before is None:
             return
         if torch.get_num_threads() != self.given:
-            self.before = None  # somebody else has decided
+            self.before = None  # set elsewhere: leave it
         else:
             self.given = min(before, max(self.limits.values(), default=before))
             torch.set_num_threads(self.given)
             if self.limits:
-                self._tell(before)
+                self._warn_once(before)
         if not self.limits:
             self.before = None
 
-    def _tell(self, before: int) -> None:
-        if self._has_told:
+    def _warn_once(self, before: int) -> None:
+        if self._has_warned:
             return
         if self.given < before:
-            self._has_told = True
+            self._has_warned = True
             log.warning(
                 "torch computes on %d thread(s), not %d, while this small task is open;"
                 " OMP_NUM_THREADS=n or torch.set_num_threads(n) after making it decides otherwise",
@@ -168,7 +171,7 @@ class _TorchThreads:
                 before,
             )
         elif before > 1 and threads_spin():
-            self._has_told = True
+            self._has_warned = True
             log.warning(
                 "torch was imported before isaacgymenvs_lite: its idle threads spin on the CPUs of"
                 " the physics; import isaacgymenvs_lite first, or set OMP_WAIT_POLICY=PASSIVE"
@@ -176,10 +179,10 @@ class _TorchThreads:
 
 
 def _is_chosen(number: int) -> bool:
-    """Whether a user has chosen torch's number of threads: torch takes one for each core."""
+    """Return whether a user has chosen torch's number of threads; its default is one per core."""
     cpus = thread_count()
-    by_itself = (cpus, max(1, cpus // 2))  # a core may be two CPUs
-    return number not in by_itself or any(name in os.environ for name in _COUNTS)
+    defaults = (cpus, max(1, cpus // 2))  # a core may be two CPUs
+    return number not in defaults or any(name in os.environ for name in _COUNTS)
 
 
-_limits = _TorchThreads()
+torch_threads = TorchThreads()

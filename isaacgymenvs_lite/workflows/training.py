@@ -22,7 +22,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose_task
-from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.run.stop_request import signals_as_ctrl_c

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.rendering.camera import TaskCamera
 from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 RENDER_MODE = "rgb_array"

@@ -14,26 +14,10 @@ from benchmarks import hierarchy
 from benchmarks.runs import Run
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run as train
+from tests.tiny import CONFIG, TINY_DISCRIMINATOR, TINY_PPO, TINY_STYLE
 
-CONFIG = "train.params.config"
-TINY = (
-    "task.env.motion_file=stand",
-    "num_envs=4",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=1",
-    "train.params.network.mlp.units=[16,8]",
-    f"{CONFIG}.mixed_precision=False",
-    f"{CONFIG}.horizon_length=4",
-    f"{CONFIG}.mini_epochs=1",
-)
-LOW_LEVEL = (
-    "train.params.network.style.units=[10,6]",
-    "train.params.network.disc.units=[12,6]",
-    f"{CONFIG}.amp_batch_size=16",
-    f"{CONFIG}.amp_obs_demo_buffer_size=16",
-    f"{CONFIG}.amp_replay_buffer_size=64",
-)
+TINY = ("task.env.motion_file=stand", *TINY_PPO, "max_iterations=1")
+LOW_LEVEL = (*TINY_STYLE, *TINY_DISCRIMINATOR)
 
 
 def train_run(folder: Path, name: str, *settings: str) -> Path:

@@ -18,30 +18,18 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.runner import run as train
-
-CONFIG = "train.params.config"
+from tests.tiny import CONFIG, TINY_AMP
 
 
 def train_run(folder: Path, clip: Path, units: str = "[16,8]") -> Run:
     """Make a training whose task is unlike the protocol's: short episodes from the default pose."""
     settings = [
-        "num_envs=4",
-        "num_threads=1",
-        "rl_device=cpu",
-        "max_iterations=2",
+        *TINY_AMP,
         "seed=5",
         f"task.env.motion_file={clip}",
         "task.env.episodeLength=4",
         "task.env.stateInit=Default",
         f"train.params.network.mlp.units={units}",
-        "train.params.network.disc.units=[16,8]",
-        f"{CONFIG}.mixed_precision=False",
-        f"{CONFIG}.horizon_length=4",
-        f"{CONFIG}.mini_epochs=1",
-        f"{CONFIG}.amp_batch_size=16",
-        f"{CONFIG}.amp_obs_demo_buffer_size=16",
-        f"{CONFIG}.amp_replay_buffer_size=64",
-        f"{CONFIG}.imitation_frequency=0",
     ]
     own = ["+full_experiment_name=walk_seed5", f"+{CONFIG}.train_dir={folder}"]
     train(compose([*settings, *own]))

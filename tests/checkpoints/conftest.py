@@ -10,29 +10,14 @@ import pytest
 from isaacgymenvs_lite.checkpoints import shipped
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run
+from tests.tiny import CONFIG, TINY_AMP
 
-_CONFIG = "train.params.config"
-TINY_TRAINING = (
-    "num_envs=4",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=2",
-    "train.params.network.mlp.units=[16,8]",
-    "train.params.network.disc.units=[12,6]",
-    f"{_CONFIG}.learning_rate=1e-3",
-    f"{_CONFIG}.mixed_precision=False",
-    f"{_CONFIG}.horizon_length=4",
-    f"{_CONFIG}.mini_epochs=1",
-    f"{_CONFIG}.amp_batch_size=16",
-    f"{_CONFIG}.amp_obs_demo_buffer_size=16",
-    f"{_CONFIG}.amp_replay_buffer_size=64",
-    f"{_CONFIG}.imitation_frequency=0",
-)
 _TINY = (
     "task=HumanoidAMP",
     "task.env.episodeLength=20",
     "task.env.localRootObs=True",  # not the default: a policy must find it as it was
-    *TINY_TRAINING,
+    *TINY_AMP,
+    f"{CONFIG}.learning_rate=1e-3",
 )
 
 

@@ -17,14 +17,15 @@ from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.learning.cpu import precision
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 from isaacgymenvs_lite.runner import run
-from tests.checkpoints.conftest import TINY_TRAINING
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE
 
 _TINY = (
     "task=HumanoidASE",
     "task.env.motion_file=stand",
-    "train.params.network.style.units=[10,6]",
-    "train.params.config.latent_dim=5",
-    *TINY_TRAINING,
+    *TINY_AMP,
+    *TINY_STYLE,
+    f"{CONFIG}.latent_dim=5",
+    f"{CONFIG}.learning_rate=1e-3",
 )
 
 
@@ -95,11 +96,8 @@ def test_a_high_level_is_packed_after_its_low_level(checkpoint, shipped_dir, tmp
     words = (
         "task=HumanoidHeading",
         "task.env.motion_file=stand",
-        f"train.params.config.llc_config={checkpoint.parents[1] / 'config.yaml'}",
-        "train.params.network.mlp.units=[16,8]",
-        "train.params.config.horizon_length=4",
-        "num_envs=4",
-        "num_threads=1",
+        *TINY_PPO,
+        f"{CONFIG}.llc_config={checkpoint.parents[1] / 'config.yaml'}",
     )
     low = f"train.params.config.llc_checkpoint={checkpoint}"
     run(compose([*words, low, "max_iterations=1"]))

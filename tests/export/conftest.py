@@ -14,8 +14,7 @@ from tests.learning.test_gen_amp import GEN_AMP
 from tests.learning.test_hrl import overrides as hierarchy
 from tests.learning.test_hrl import train_low_level
 from tests.learning.test_ppo_players import PPO
-from tests.learning.test_recurrent_ppo import LSTM
-from tests.learning.test_sac import SMALL as SAC
+from tests.tiny import TINY_LSTM, TINY_PPO, TINY_SAC
 
 make_runner = learning.make_runner
 make_agent = learning.make_agent
@@ -23,11 +22,11 @@ make_classic_runner = learning.make_classic_runner
 
 _RNN = "train.params.network.rnn"
 CLASSIC = {
-    "ppo": ("task=Cartpole", "num_envs=8", "train.params.network.mlp.units=[16,8]"),
-    "lstm": LSTM,
-    "lstm_apart": (*LSTM, "train.params.network.separate=True"),
-    "gru": (*LSTM, f"{_RNN}.name=gru"),
-    "sac": SAC,
+    "ppo": ("task=Cartpole", *TINY_PPO),
+    "lstm": TINY_LSTM,
+    "lstm_apart": (*TINY_LSTM, "train.params.network.separate=True"),
+    "gru": (*TINY_LSTM, f"{_RNN}.name=gru"),
+    "sac": TINY_SAC,
 }
 HUMANOID = {"amp": (), "ppo_unclipped": (*PPO, "+train.params.config.clip_actions=False")}
 KINDS = [*CLASSIC, *HUMANOID, "gen_amp", "hrl"]

@@ -25,18 +25,16 @@ from isaacgymenvs_lite.export.configuration import configuration_of
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
 from isaacgymenvs_lite.export.session import ExportSession, ExportSettings, export_policy
 from isaacgymenvs_lite.runner import Session, run
+from tests.tiny import CONFIG, TINY_PPO
 
 CARTPOLE = (
     "task=Cartpole",
+    *TINY_PPO,
     "num_envs=16",
-    "num_threads=1",
-    "rl_device=cpu",
     "max_iterations=3",
     "task.env.maxEffort=100",  # not the default: a policy must find it as it was
-    "train.params.network.mlp.units=[16]",
-    "train.params.config.minibatch_size=128",
-    "train.params.config.horizon_length=8",
-    "train.params.config.normalize_input=True",
+    f"{CONFIG}.horizon_length=8",
+    f"{CONFIG}.normalize_input=True",
 )
 
 
@@ -178,7 +176,7 @@ def test_settings_of_the_run_and_what_was_typed(checkpoint, project, monkeypatch
     assert (cfg.task.name, cfg.task.env.maxEffort, cfg.test) == ("Cartpole", 100, True)
     cfg = configuration_of("last", ["task=Cartpole", "task.env.maxEffort=50"], "runs")
     assert (cfg.task.env.maxEffort, cfg.checkpoint) == (50, str(checkpoint))
-    assert cfg.train.params.network.mlp.units == [16]
+    assert cfg.train.params.network.mlp.units == [16, 8]
     # a train file of one's own stands for all settings
     cfg = configuration_of(str(checkpoint), ["task=Cartpole", "train=CartpolePPO"], "runs")
     assert cfg.task.env.maxEffort == 400

@@ -18,24 +18,18 @@ from isaacgymenvs_lite.learning.amp_config import GenAMPParams
 from isaacgymenvs_lite.learning.hrl_config import HRLParams
 from isaacgymenvs_lite.registration import build_runner, register_env
 from isaacgymenvs_lite.schema import keys_of
+from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP
 
 _TINY = (
     "task=HumanoidAMP",
-    "num_threads=1",
-    "rl_device=cpu",
-    "max_iterations=2",
-    "train.params.network.mlp.units=[16,8]",
+    *TINY_AMP,
     "train.params.network.disc.units=[16,8]",
-    "train.params.config.mixed_precision=False",
-    "train.params.config.horizon_length=4",
-    "train.params.config.minibatch_size=16",
-    "train.params.config.mini_epochs=2",
-    "train.params.config.learning_rate=5e-5",
-    "train.params.config.disc_grad_penalty=5",
-    "train.params.config.amp_minibatch_size=8",
-    "train.params.config.amp_batch_size=16",
-    "train.params.config.amp_obs_demo_buffer_size=40",
-    "train.params.config.amp_replay_buffer_size=64",
+    f"{CONFIG}.minibatch_size=16",
+    f"{CONFIG}.mini_epochs=2",
+    f"{CONFIG}.learning_rate=5e-5",
+    f"{CONFIG}.disc_grad_penalty=5",
+    f"{CONFIG}.amp_minibatch_size=8",
+    f"{CONFIG}.amp_obs_demo_buffer_size=40",
 )
 
 
@@ -78,7 +72,7 @@ def make_classic_runner(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     tasks = []
 
     def make(*overrides: str) -> Any:
-        cfg = compose(["num_threads=1", "rl_device=cpu", *overrides])
+        cfg = compose([*ONE_THREAD, *overrides])
         torch.manual_seed(0)
         task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
         tasks.append(task)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
 from isaacgymenvs_lite.registration import build_runner, register_env
-from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 CART = """

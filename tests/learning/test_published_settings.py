@@ -7,11 +7,9 @@ from typing import Any
 
 import pytest
 
-CONFIG = "train.params.config"
-TINY = (
-    *("task=Cartpole", "num_envs=16", "max_iterations=4", f"{CONFIG}.mini_epochs=2"),
-    "train.params.network.mlp.units=[16]",
-)
+from tests.tiny import CONFIG, TINY_PPO
+
+TINY = ("task=Cartpole", *TINY_PPO, "num_envs=16", "max_iterations=4", f"{CONFIG}.mini_epochs=2")
 START = 3e-4
 
 

@@ -8,13 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-LSTM = (
-    *("task=Cartpole", "train=AnymalTerrainPPO_LSTM", "num_envs=16", "max_iterations=2"),
-    "train.params.network.rnn.units=8",
-    "train.params.network.mlp.units=[16]",
-    "train.params.config.mini_epochs=2",
-    "train.params.config.mixed_precision=False",
-)
+from tests.tiny import TINY_LSTM
+
 _MLP = "{units: [16], activation: elu, initializer: {name: default}, regularizer: {name: None}}"
 _RNN = "{name: lstm, units: 8, layers: 1, before_mlp: False, concat_input: True, layer_norm: True}"
 _CRITIC = (
@@ -35,7 +30,7 @@ def weights(module: torch.nn.Module) -> list[torch.Tensor]:
 
 
 def test_a_recurrent_policy_learns(make_classic_agent: Callable[..., Any]) -> None:
-    agent = make_classic_agent(*LSTM)
+    agent = make_classic_agent(*TINY_LSTM)
     assert agent.is_rnn
     before = weights(agent.model.a2c_network)
     agent.train()
@@ -45,7 +40,7 @@ def test_a_recurrent_policy_learns(make_classic_agent: Callable[..., Any]) -> No
 
 
 def test_it_remembers_until_an_episode_ends(make_classic_runner: Callable[..., Any]) -> None:
-    player = make_classic_runner(*LSTM).create_player()
+    player = make_classic_runner(*TINY_LSTM).create_player()
     obs = {"obs": torch.ones(16, 4)}
     first, second = player.act(obs), player.act(obs)
     assert (first != second).any()
@@ -59,7 +54,7 @@ def test_it_remembers_until_an_episode_ends(make_classic_runner: Callable[..., A
 
 @pytest.mark.parametrize("rnn", ["", _RNN])
 def test_an_asymmetric_critic_learns(make_classic_agent: Callable[..., Any], rnn: str) -> None:
-    agent = make_classic_agent(*LSTM, *asymmetric(rnn))
+    agent = make_classic_agent(*TINY_LSTM, *asymmetric(rnn))
     assert agent.has_central_value
     before = weights(agent.central_value_net.model)
     agent.train()
@@ -70,7 +65,7 @@ def test_an_asymmetric_critic_learns(make_classic_agent: Callable[..., Any], rnn
 
 
 def test_bfloat16_keeps_the_memory_in_float32(make_classic_agent: Callable[..., Any]) -> None:
-    agent = make_classic_agent(*LSTM, "train.params.config.mixed_precision=True")
+    agent = make_classic_agent(*TINY_LSTM, "train.params.config.mixed_precision=True")
     agent.train()
     assert all(state.dtype == torch.float32 for state in agent.rnn_states)
     assert all(parameter.isfinite().all() for parameter in agent.model.parameters())

@@ -15,23 +15,22 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.errors import CheckpointError
 from tests.learning.test_gen_amp import GEN_AMP
 from tests.learning.test_hrl import llc, overrides  # noqa: F401  a fixture
-from tests.learning.test_recurrent_ppo import LSTM, asymmetric
-from tests.learning.test_sac import SMALL as SAC
+from tests.learning.test_recurrent_ppo import asymmetric
+from tests.tiny import CONFIG, TINY_LSTM, TINY_SAC
 
-CONFIG = "train.params.config"
 PPO = (
     *("task=Cartpole", "num_envs=8", "train.params.network.mlp.units=[8]"),
     *(f"{CONFIG}.minibatch_size=32", f"{CONFIG}.horizon_length=8", f"{CONFIG}.mini_epochs=1"),
 )
 CLASSIC: dict[str, tuple[str, ...]] = {
     "ppo": PPO,
-    "lstm": LSTM,
+    "lstm": TINY_LSTM,
     "asymmetric": (
         *("task=Cartpole", "num_envs=16", "train.params.network.mlp.units=[8]"),
         *(f"{CONFIG}.minibatch_size=96", f"{CONFIG}.horizon_length=6"),
         *asymmetric(),
     ),
-    "sac": (*SAC, f"{CONFIG}.num_warmup_steps=0", "task.env.episodeLength=20"),
+    "sac": (*TINY_SAC, f"{CONFIG}.num_warmup_steps=0", "task.env.episodeLength=20"),
 }
 KINDS = (*CLASSIC, "amp", "gen_amp", "hrl")
 

@@ -10,32 +10,24 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
-
-SMALL = (
-    *("task=AntSAC", "train=AntSAC", "num_envs=8"),
-    "train.params.config.batch_size=64",
-    "train.params.config.num_warmup_steps=2",
-    "train.params.config.replay_buffer_size=2000",
-    "train.params.config.mixed_precision=False",
-    "train.params.network.mlp.units=[32,32]",
-)
+from tests.tiny import TINY_SAC
 
 
 @pytest.fixture
 def trained(make_classic_agent: Callable[..., Any]) -> Any:
-    agent = make_classic_agent(*SMALL, "max_iterations=6")
+    agent = make_classic_agent(*TINY_SAC, "max_iterations=6")
     agent.train()
     return agent
 
 
 def test_it_learns_only_after_the_warm_up(make_classic_agent) -> None:
     agent = make_classic_agent(
-        *SMALL, "max_iterations=1", "train.params.config.num_warmup_steps=1000"
+        *TINY_SAC, "max_iterations=1", "train.params.config.num_warmup_steps=1000"
     )
     before = [parameter.clone() for parameter in agent.model.parameters()]
     agent.train()
     assert all(map(torch.equal, before, agent.model.parameters()))
-    agent = make_classic_agent(*SMALL, "max_iterations=6")
+    agent = make_classic_agent(*TINY_SAC, "max_iterations=6")
     before = [parameter.clone() for parameter in agent.model.sac_network.actor.parameters()]
     agent.train()
     after = list(agent.model.sac_network.actor.parameters())
@@ -44,8 +36,8 @@ def test_it_learns_only_after_the_warm_up(make_classic_agent) -> None:
 
 
 def test_hidden_layers_in_bfloat16_give_nearly_the_same_in_float32(make_classic_agent) -> None:
-    agent = make_classic_agent(*SMALL, "train.params.config.mixed_precision=True")
-    plain = make_classic_agent(*SMALL)
+    agent = make_classic_agent(*TINY_SAC, "train.params.config.mixed_precision=True")
+    plain = make_classic_agent(*TINY_SAC)
     plain.model.load_state_dict(agent.model.state_dict())
     torch.manual_seed(1)
     obs, actions = 3.0 * torch.randn(200, 60), torch.rand(200, 8)
@@ -68,7 +60,7 @@ def test_hidden_layers_in_bfloat16_give_nearly_the_same_in_float32(make_classic_
 
 def test_it_trains_in_bfloat16(make_classic_agent) -> None:
     agent = make_classic_agent(
-        *SMALL, "max_iterations=6", "train.params.config.mixed_precision=True"
+        *TINY_SAC, "max_iterations=6", "train.params.config.mixed_precision=True"
     )
     before = [parameter.clone() for parameter in agent.model.parameters()]
     agent.train()
@@ -80,7 +72,7 @@ def test_it_trains_in_bfloat16(make_classic_agent) -> None:
 def test_the_first_batch_may_come_in_the_middle_of_an_epoch(make_classic_agent) -> None:
     # After ten steps of 7 environments, in the second epoch: seven updates are left in it.
     agent = make_classic_agent(
-        *(*SMALL, "num_envs=7", "max_iterations=6", "train.params.config.batch_size=70"),
+        *(*TINY_SAC, "num_envs=7", "max_iterations=6", "train.params.config.batch_size=70"),
         "train.params.config.num_warmup_steps=1",
     )
     noted: list[tuple[Any, ...]] = []
@@ -98,7 +90,7 @@ def test_the_first_batch_may_come_in_the_middle_of_an_epoch(make_classic_agent) 
 def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_path: Path) -> None:
     trained.save(str(tmp_path / "saved"))
     assert trained.alpha.item() != 1.0
-    resumed = make_classic_agent(*SMALL, "max_iterations=8")
+    resumed = make_classic_agent(*TINY_SAC, "max_iterations=8")
     resumed.restore(str(tmp_path / "saved.pth"))
     assert resumed.alpha.item() == pytest.approx(trained.alpha.item())
     assert resumed.epoch_num == trained.epoch_num
@@ -117,7 +109,9 @@ def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_pat
 def test_what_is_saved_is_what_plays(trained, make_classic_runner, tmp_path: Path) -> None:
     trained.save(str(tmp_path / "saved"))
     load_checkpoint(tmp_path / "saved.pth")  # without running code
-    player = make_classic_runner(*SMALL, "+train.params.config.player.games_num=8").create_player()
+    player = make_classic_runner(
+        *TINY_SAC, "+train.params.config.player.games_num=8"
+    ).create_player()
     player.restore(str(tmp_path / "saved.pth"))
     obs = {"obs": torch.randn(8, 60)}
     trained.set_eval()

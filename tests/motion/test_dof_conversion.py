@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations, rotations_from_dofs
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, rotations_from_dofs
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 

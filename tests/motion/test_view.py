@@ -11,8 +11,8 @@ from isaacgymenvs_lite.motion import view
 
 @pytest.mark.usefixtures("gl")
 def test_a_clip_becomes_a_video_without_a_display(walk_clip, tmp_path, monkeypatch):
-    monkeypatch.setattr(view, "_WIDTH", 120)
-    monkeypatch.setattr(view, "_HEIGHT", 120)
+    monkeypatch.setattr(view, "WIDTH", 120)
+    monkeypatch.setattr(view, "HEIGHT", 120)
     out = tmp_path / "walk.mp4"
     assert view.main([str(walk_clip), f"out={out}", "seconds=2"]) == 0
     with av.open(str(out)) as container:

@@ -61,7 +61,7 @@ def unchosen(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl_module.platform, "system", lambda: "Linux")
     # not the modules that other tests draw with
-    monkeypatch.setattr(gl_module, "_GL_MODULES", ())
+    monkeypatch.setattr(gl_module, "GL_MODULES", ())
     return monkeypatch
 
 
@@ -75,7 +75,7 @@ def test_osmesa_comes_after_egl(unchosen):
             raise ImportError("no EGL device")
 
     unchosen.setenv("PYOPENGL_PLATFORM", "")
-    unchosen.setattr(gl_module, "_try_backend", attempt)
+    unchosen.setattr(gl_module, "try_backend", attempt)
     assert ensure_gl.__wrapped__() == "osmesa"
     assert tried == ["egl", "osmesa"]
 
@@ -86,7 +86,7 @@ def test_a_failure_leaves_the_environment_as_it_was(unchosen):
         raise AttributeError("'NoneType' object\nhas no attribute")
 
     unchosen.delenv("PYOPENGL_PLATFORM", raising=False)
-    unchosen.setattr(gl_module, "_try_backend", attempt)
+    unchosen.setattr(gl_module, "try_backend", attempt)
     with pytest.raises(RenderingError, match="apt-get install") as caught:
         ensure_gl.__wrapped__()
     assert "\n" not in str(caught.value)

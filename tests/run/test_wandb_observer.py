@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 import isaacgymenvs_lite
 from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.run.wandb_observer import WandbObserver, log_video
+from tests.tiny import CONFIG, ONE_THREAD, TINY_SAC
 
 
 class FakeWandb(types.ModuleType):
@@ -115,14 +116,8 @@ def test_a_video_goes_to_the_run(monkeypatch, tmp_path, caplog):
 # --- with the real library, without a network ---------------------------------------------------
 
 TINY = {
-    "Cartpole": ("train.params.config.minibatch_size=64", "train.params.config.horizon_length=8"),
-    "AntSAC": (
-        "train=AntSAC",
-        "train.params.config.batch_size=16",
-        "train.params.config.num_warmup_steps=2",
-        "train.params.config.replay_buffer_size=500",
-        "train.params.network.mlp.units=[8,8]",
-    ),
+    "Cartpole": (f"{CONFIG}.minibatch_size=64", f"{CONFIG}.horizon_length=8"),
+    "AntSAC": TINY_SAC,
 }
 SCALARS = {
     "Cartpole": {"rewards/step", "info/last_lr", "info/fall_rate", "losses/a_loss"},
@@ -154,7 +149,7 @@ def test_an_offline_run_has_the_scalars_of_the_training(task, tmp_path, monkeypa
     from wandb.proto import wandb_internal_pb2
 
     train = Path(isaacgymenvs_lite.__file__).parents[1] / "train.py"
-    words = ["num_envs=8", "max_iterations=4", "num_threads=1", "rl_device=cpu", *TINY[task]]
+    words = ["num_envs=8", "max_iterations=4", *ONE_THREAD, *TINY[task]]
     keys = ["wandb_activate=True", "wandb_tags=[a,b]", "wandb_group=g", "wandb_project=p"]
     result = subprocess.run(
         [sys.executable, str(train), f"task={task}", *words, *keys, "wandb_name=mine"],

@@ -74,8 +74,7 @@ def test_forces_are_those_of_the_last_physics_step(
     simulation.write_state(torch.tensor([0]), root, dof_pos, zeros)
     targets = 2.0 * dof_pos.flip(-1)
     simulation.set_controls(targets)
-    assert simulation._batch is not None
-    data = simulation._batch.get_data(0)
+    data = simulation.batch.get_data(0)
     self_touched = 0
     for _ in range(30):
         simulation.step()

@@ -82,8 +82,8 @@ def test_broken_positions_too(pair) -> None:
 
 def test_nan_written_straight_into_the_batch(pair) -> None:
     simulation, _ = pair
-    simulation._batch.bind("qvel")[0, 3] = np.nan
-    simulation._batch.bind("qpos")[1, 9] = np.inf
+    simulation.batch.bind("qvel")[0, 3] = np.nan
+    simulation.batch.bind("qpos")[1, 9] = np.inf
     simulation.step()
     assert simulation.failed.tolist() == [True, True, False, False]
     assert simulation.num_failures == 2
@@ -125,7 +125,8 @@ class _Raising:
 
 def test_an_error_that_mujoco_raises_is_treated_like_a_divergence(pair, monkeypatch) -> None:
     simulation, sound = pair
-    monkeypatch.setattr(simulation, "_batch", _Raising(simulation._batch, [1, 3]))
+    raising = {simulation: _Raising(simulation.batch, [1, 3]), sound: sound.batch}
+    monkeypatch.setattr(CpuBatchSimulation, "batch", property(lambda self: raising[self]))
     for each in pair:
         each.step()
     assert simulation.failed.tolist() == [False, True, False, True]

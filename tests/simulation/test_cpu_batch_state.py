@@ -38,8 +38,7 @@ ATOL = 5e-6
 
 def _oracle(simulation: CpuBatchSimulation, env: int) -> mujoco.MjData:
     """MuJoCo's own data of an environment, with all fields of its present state."""
-    assert simulation._batch is not None
-    data = simulation._batch.get_data(env)
+    data = simulation.batch.get_data(env)
     mujoco.mj_forward(simulation.model, data)
     return data
 
@@ -181,10 +180,9 @@ def test_writing_to_nobody_does_nothing(make_simulation, humanoid_model) -> None
 def _bytes(simulation: CpuBatchSimulation, envs: list[int] | None = None) -> dict[str, bytes]:
     """The bytes of all state tensors and of the integration state of some environments."""
     rows = list(range(simulation.num_envs)) if envs is None else envs
-    assert simulation._batch is not None
     found = {name: getattr(simulation, name)[rows].numpy().tobytes() for name in STATE_TENSORS}
     # qpos, qvel, controls, warm start: all that the future depends on
-    found["integration state"] = np.asarray(simulation._batch.state)[rows].tobytes()
+    found["integration state"] = np.asarray(simulation.batch.state)[rows].tobytes()
     return found
 
 

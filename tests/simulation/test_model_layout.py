@@ -132,11 +132,11 @@ ARM = '<body name="arm"><joint/><geom size="0.1"/></body>'
 @pytest.mark.parametrize(
     ("bodies", "message"),
     [
-        (ARM + BOX % "" + ARM.replace("arm", "leg"), "'box' stands before body 'leg'.*to the end"),
-        (ARM + BOX % "" + '<body name="wall"/>', "'box' stands before body 'wall'"),
+        (ARM + BOX % "" + ARM.replace("arm", "leg"), "'box' comes before body 'leg'.*to the end"),
+        (ARM + BOX % "" + '<body name="wall"/>', "'box' comes before body 'wall'"),
         (
             ARM + BOX % "" + BOX.replace("box", "lid") % "" + '<body name="wall"/>',
-            "'box' stands before body 'wall'",
+            "'box' comes before body 'wall'",
         ),
         (ARM + BOX % ARM.replace("arm", "lid"), "'box' has a free joint and a child, 'lid'"),
         (

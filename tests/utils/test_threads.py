@@ -66,7 +66,7 @@ def four_cpus(monkeypatch):
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(threads, "thread_count", lambda num_threads=0: num_threads or 4)
-    monkeypatch.setattr(threads, "_limits", threads._TorchThreads())
+    monkeypatch.setattr(threads, "torch_threads", threads.TorchThreads())
     before = torch.get_num_threads()
     torch.set_num_threads(4)
     yield

@@ -13,6 +13,7 @@ import pytest
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.viewers import video_writer
+from tests.tiny import ONE_THREAD
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def make_env() -> Iterator[Callable[..., Any]]:
 
     def make(*overrides: str) -> Any:
         seed_everything(0)
-        cfg = compose(["num_threads=1", "rl_device=cpu", *overrides])
+        cfg = compose([*ONE_THREAD, *overrides])
         env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
         envs.append(env)
         return env

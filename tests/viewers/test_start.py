@@ -15,28 +15,14 @@ from isaacgymenvs_lite.rendering.gl import RenderingError
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.viewers import start
 from isaacgymenvs_lite.viewers.video_capture import make_video_folder
+from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_SAC
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
-CONFIG = "train.params.config"
 VIDEOS = ("capture_video=True", "capture_video_freq=20", "capture_video_len=6")
-SIZE = ("num_envs=4", "num_threads=1", "rl_device=cpu", "+train.params.torch_threads=1")
-AMP = (
-    *("task=HumanoidAMP", "max_iterations=2"),
-    *("train.params.network.mlp.units=[16,8]", "train.params.network.disc.units=[16,8]"),
-    *(f"{CONFIG}.mixed_precision=False", f"{CONFIG}.horizon_length=4", f"{CONFIG}.mini_epochs=1"),
-    *(f"{CONFIG}.amp_batch_size=16", f"{CONFIG}.amp_obs_demo_buffer_size=16"),
-    *(f"{CONFIG}.amp_replay_buffer_size=64", f"{CONFIG}.imitation_frequency=0"),
-)
+SIZE = ("num_envs=4", *ONE_THREAD, "+train.params.torch_threads=1")
+AMP = ("task=HumanoidAMP", *TINY_AMP)
 PPO = ("task=Cartpole", "max_iterations=2", f"{CONFIG}.horizon_length=4")
-SAC = (
-    *("task=AntSAC", "train=AntSAC", "num_envs=8", "max_iterations=6"),
-    *(
-        f"{CONFIG}.batch_size=64",
-        f"{CONFIG}.num_warmup_steps=2",
-        f"{CONFIG}.replay_buffer_size=2000",
-    ),
-    "train.params.network.mlp.units=[32,32]",
-)
+SAC = (*TINY_SAC, "max_iterations=6")
 HRL = (
     *("task=HumanoidASE", "train=HumanoidASEHRLPPO", "max_iterations=1"),
     *(f"{CONFIG}.horizon_length=2", f"{CONFIG}.mini_epochs=1"),

@@ -14,9 +14,9 @@ import torch
 
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.mirror import mirror_rotations
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 

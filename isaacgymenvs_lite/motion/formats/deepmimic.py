@@ -1,11 +1,11 @@
-"""Reads clips in DeepMimic's text format (JSON).
+"""Reads and writes clips in DeepMimic's text format (JSON).
 
 A clip is {"Loop": "wrap" or "none", "Frames": rows of 44 numbers}: duration (s), root position,
-root rotation, and the rotations of 12 joints whose tree is that of our humanoid. Its axes are x
+root rotation, and the rotations of 12 joints in the tree of our humanoid. Its axes are x
 forward, y up, z to the right; ours are x forward, y to the left, z up.
 
-A "wrap" clip is meant to be continued by its own first frame, displaced and turned by one cycle.
-Here it is a plain clip that ends with its last frame.
+A "wrap" clip is meant to repeat, each cycle displaced and turned by the one before. Here it is a
+plain clip that ends with its last frame.
 
 The format moves no hands: they keep their zero pose, in which a sword is at a right angle to the
 forearm. Sword and shield are not kept above the ground.
@@ -13,18 +13,19 @@ forearm. Sword and shield are not kept above the ground.
 
 from __future__ import annotations
 
+import json
 import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.reading import read_json
+from isaacgymenvs_lite.motion.formats.files import read_json, written_clip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
@@ -50,7 +51,8 @@ _DURATION_TOLERANCE = 1e-3
 # Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
 _LENGTH_TOLERANCE = 0.5
 # A lift of less is rounding.
-_TOLD_LIFT_M = 5e-4
+_LOGGED_LIFT_M = 5e-4
+_DECIMALS = 9  # written: nanometres and nanoradians
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
@@ -105,7 +107,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     )
 
 
-def _rows(data: dict[str, Any], name: str) -> npt.NDArray[np.float64]:
+def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
     try:
         rows = np.array(data.get("Frames"), dtype=np.float64)
@@ -133,16 +135,16 @@ def _check_joints(skeleton: Skeleton, name: str) -> None:
     missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
     if missing:
         raise MotionFileError(
-            f"{name}: a DeepMimic clip moves bodies that this humanoid has not: {missing}"
+            f"{name}: a DeepMimic clip moves bodies that this humanoid lacks: {missing}"
         )
 
 
-def _vector(xyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _vector(xyz: FloatArray) -> FloatArray:
     """Turn vectors (..., 3) from y up to z up: (x, y, z) -> (x, -z, y)."""
     return np.stack((xyz[..., 0], -xyz[..., 2], xyz[..., 1]), axis=-1)
 
 
-def _quaternion(wxyz: npt.NDArray[np.float64], body: str, name: str) -> npt.NDArray[np.float64]:
+def _quaternion(wxyz: FloatArray, body: str, name: str) -> FloatArray:
     """Turn quaternions (T, 4) w x y z, y up, into unit quaternions x y z w, z up."""
     length = np.linalg.norm(wxyz, axis=-1, keepdims=True)
     deviation = float(np.abs(length - 1.0).max())
@@ -156,11 +158,11 @@ def _quaternion(wxyz: npt.NDArray[np.float64], body: str, name: str) -> npt.NDAr
 
 
 def _equal_durations(
-    durations: npt.NDArray[np.float64],
-    local: npt.NDArray[np.float64],
-    root: npt.NDArray[np.float64],
+    durations: FloatArray,
+    local: FloatArray,
+    root: FloatArray,
     name: str,
-) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+) -> tuple[float, FloatArray, FloatArray]:
     """Return fps, rotations and root positions in frames of equal duration, same first and last.
 
     Args:
@@ -187,10 +189,10 @@ def _equal_durations(
 
 def _lifted(
     skeleton: Skeleton,
-    local: npt.NDArray[np.float64],
-    root: npt.NDArray[np.float64],
+    local: FloatArray,
+    root: FloatArray,
     name: str,
-) -> npt.NDArray[np.float64]:
+) -> FloatArray:
     """Return the root positions (T, 3) m, raised so that no corner of a foot is below z = 0."""
     if not skeleton.foot_body_ids:
         return root
@@ -202,6 +204,53 @@ def _lifted(
     )
     if lowest_m >= 0.0:
         return root
-    if lowest_m < -_TOLD_LIFT_M:
+    if lowest_m < -_LOGGED_LIFT_M:
         _log.info("%s: lifted by %.3f m, its feet went below the ground", name, -lowest_m)
     return root - np.array([0.0, 0.0, lowest_m])
+
+
+def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
+    """Write a clip of the humanoid, with `Loop` "none"; returns the path.
+
+    The format has no hands, sword and shield, velocities and limb lengths.
+
+    Raises:
+        MotionFileError: the clip is not valid or lacks joints of DeepMimic's, or the file cannot be
+            written.
+    """
+    clip.validate()
+    path = Path(path)
+    text = json.dumps({"Loop": "none", "Frames": _rows_of_clip(clip).round(_DECIMALS).tolist()})
+    with written_clip(path) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def _rows_of_clip(clip: MotionClip) -> FloatArray:
+    """Return the frames (T, 44)."""
+    missing = [body for body in MOVED_BODIES if body not in clip.body_names]
+    if missing:
+        raise MotionFileError(f"{clip.name}: has no {', '.join(missing)}, which DeepMimic moves")
+    rows = np.zeros((clip.num_frames, NUM_COLUMNS))
+    rows[:-1, DURATION] = 1.0 / clip.fps  # nothing comes after the last frame: 0 s
+    rows[:, ROOT_POSITION] = _vector_y_up(np.asarray(clip.root_translation, dtype=np.float64))
+    turns = np.asarray(clip.local_rotation, dtype=np.float64)
+    rows[:, ROOT_ROTATION] = _quaternion_y_up(turns[:, 0])
+    for body, column in BALL_COLUMNS.items():
+        rows[:, column : column + 4] = _quaternion_y_up(turns[:, clip.body_names.index(body)])
+    for body, column in HINGE_COLUMNS.items():
+        turn = torch.from_numpy(turns[:, clip.body_names.index(body)])
+        # DeepMimic's hinge turns about our -y.
+        rows[:, column] = -rotations.quat_log(turn)[:, 1].numpy()
+    return rows
+
+
+def _vector_y_up(xyz: FloatArray) -> FloatArray:
+    """Turn vectors (T, 3) from z up to y up: (x, y, z) -> (x, z, -y)."""
+    return np.stack((xyz[:, 0], xyz[:, 2], -xyz[:, 1]), axis=-1)
+
+
+def _quaternion_y_up(xyzw: FloatArray) -> FloatArray:
+    """Turn quaternions (T, 4) x y z w, z up, into w x y z, y up."""
+    turned = np.concatenate((_vector_y_up(xyzw[:, :3]), xyzw[:, 3:]), axis=-1)
+    return rotations.wxyz_from_xyzw(torch.from_numpy(turned)).numpy()

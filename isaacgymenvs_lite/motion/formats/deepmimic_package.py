@@ -39,7 +39,7 @@ _KINDS = {
     "dance": ("humanoid3d_dance_a", "humanoid3d_dance_b"),
 }
 _KIND_OF = {clip: kind for kind, clips in _KINDS.items() for clip in clips}
-# The gaits that can be gone on with at a steady speed on two feet: jump starts and ends standing.
+# The gaits with a steady speed on two feet: jump starts and ends at rest.
 _LOCOMOTION = ("walk", "turn", "run")
 _LOCOMOTION_SET, _ALL_SET = "locomotion", "all"
 
@@ -64,12 +64,12 @@ def is_package_name(motion_file: str | Path) -> bool:
 
 
 def find_in_package(motion_file: str) -> list[PackageClip]:
-    """Return the clip, or the clips of the data set, that `deepmimic:<name>` stands for.
+    """Return the clip, or the clips of the data set, with the name `deepmimic:<name>`.
 
     `walk` is short for `humanoid3d_walk`; the clips of the folder walker are `walker/turn_left0`.
     The data set `locomotion` holds walking, turning and running, `all` every clip. In a data set
     all kinds of movement have the same weight, and the clips of a kind share it: neither long
-    clips nor kinds with many clips outweigh the others. A clip of no known kind is its own.
+    clips nor kinds with many clips outweigh the others. A clip of unknown kind is its own kind.
 
     Raises:
         MotionFileError: the package is not installed, or has no such clip or data set.
@@ -84,7 +84,7 @@ def find_in_package(motion_file: str) -> list[PackageClip]:
         if missing:
             raise MotionFileError(
                 f"'{motion_file}': the installed {_PACKAGE} lacks {', '.join(missing)}; "
-                "that of pybullet 3.2.7 has all clips"
+                "pybullet 3.2.7 has all clips"
             )
         return _data_set(paths, gaits)
     for full_name in (name, _SHORT_FOR + name):
@@ -102,7 +102,7 @@ def _paths_of_clips(motion_file: str) -> dict[str, Path]:
     spec = importlib.util.find_spec(_PACKAGE)
     if spec is None or not spec.submodule_search_locations:
         raise MotionFileError(
-            f"'{motion_file}' is of the package {_PACKAGE}, which is not installed; "
+            f"'{motion_file}' belongs to the package {_PACKAGE}, which is not installed; "
             'pip install "isaacgymenvs-lite[motions]"'
         )
     folder = Path(spec.submodule_search_locations[0]) / "data" / "motions"

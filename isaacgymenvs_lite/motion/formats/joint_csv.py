@@ -18,9 +18,9 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line, suggest
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations, rotations_from_dofs
-from isaacgymenvs_lite.motion.formats.writing import written_clip
+from isaacgymenvs_lite.motion.formats.files import written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, rotations_from_dofs
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 _TIME = "time"
@@ -39,8 +39,7 @@ _STEP_TOLERANCE = 0.1
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
     """Write a clip whose bodies are in the order of `skeleton`; returns the path.
 
-    Velocities and limb lengths have no place in the format, nor has what a hinge turns out of its
-    axis.
+    The format has no velocities, limb lengths and rotations of hinges out of their axes.
 
     Raises:
         MotionFileError: the clip is not valid, or the file cannot be written.
@@ -69,11 +68,11 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
 
 
 def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a clip; the columns may stand in any order, angles in rad or deg, lengths in m, cm, mm.
+    """Read a clip; the columns may be in any order, angles in rad or deg, lengths in m, cm, mm.
 
     Args:
         path: of the file. Without a column `time` its first line is `# fps: 30`.
-        skeletons: the humanoids that it may be of; the one whose DOFs the header names is taken.
+        skeletons: the humanoids that it may belong to; the DOFs in the header determine which.
 
     Raises:
         MotionFileError: no header, columns that are missing, unknown, double or in an unknown unit;
@@ -138,7 +137,7 @@ def _lines(path: Path) -> tuple[list[list[str]], float | None]:
 
 
 def _skeleton_of(names: list[str], skeletons: Sequence[Skeleton]) -> Skeleton:
-    """Return the humanoid with most of the named DOFs; of equal ones that with fewest others."""
+    """Return the humanoid with most of the named DOFs; of equal ones the one with fewest others."""
     return max(
         skeletons,
         key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
@@ -148,7 +147,7 @@ def _skeleton_of(names: list[str], skeletons: Sequence[Skeleton]) -> Skeleton:
 def _factors(
     names: list[str], units: list[str | None], skeleton: Skeleton, path: str | Path
 ) -> FloatArray:
-    """Return what each column is multiplied with, after a check of the header."""
+    """Check the header and return the factor of each column."""
     known = _columns(skeleton)
     for name in names:
         if name not in known:

@@ -14,14 +14,14 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.writing import written_clip
+from isaacgymenvs_lite.motion.formats.files import written_clip
 
 _FORMAT = "isaacgymenvs_lite.motion"
 _VERSION = 1
 _FLOAT_KEYS = ("local_translation", "local_rotation", "root_translation")
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
-# What numpy and the archive reader raise for a file that is damaged or is something else.
+# What numpy and the archive reader raise for a damaged file or another format.
 _READ_ERRORS = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 

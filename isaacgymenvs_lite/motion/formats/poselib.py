@@ -1,8 +1,17 @@
-"""Reads clips in the poselib format (`SkeletonMotion`): `.npy`, as IsaacGymEnvs has, or `.json`."""
+"""Reads and writes clips in the poselib format (`SkeletonMotion`) of IsaacGymEnvs and ASE.
+
+Clips are read from `.npy` or `.json` and written as `.npy`. Such a file is a pickle: numpy's own
+header, then one object array that holds a dictionary. Numpy 1, which Isaac Gym's Python needs, does
+not have the module names of numpy 2: the names of numpy 1, which both have, are written.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import io
+import pickle
+import pickletools
+from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,10 +22,14 @@ import numpy.typing as npt
 from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.files import written_clip
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"
 _POSE_TAG = "SkeletonState"
+# As in the published files; there a module name is plain text up to the end of its line.
+_PICKLE_PROTOCOL = 3
+_NEW_MODULES, _OLD_MODULES = "numpy._core.", "numpy.core."
 
 
 def load_poselib_npy(path: str | Path) -> MotionClip:
@@ -114,3 +127,57 @@ def _number(data: Mapping[str, Any], key: str, name: str) -> float:
         return float(np.asarray(item).item())
     except (TypeError, ValueError) as error:
         raise MotionFileError(f"{name}: {key} is {item!r}, expected a number") from error
+
+
+def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
+    """Write a clip in single precision, as the published ones are; returns the path.
+
+    Raises:
+        MotionFileError: the clip is not valid, or the file cannot be written.
+    """
+    clip.validate()
+    path = Path(path)
+    content = np.empty((), dtype=object)
+    content[()] = _as_skeleton_motion(clip)
+    stream = io.BytesIO()
+    header = np.lib.format.header_data_from_array_1_0(content)
+    np.lib.format.write_array_header_1_0(stream, header)
+    stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
+    with written_clip(path) as partial:
+        partial.write_bytes(stream.getvalue())
+    return path
+
+
+def _as_skeleton_motion(clip: MotionClip) -> OrderedDict[str, Any]:
+    tree = OrderedDict(
+        node_names=list(clip.body_names),
+        parent_indices=_tagged(clip.parent_indices, "int64"),
+        local_translation=_tagged(clip.local_translation, "float32"),
+    )
+    return OrderedDict(
+        rotation=_tagged(clip.local_rotation, "float32"),
+        root_translation=_tagged(clip.root_translation, "float32"),
+        global_velocity=_tagged(clip.linear_velocity_w, "float32"),
+        global_angular_velocity=_tagged(clip.angular_velocity_w, "float32"),
+        skeleton_tree=tree,
+        is_local=True,
+        # A whole number where it is one: poselib's own scripts index with it.
+        fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
+        __name__="SkeletonMotion",
+    )
+
+
+def _tagged(array: Any, dtype: str) -> dict[str, Any]:
+    values: npt.NDArray[Any] = np.ascontiguousarray(array, dtype=dtype)
+    return {"arr": values, "context": {"dtype": dtype}}
+
+
+def _with_old_names(data: bytes) -> bytes:
+    """Replace the module names of numpy 2 in a pickle by those of numpy 1."""
+    parts, done = [], 0
+    for code, argument, position in pickletools.genops(data):
+        if code.name == "GLOBAL" and str(argument).startswith(_NEW_MODULES):
+            start = (position or 0) + 1  # behind the code of the instruction
+            parts += [data[done:start], _OLD_MODULES.encode()]
+            done = start + len(_NEW_MODULES)
+    return b"".join((*parts, data[done:]))

@@ -1,9 +1,9 @@
 """Reads the pickled dictionary of a poselib `.npy` file without running anything from the file.
 
 A pickle is a program that may call any function it can name: `numpy.load(allow_pickle=True)` runs
-whatever code a stranger put there. Here the names that occur in real clips stand for inert
-classes of this module, every other name is refused when it is met, and the arrays are made
-afterwards from the raw bytes. No function of numpy is ever called by the file.
+any code in the file. Here the names that occur in real clips are replaced by inert classes of this
+module, every other name is refused, and the arrays are made afterwards from the raw bytes. The file
+never calls a function of numpy.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class _RestrictedUnpickler(LimitedUnpickler):
         found = self._names.get((module, name))
         if found is None:
             raise MotionFileError(
-                f"{self._path}: refused, nothing was run: the file asks for "
+                f"{self._path}: refused, nothing was run: the file imports "
                 f"{module}.{name}, but a clip needs only numpy arrays; "
                 "get the clip from a source that you trust"
             )
@@ -150,7 +150,7 @@ def load_object_npy(path: str | Path) -> Any:
         Dictionaries, lists, text, numbers and numpy arrays.
 
     Raises:
-        MotionFileError: the file asks for a name outside numpy's arrays, is empty or damaged, or
+        MotionFileError: the file imports a name outside numpy's arrays, is empty or damaged, or
             is no `.npy` file of one object.
     """
     path = Path(path)
@@ -192,7 +192,7 @@ def _skip_header(stream: io.BytesIO, path: Path) -> None:
 
 
 class _Resolver:
-    """Replaces the stand-ins in nested containers by the arrays and numbers they stand for.
+    """Replaces inert objects in nested containers by the arrays and numbers that they describe.
 
     Containers and arrays may be named more than once in a file, but not so often that a small file
     becomes a large clip.

@@ -23,9 +23,9 @@ from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 _AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
-# Bodies whose attitude is taken from the joint's frame; that of others follows from the places of
-# their joints.
-_TURNED = ("pelvis", "torso", "head", "right_foot", "left_foot")
+# Bodies whose attitude is the joint's; the attitude of others follows from the places of their
+# joints.
+_WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,13 +50,13 @@ class _MappingSettings:
 
 @dataclass(frozen=True, eq=False)
 class BodySource:
-    """Where a body of the humanoid gets its motion from.
+    """The source of a body's motion.
 
     Attributes:
         joint: name of a joint of the source skeleton.
         frame: (4,) xyzw, rotation of the body's frame relative to the joint's; None where the
             attitude of the joint is not used.
-        level: the sole is made parallel to the ground where the foot stands.
+        level: the sole is made parallel to the ground while the foot is on it.
     """
 
     joint: str
@@ -99,7 +99,7 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
 
     Raises:
         ConfigError: no such file or name; no YAML; a key is missing, unknown or has a value that
-            cannot be used; a body is missing or unknown; axes that are no frame.
+            cannot be used; a body is missing or unknown; axes that do not make a frame.
     """
     shipped = shipped_mappings()
     path = shipped.get(str(mapping)) or Path(mapping)
@@ -138,7 +138,7 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
     if isinstance(entry, str):
         entry = {"joint": entry}
     settings = read_section(_BodySettings, entry, where=where, complete=True)
-    if settings.x is None and settings.z is None and body not in _TURNED:
+    if settings.x is None and settings.z is None and body not in _WITH_ATTITUDE:
         return BodySource(settings.joint, None, False)
     if settings.x is None or settings.z is None:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""From a BVH file to a clip of the humanoid, with the errors that remain."""
+"""Retargets a BVH file to a clip of the humanoid, and logs the remaining errors."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import poses_from_qpos
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.solve import solve_poses
@@ -25,7 +24,7 @@ _log = logging.getLogger(__name__)
 KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
 _ON_GROUND_M = 0.01  # a corner of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
-# A first step this large, and so many times the usual one, is no motion.
+# A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
 
@@ -37,7 +36,7 @@ def retarget_bvh(
     end_s: float | None = None,
     fps: float | None = None,
 ) -> MotionClip:
-    """Bring the motion of a BVH file onto a shipped humanoid, and log how near it comes.
+    """Retarget the motion of a BVH file to a shipped humanoid, and log the remaining errors.
 
     Args:
         path: the BVH file.
@@ -77,7 +76,7 @@ def retarget_bvh(
 
 
 def _warn_of_rest_pose(source: MotionClip) -> None:
-    """Tell of a first frame that does not belong to the motion, as in CMU's files."""
+    """Warn of a first frame that does not belong to the motion, as in CMU's files."""
     first_deg, *later_deg = np.degrees(_frame_to_frame_rad(source))
     if later_deg and first_deg > max(_JUMP_DEG, _JUMP_RATIO * float(np.median(later_deg))):
         _log.warning(
@@ -90,14 +89,14 @@ def _warn_of_rest_pose(source: MotionClip) -> None:
 
 
 def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
-    """Return (T - 1,) how far the joint that turns most turns from each frame to the next."""
+    """Return the largest rotation of any joint from each frame to the next, (T - 1,) rad."""
     turns = clip.local_rotation.astype(np.float64)
     cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1))
     return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
 
 
 def key_body_errors(clip: MotionClip, targets: Targets) -> dict[str, FloatArray]:
-    """Return the distances (T,) in m of the key bodies to where the scaled source has them."""
+    """Return the distances (T,) in m of the key bodies from their targets."""
     distances = np.linalg.norm(clip.global_poses()[0] - targets.positions, axis=-1)
     return {body: distances[:, clip.body_names.index(body)] for body in KEY_BODIES}
 
@@ -111,14 +110,14 @@ def describe_errors(clip: MotionClip, targets: Targets) -> list[str]:
 
 
 def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
-    """Return how deep the feet go into the ground and how fast they slide on it, in one line."""
+    """Return one line: the depth of the feet in the ground and their sliding speed on it."""
     corners = skeleton.sole_corners(*clip.global_poses())
     depth = max(0.0, -float(corners[..., 2].min()))
     speed = np.linalg.norm(np.diff(corners[..., :2], axis=0), axis=-1) * clip.fps
     low = corners[..., 2] < _ON_GROUND_M
     sliding = speed[low[1:] & low[:-1]]
     if not sliding.size:
-        return f"feet: {depth:.4f} m below the ground at most; they never stay on it"
+        return f"feet: {depth:.4f} m below the ground at most; they never rest on it"
     return (
         f"feet: {depth:.4f} m below the ground at most; where they touch it they slide at "
         f"{np.median(sliding):.3f} m/s (median)"
@@ -126,7 +125,7 @@ def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
 
 
 def _limited(clip: MotionClip, skeleton: Skeleton) -> float:
-    """Return the share of the frames in which a ball joint has reached a limit of an axis."""
+    """Return the share of the frames in which a joint has reached a limit."""
     dofs = dofs_from_rotations(skeleton, clip.local_rotation)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD

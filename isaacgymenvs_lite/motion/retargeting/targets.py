@@ -1,4 +1,4 @@
-"""Where a source skeleton wants the bodies of the humanoid: its motion, scaled limb by limb."""
+"""Target poses of the humanoid's bodies: the source's motion, scaled limb by limb."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from isaacgymenvs_lite.utils import rotations
 _log = logging.getLogger(__name__)
 
 SIDES = ("right", "left")
-# Limb by limb, whose body is where its parent's joint points to, at the humanoid's distance.
+# Bodies that are placed in the source's direction from their parent, at the humanoid's distance.
 _LIMBS = ("lower_arm", "hand", "shin")
-# A foot stands while its joint is slower than this and nearly as low as it ever is.
-_STANDING_SPEED = 0.2  # m/s
-_STANDING_HEIGHT_M = 0.01
-_FEWEST_STANDING_FRAMES = 5
-# A sole that seems to stand on edge by more is no matter of rigs: it does so.
+# A foot is on the ground while its joint is slower than this and near its lowest height.
+_CONTACT_SPEED = 0.2  # m/s
+_CONTACT_HEIGHT_M = 0.01
+_FEWEST_CONTACT_FRAMES = 5
+# A larger tilt of the sole is no difference between rigs but part of the motion.
 _MOST_LEVELLING_RAD = np.radians(15.0)
-# The ground is where the lowest corner of a sole, hand or knee is, but for this share of the frames
+# The ground is at the lowest corner of a sole, hand or knee, except in this share of the frames
 # (noise).
 _BELOW_GROUND_SHARE = 0.02
 # Radii of the humanoid's hands and, about the origin of the shin, knees.
@@ -39,8 +39,8 @@ class Targets:
     Attributes:
         positions: (T, J, 3) m, of the bodies' origins. Limbs have the humanoid's lengths and the
             source's directions; pelvis and feet are scaled by the length of the legs.
-        turns: (T, 4) xyzw, attitudes of those bodies that take it from the source, by name.
-        scale: the humanoid's leg length by the source's.
+        turns: (T, 4) xyzw, attitudes of the bodies that follow the source's, by name.
+        scale: the humanoid's leg length divided by the source's.
     """
 
     positions: FloatArray
@@ -59,7 +59,7 @@ def make_targets(source: MotionClip, mapping: SkeletonMapping, skeleton: Skeleto
     index = {body: source.body_names.index(s.joint) for body, s in mapping.sources.items()}
     places = {body: everywhere[:, joint] for body, joint in index.items()}
     turns = {
-        body: _turned(attitudes[:, index[body]], entry.frame)
+        body: _rotated_in_body(attitudes[:, index[body]], entry.frame)
         for body, entry in mapping.sources.items()
         if entry.frame is not None
     }
@@ -90,9 +90,9 @@ def _add_other_bodies(
     places: dict[str, FloatArray],
     turns: dict[str, FloatArray],
 ) -> None:
-    """Place trunk and limbs from the pelvis outwards; what the source has not stays at its parent.
+    """Place trunk and limbs from the pelvis outwards; without a source, at the parent's place.
 
-    Sword and shield are no targets; their rows are those of the bodies that hold them.
+    Sword and shield are no targets; they have the places of the hands.
     """
     for i, body in enumerate(skeleton.body_names):
         if body in target:
@@ -104,7 +104,7 @@ def _add_other_bodies(
             length = np.linalg.norm(way, axis=1, keepdims=True)
             step = way / np.maximum(length, 1e-9) * np.linalg.norm(offset)
         elif parent in turns and body in places:
-            step = _applied(turns[parent], offset)
+            step = _rotate(turns[parent], offset)
         else:
             step = np.zeros(3)
         target[body] = target[parent] + step
@@ -132,44 +132,46 @@ def _leg_length(places: dict[str, FloatArray]) -> float:
 
 
 def _levelled(turns: FloatArray, places: FloatArray, fps: float, foot: str) -> FloatArray:
-    """Return the attitudes (T, 4) of a foot, turned so that its sole lies flat while it stands.
+    """Return the attitudes (T, 4) of a foot, rotated so that its sole is flat while on the ground.
 
-    Rigs differ in how the frame of a foot lies in it. Its own direction up is taken from the frames
-    in which it stands, the median of all.
+    Rigs differ in the frame of a foot. The median over the frames on the ground gives its direction
+    up.
     """
     speed = np.linalg.norm(np.gradient(places, axis=0), axis=1) * fps
-    low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _STANDING_HEIGHT_M
-    standing = low & (speed < _STANDING_SPEED)
-    if np.count_nonzero(standing) < _FEWEST_STANDING_FRAMES:
-        _log.info("%s: never stands; how its sole lies is taken from the mapping alone", foot)
+    low = places[:, 2] < np.quantile(places[:, 2], 0.05) + _CONTACT_HEIGHT_M
+    on_ground = low & (speed < _CONTACT_SPEED)
+    if np.count_nonzero(on_ground) < _FEWEST_CONTACT_FRAMES:
+        _log.info("%s: never on the ground; the mapping alone gives the attitude of its sole", foot)
         return turns
-    upright = np.tile((0.0, 0.0, 1.0), (int(standing.sum()), 1))
-    inverse = rotations.quat_conjugate(torch.from_numpy(turns[standing]))
+    upright = np.tile((0.0, 0.0, 1.0), (int(on_ground.sum()), 1))
+    inverse = rotations.quat_conjugate(torch.from_numpy(turns[on_ground]))
     up = np.median(rotations.quat_apply(inverse, torch.from_numpy(upright)).numpy(), axis=0)
     up /= np.linalg.norm(up)
     axis = torch.from_numpy(np.cross((0.0, 0.0, 1.0), up))
     angle = torch.atan2(axis.norm(), torch.tensor(up[2]))
     if angle > _MOST_LEVELLING_RAD:
-        _log.info("%s: never stands flat; how its sole lies is taken from the mapping alone", foot)
+        _log.info(
+            "%s: never flat on the ground; the mapping alone gives the attitude of its sole", foot
+        )
         return turns
     _log.info("%s: sole levelled by %.1f deg", foot, float(torch.rad2deg(angle)))
-    return _turned(turns, rotations.quat_from_angle_axis(angle, axis).numpy())
+    return _rotated_in_body(turns, rotations.quat_from_angle_axis(angle, axis).numpy())
 
 
 def _sole_height(skeleton: Skeleton, foot: str, turns: FloatArray) -> FloatArray:
     """Return the height (T) in m of the lowest corner of a foot over the foot's origin."""
     body = skeleton.body_names.index(foot)
     corners = skeleton.foot_corners[[owner == body for owner in skeleton.foot_body_ids]]
-    return np.min([_applied(turns, corner)[:, 2] for corner in corners], axis=0)
+    return np.min([_rotate(turns, corner)[:, 2] for corner in corners], axis=0)
 
 
-def _turned(turns: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return turns (T, 4) that begin with the rotation `frame` (4,) in the body's own axes."""
+def _rotated_in_body(turns: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return rotations (T, 4) after the rotation `frame` (4,) in the body's own axes."""
     q = torch.from_numpy(turns)
     return rotations.quat_mul(q, torch.from_numpy(frame).expand_as(q)).numpy()
 
 
-def _applied(turns: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return a vector (3,) turned by each of turns (T, 4)."""
+def _rotate(turns: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return a vector (3,) rotated by each of (T, 4)."""
     q = torch.from_numpy(turns)
     return rotations.quat_apply(q, torch.from_numpy(vector).expand(len(q), 3)).numpy()

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
     OWN_ASSET,

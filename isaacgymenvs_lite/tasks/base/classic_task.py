@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import read_section, setting
-from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total

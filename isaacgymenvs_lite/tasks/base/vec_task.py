@@ -22,8 +22,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import StepListener
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.rendering.camera import TaskCamera
 from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling

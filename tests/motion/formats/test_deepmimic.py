@@ -152,7 +152,7 @@ def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> 
 
 
 def test_body_without_the_joints_is_refused(tiny: Skeleton) -> None:
-    with pytest.raises(MotionFileError, match=r"bodies that this humanoid has not: .*torso"):
+    with pytest.raises(MotionFileError, match=r"bodies that this humanoid lacks: .*torso"):
         deepmimic.clip_from_deepmimic(walk(), tiny, "walk")
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.deepmimic import load_deepmimic
-from isaacgymenvs_lite.motion.formats.deepmimic_writing import save_deepmimic
+from isaacgymenvs_lite.motion.formats.deepmimic import load_deepmimic, save_deepmimic
 from isaacgymenvs_lite.motion.loader import load_clips
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.motion.formats.poselib import load_poselib_npy
-from isaacgymenvs_lite.motion.formats.poselib_writing import save_poselib_npy
+from isaacgymenvs_lite.motion.formats.poselib import load_poselib_npy, save_poselib_npy
 from isaacgymenvs_lite.motion.loader import load_clips
 
 PUBLISHED_NAMES = {

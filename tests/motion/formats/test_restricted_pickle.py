@@ -102,7 +102,7 @@ def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: in
 def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
     module, attribute = name.split()
     path = write_npy(tmp_path / "clip.npy", f"c{module}\n{attribute}\n.".encode())
-    with pytest.raises(MotionFileError, match=f"asks for {module}.{attribute}"):
+    with pytest.raises(MotionFileError, match=f"imports {module}.{attribute}"):
         load_object_npy(path)
 
 

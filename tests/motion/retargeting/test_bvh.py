@@ -11,8 +11,7 @@ import pytest
 
 from isaacgymenvs_lite.errors import MissingPackageError, MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
-from isaacgymenvs_lite.motion.retargeting.bvh_channels import drop_inner_positions
+from isaacgymenvs_lite.motion.retargeting.bvh import drop_inner_positions, load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 
 

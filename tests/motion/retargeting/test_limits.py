@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.motion.retargeting.limits import (
+from isaacgymenvs_lite.motion.retargeting.solve import (
     DofLimits,
     beyond,
     nearest_vector,

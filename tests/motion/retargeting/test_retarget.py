@@ -12,9 +12,9 @@ import pytest
 import isaacgymenvs_lite
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.motion import kinematics
-from isaacgymenvs_lite.motion.dof_conversion import dofs_from_rotations
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.retarget import KEY_BODIES, retarget_bvh
 from tools.clip_synthesis.checks import foot_figures

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.simulation.factory import make_simulation
+from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
 CART = """

@@ -7,8 +7,8 @@ import mujoco
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.simulation.backend import backend_names, make_simulation
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
-from isaacgymenvs_lite.simulation.factory import backend_names, make_simulation
 
 BALL = """<mujoco><worldbody><body name="ball" pos="0 0 1"><freejoint/><geom size="0.1"/></body>
 </worldbody></mujoco>"""
@@ -32,7 +32,7 @@ def test_an_unknown_backend_lists_the_choices() -> None:
 
 def test_backends_are_imported_only_when_asked_for() -> None:
     code = (
-        "import sys, isaacgymenvs_lite.simulation.factory;"
+        "import sys, isaacgymenvs_lite.simulation.backend;"
         "sys.exit('isaacgymenvs_lite.simulation.cpu_batch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

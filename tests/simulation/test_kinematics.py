@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isaacgymenvs_lite.simulation.forward_kinematics import ForwardKinematics
-from isaacgymenvs_lite.simulation.kinematic_tree import Floats, KinematicTree
+from isaacgymenvs_lite.simulation.kinematics import Floats, Kinematics
 
 
 def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
@@ -20,12 +19,12 @@ def _poses(
     model: mujoco.MjModel, qpos: np.ndarray, num_bodies: int | None = None
 ) -> tuple[Floats, Floats]:
     """Our positions (n, B, 3) and rotations (n, B, 4) xyzw, of all bodies or the first ones."""
-    tree = KinematicTree(model, num_bodies)
-    num_bodies = len(tree.order)
-    positions = np.full((3, num_bodies, len(qpos)), np.nan, dtype=np.float32)
-    rotations = np.full((4, num_bodies, len(qpos)), np.nan, dtype=np.float32)
+    kinematics = Kinematics(model, num_bodies)
+    shape = (model.nbody - 1 if num_bodies is None else num_bodies, len(qpos))
+    positions = np.full((3, *shape), np.nan, dtype=np.float32)
+    rotations = np.full((4, *shape), np.nan, dtype=np.float32)
     columns = np.ascontiguousarray(qpos.T, dtype=np.float32)
-    ForwardKinematics(tree)(columns, positions, rotations)
+    kinematics.poses(columns, positions, rotations)
     return positions.T, rotations.T
 
 

@@ -21,13 +21,13 @@ def _velocities(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Our linear and angular velocities, (n, B, 3) each."""
     layout = ModelLayout.from_model(model)
-    planes, converter = StateBuffers(layout, len(qpos)), StateConverter(model, layout)
-    converter.fill(planes, qpos, qvel)
-    converter.fill_bodies(planes)
-    assert not planes.has_body_velocities
-    converter.fill_body_velocities(planes)
-    assert planes.has_body_velocities
-    return planes.body_lin_vel.T, planes.body_ang_vel.T
+    buffers, converter = StateBuffers(layout, len(qpos)), StateConverter(model, layout)
+    converter.fill(buffers, qpos, qvel)
+    converter.fill_bodies(buffers)
+    assert not buffers.has_body_velocities
+    converter.fill_body_velocities(buffers)
+    assert buffers.has_body_velocities
+    return buffers.body_lin_vel.T, buffers.body_ang_vel.T
 
 
 def _assert_velocities_are_mujoco_s(

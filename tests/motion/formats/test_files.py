@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.writing import check_output, written_clip
+from isaacgymenvs_lite.motion.formats.files import check_output, written_clip
 
 
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:

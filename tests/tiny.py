@@ -1,0 +1,54 @@
+"""Settings that make tasks and trainings small enough for a test.
+
+All are words of a command line; of a key that is given twice the last value counts:
+`compose(["task=HumanoidAMP", *TINY_AMP, "max_iterations=1"])`.
+"""
+
+from __future__ import annotations
+
+CONFIG = "train.params.config"
+
+ONE_THREAD = ("num_threads=1", "rl_device=cpu")
+
+TINY_PPO = (
+    "num_envs=4",
+    *ONE_THREAD,
+    "max_iterations=2",
+    "train.params.network.mlp.units=[16,8]",
+    f"{CONFIG}.mixed_precision=False",
+    f"{CONFIG}.horizon_length=4",
+    f"{CONFIG}.mini_epochs=1",
+)
+"""Of PPO and the high level of HRL: two epochs of 16 samples."""
+
+TINY_DISCRIMINATOR = (
+    "train.params.network.disc.units=[12,6]",
+    f"{CONFIG}.amp_batch_size=16",
+    f"{CONFIG}.amp_obs_demo_buffer_size=16",
+    f"{CONFIG}.amp_replay_buffer_size=64",
+)
+
+TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR, f"{CONFIG}.imitation_frequency=0")
+"""Of AMP, without measurements of the imitation."""
+
+TINY_STYLE = ("train.params.network.style.units=[10,6]",)
+"""What ASE needs beside TINY_AMP."""
+
+TINY_LSTM = (
+    *("task=Cartpole", "train=AnymalTerrainPPO_LSTM", "num_envs=16", "max_iterations=2"),
+    "train.params.network.rnn.units=8",
+    "train.params.network.mlp.units=[16]",
+    f"{CONFIG}.mini_epochs=2",
+    f"{CONFIG}.mixed_precision=False",
+)
+"""A task with a recurrent policy."""
+
+TINY_SAC = (
+    *("task=AntSAC", "train=AntSAC", "num_envs=8"),
+    f"{CONFIG}.batch_size=64",
+    f"{CONFIG}.num_warmup_steps=2",
+    f"{CONFIG}.replay_buffer_size=2000",
+    f"{CONFIG}.mixed_precision=False",
+    "train.params.network.mlp.units=[32,32]",
+)
+"""The task of SAC; updates begin in the second epoch."""
