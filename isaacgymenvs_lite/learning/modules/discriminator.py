@@ -16,7 +16,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams
-from isaacgymenvs_lite.learning.cpu.row_slices import evaluate_in_chunks
+from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 

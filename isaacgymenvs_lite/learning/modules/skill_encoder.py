@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
-from isaacgymenvs_lite.learning.cpu.row_slices import evaluate_in_chunks
+from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
 
 class EncoderNetwork(Protocol):
