@@ -285,7 +285,6 @@ class GenAMPBuilder(AMPBuilder):
 
     def build(self, name: str, **kwargs: Any) -> GenAMPBuilder.Network:
         """Build the network; rl_games calls this through the model."""
-        del name
         return GenAMPBuilder.Network(self.params, **kwargs)
 
 

@@ -160,9 +160,7 @@ class LowLevelPolicy:
 
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
         self._check_sizes(state["model"], checkpoint, llc_config)
-        modules: dict[str, Any] = {"model": self.model}
-        if self.discriminator.normalizer is not None:
-            modules["amp_input_mean_std"] = self.discriminator.normalizer
+        modules: dict[str, Any] = {"model": self.model, **self.discriminator.checkpoint_modules}
         fitting = Fitting(
             f"llc_checkpoint={checkpoint}",
             f"does not fit llc_config={llc_config}, expected the train file it was trained with",

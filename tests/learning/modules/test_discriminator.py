@@ -10,7 +10,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    StyleDiscriminator,
+    DiscriminatorTrainer,
     disc_obs_size,
 )
 
@@ -65,7 +65,7 @@ def make(network: Any = None, default: str = "logistic", **changes: Any) -> Any:
     if network is None:
         network = Linear(torch.zeros(1, 1), torch.ones(1))
     params = AMPParams(**{**PARAMS, **changes})
-    return StyleDiscriminator(network, network.v.shape[0], params, default, "cpu")
+    return DiscriminatorTrainer(network, network.v.shape[0], params, default, "cpu")
 
 
 def column(*numbers: float) -> torch.Tensor:
@@ -120,16 +120,17 @@ def test_rows_keep_their_places_when_a_rollout_is_cut_up():
 # --- normaliser -------------------------------------------------------------------------------
 
 
-def test_the_statistics_are_updated_before_they_are_used():
+def test_the_statistics_are_of_all_rows_so_far():
     discriminator = make(normalize_amp_input=True)
     data = torch.tensor([[2.0], [4.0], [9.0]])
-    normalized = discriminator.normalize(data, update=True)
+    discriminator.update_normalizer(data)
+    normalized = discriminator.normalize(data)
     # three rows (mean 5, variance 26/3) merged with one of mean 0 and variance 1
     mean = 15 / 4
     var = (1 + 26 + 25 * 3 / 4) / 4
     expected = (data - mean) / np.sqrt(var + 1e-5)
     torch.testing.assert_close(normalized, expected, rtol=1e-6, atol=1e-6)
-    # and now they stay
+    # normalising changes nothing
     torch.testing.assert_close(discriminator.normalize(data), expected, rtol=1e-6, atol=1e-6)
     assert discriminator.normalizer.count.item() == 4.0
 
@@ -157,7 +158,9 @@ def test_without_normaliser_observations_pass_unchanged():
     discriminator = make(normalize_amp_input=False)
     assert discriminator.normalizer is None
     data = torch.tensor([[123.0]])
-    assert torch.equal(discriminator.normalize(data, update=True), data)
+    discriminator.update_normalizer(data)
+    assert torch.equal(discriminator.normalize(data), data)
+    assert discriminator.checkpoint_modules == {}
 
 
 # --- loss -------------------------------------------------------------------------------------
@@ -334,7 +337,7 @@ def test_how_much_is_seen_of_an_amp_observation():
 def test_what_is_not_seen_has_no_effect():
     network = Smooth(torch.randn(4, 3), torch.randn(4))
     params = read_amp_params({**PARAMS, "normalize_amp_input": True})
-    discriminator = StyleDiscriminator(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
+    discriminator = DiscriminatorTrainer(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
     whole = torch.randn(5, 2, 6)
     expected = discriminator.reward(whole[..., :3].clone())
     assert torch.equal(discriminator.reward(whole), expected)
