@@ -294,9 +294,11 @@ class _SlicedFunction(torch.autograd.Function):
         *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
         rows = tensors[:num_inputs]
-        wanted = ctx.needs_input_grad[4 : 4 + num_inputs]
+        needs_grad = ctx.needs_input_grad[4 : 4 + num_inputs]
         inputs = [
-            tuple(part.detach().requires_grad_(w) for part, w in zip(parts, wanted, strict=True))
+            tuple(
+                part.detach().requires_grad_(w) for part, w in zip(parts, needs_grad, strict=True)
+            )
             for parts in split_rows(rows, slices)
         ]
         with torch.enable_grad():
@@ -306,7 +308,7 @@ class _SlicedFunction(torch.autograd.Function):
         # What depends on no parameter (the spread of a fixed sigma) must not seem to.
         constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
         ctx.mark_non_differentiable(*constant)
-        ctx.executor, ctx.wanted, ctx.parameters = executor, wanted, tensors[num_inputs:]
+        ctx.executor, ctx.needs_grad, ctx.parameters = executor, needs_grad, tensors[num_inputs:]
         ctx.slices = list(zip(inputs, outputs, strict=True))
         return results
 
@@ -329,9 +331,9 @@ class _SlicedFunction(torch.autograd.Function):
         found = ctx.executor.map(differentiate, arguments)
         ctx.slices = None  # frees the graphs
         columns = list(zip(*found, strict=True))
-        num_row_grads = sum(ctx.wanted)
+        num_row_grads = sum(ctx.needs_grad)
         columns_of_rows = iter(columns[:num_row_grads])
-        row_grads = [torch.cat(next(columns_of_rows)) if w else None for w in ctx.wanted]
+        row_grads = [torch.cat(next(columns_of_rows)) if w else None for w in ctx.needs_grad]
         return (None, None, None, None, *row_grads, *map(sum_gradients, columns[num_row_grads:]))
 
 

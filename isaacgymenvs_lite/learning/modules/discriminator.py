@@ -61,7 +61,7 @@ class DiscriminatorLayers:
         The gradients can be differentiated by the parameters. Arguments as `eval_disc`.
         """
         with torch.enable_grad():
-            # A caller's own gradients stay possible: its rows may want some.
+            # Rows that require gradients keep them: a caller may differentiate by them.
             amp_obs = amp_obs if amp_obs.requires_grad else amp_obs.detach().requires_grad_()
             logits = self.eval_disc(amp_obs, *latents)
         # The backward pass uses the precision of the forward pass, not autocast's.

@@ -11,7 +11,9 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     DiscriminatorTrainer,
+    StyleNetwork,
     disc_obs_size,
+    eval_discriminator,
 )
 
 PARAMS: dict[str, Any] = {
@@ -286,6 +288,69 @@ def test_the_penalty_is_taken_at_demonstrations_only():
         info = make(network).loss(agent, network.eval_disc(demo_obs), demo_obs)
         penalties.add(info["disc_grad_penalty"].item())
     assert len(penalties) == 1
+
+
+# --- buffers and noise ------------------------------------------------------------------------
+
+
+def numbers(rows: torch.Tensor) -> list[int]:
+    return sorted(int(n) for n in rows[:, 0])
+
+
+def test_demonstrations_are_stored_in_batches_until_the_buffer_is_full():
+    trainer = make(amp_obs_demo_buffer_size=10, amp_batch_size=4)
+    trainer.make_buffers()
+    fetched = iter(torch.arange(24.0).view(6, 4, 1).expand(6, 4, 3))
+    trainer.fill_demo_buffer(lambda: trainer.store_demos({"amp_obs": next(fetched)}))
+    assert trainer.demo_buffer.get_total_count() == 12  # three batches
+    assert numbers(trainer.demo_buffer.rows["amp_obs"]) == list(range(2, 12))
+    # Of three numbers the discriminator sees the first.
+    assert trainer.sample_demos(5)["amp_obs"].shape == (5, 1)
+
+
+def test_the_policy_s_own_rows_are_replayed_until_there_are_older_ones():
+    trainer = make(amp_replay_buffer_size=10, amp_replay_keep_prob=0.0)
+    trainer.make_buffers()
+    new = {"amp_obs": column(1.0, 2.0), "amp_obs_latents": column(10.0, 20.0)}
+    assert trainer.sample_replay(new) is new
+    old = torch.arange(100.0, 110.0).unsqueeze(-1)
+    trainer.store_replay({"amp_obs": old, "amp_obs_latents": 10.0 * old})
+    replayed = trainer.sample_replay(new)
+    assert replayed["amp_obs"].shape == (2, 1)
+    assert (replayed["amp_obs"] >= 100.0).all()
+    assert torch.equal(replayed["amp_obs_latents"], 10.0 * replayed["amp_obs"])
+    trainer.store_replay({"amp_obs": old[:1], "amp_obs_latents": 10.0 * old[:1]})
+    # Now more was stored than fits, and nothing of what follows is kept.
+    trainer.store_replay(new)
+    assert trainer.replay_buffer.get_total_count() == 11
+
+
+def test_noise_has_the_spread_of_its_key():
+    rows = torch.zeros(20_000, 2)
+    assert make().sample_noise(rows) is None
+    torch.manual_seed(0)
+    noise = make(disc_input_noise=0.3).sample_noise(rows)
+    # of 40,000 numbers: a standard error of 0.001
+    assert noise.std().item() == pytest.approx(0.3, abs=0.006)
+    assert noise.mean().item() == pytest.approx(0.0, abs=0.008)
+
+
+def test_the_total_reward_is_weighted():
+    trainer = make(task_reward_w=0.5, disc_reward_w=2.0)
+    total = trainer.total_reward(torch.tensor([4.0, -2.0]), torch.tensor([1.0, 3.0]))
+    assert total.tolist() == [4.0, 5.0]
+
+
+def test_all_kinds_of_rows_are_evaluated_with_the_gradient_at_the_demonstrations():
+    torch.manual_seed(0)
+    network = StyleNetwork(3, (8,))
+    agent, replay, demo = torch.randn(3, 4, 3)
+    outputs = eval_discriminator(network, (agent,), (replay,), (demo,))
+    for name, rows in (("agent", agent), ("agent_replay", replay), ("demo", demo)):
+        torch.testing.assert_close(outputs[f"disc_{name}_logit"], network.eval_disc(rows))
+    demo.requires_grad_()
+    (expected,) = torch.autograd.grad(network.eval_disc(demo).sum(), demo)
+    torch.testing.assert_close(outputs["disc_demo_gradient"], expected)
 
 
 # --- keys -------------------------------------------------------------------------------------
