@@ -18,7 +18,7 @@ from torch import Tensor
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.flat_config import given_section
 from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
@@ -89,7 +89,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
         replace_normalizers(self.model)
-        self.executor = attach_executor(self.model.a2c_network, self.ppo_device, wanted_precision)
+        self.executor = parallelize(self.model, self.ppo_device, wanted_precision)
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:

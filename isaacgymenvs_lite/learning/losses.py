@@ -30,7 +30,7 @@ def actor_loss(
 def critic_loss(
     old_values: Tensor, values: Tensor, returns: Tensor, e_clip: float, clip_value: bool
 ) -> Tensor:
-    """Return the squared value errors (M, values), clipped around the old values if asked for."""
+    """Return the squared errors (M, values) of values, clipped around the old ones if so chosen."""
     loss = (returns - values) ** 2
     if not clip_value:
         return loss

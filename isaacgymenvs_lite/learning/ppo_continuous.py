@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
-from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
@@ -16,8 +16,8 @@ from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
 
-    On a CPU its networks are evaluated as those of our own agents (`NetworkExecutor`), the
-    asymmetric critic's too; on a GPU it is rl_games' agent as it is.
+    On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in our own
+    agents; on a GPU it is rl_games' agent as it is.
 
     Args:
         base_name: name for rl_games' bookkeeping.
@@ -47,7 +47,7 @@ class PPOAgent(PPOSafeguards):
             models.append(self.central_value_net.model)
         for model in models:
             replace_normalizers(model)
-            attach_executor(model.a2c_network, device, precision)
+            parallelize(model, device, precision)
         if self.normalize_value:
             self.value_mean_std = models[-1].value_mean_std
 

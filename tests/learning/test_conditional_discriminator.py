@@ -98,7 +98,7 @@ def test_each_kind_of_rows_is_judged_under_its_own_latents(make):
 def test_demonstrations_stand_for_the_latent_of_another_moment(make, roll_out):
     agent = make()
     rows = prepared_minibatch(agent, roll_out)
-    stored = agent._amp_obs_demo_buffer._data_buf
+    stored = agent.discriminator.demo_buffer.rows
     place = places(rows["amp_obs_demo"], stored["amp_obs"])
     near = stored["amp_obs_near"][place]
     assert (near - rows["amp_obs_demo"]).abs().max() > 0.01
@@ -133,7 +133,7 @@ def test_the_style_reward_is_for_the_latent_of_the_step(make, roll_out):
     rewards = agent._calc_amp_rewards(buffer["amp_obs"])["disc_rewards"]
     normalized = agent.discriminator.normalize(buffer["amp_obs"])
     logits = agent.model.a2c_network.eval_disc(normalized, buffer["amp_latents"])
-    scale = agent._amp.disc_reward_scale
+    scale = agent.config["disc_reward_scale"]
     torch.testing.assert_close(rewards, scale * F.softplus(logits), rtol=1e-4, atol=1e-4)
 
 
@@ -176,7 +176,7 @@ def test_random_latents_go_with_moments_that_are_near(make):
     agent = make(*(f"++{word}" for word in sharp))
     agent.init_tensors()
     agent._store_demos()
-    demos = agent._amp_obs_demo_buffer.sample(64)
+    demos = agent.discriminator.sample_demos(64)
     rows = agent._demo_disc_batch(demos)
     latents, found = rows["amp_obs_demo_latents"], agent.encoder.read(demos["amp_obs_near"])
     of_clips = (latents == found).all(dim=-1)
@@ -194,7 +194,7 @@ def test_without_it_all_rows_keep_their_own_latents(make):
     agent = make(f"++{CONFIG}.clip_latents=0.5")
     agent.init_tensors()
     agent._store_demos()
-    demos = agent._amp_obs_demo_buffer.sample(16)
+    demos = agent.discriminator.sample_demos(16)
     rows = agent._demo_disc_batch(demos)
     expected = agent.encoder.read(demos["amp_obs_near"])
     torch.testing.assert_close(rows["amp_obs_demo_latents"], expected)

@@ -143,7 +143,7 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     roll_out(agent)
     assert starts == [list(range(8)), [3]]
     # Later latents are of clips, too.
-    demos = agent.encoder.read(agent._amp_obs_demo_buffer._data_buf["amp_obs"])
+    demos = agent.encoder.read(agent.discriminator.demo_buffer.rows["amp_obs"])
     agent.schedule.advance(torch.full((8,), 10_000))
     distances = torch.cdist(agent.schedule.latents, demos).min(dim=1).values
     assert distances.max() < 1e-3
@@ -157,7 +157,7 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     rows = prepared_minibatch(agent, roll_out)
     agent._update_normalizers(rows)
     rows |= agent._minibatch_extras(rows)
-    demos = agent._amp_obs_demo_buffer._data_buf
+    demos = agent.discriminator.demo_buffer.rows
     pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
     normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
     triples = rows["demo_triples"]
