@@ -13,8 +13,8 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
 
     With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
     input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
-    (K, 1), and `disc_demo_gradient` (K, F), beside what `ModelA2CContinuousLogStd` gives. The
-    discriminator hears `amp_obs_noise` and so on (K, F) on top of them, if they are given.
+    (K, 1), and `disc_demo_gradient` (K, F), beside the outputs of `ModelA2CContinuousLogStd`.
+    `amp_obs_noise` and so on (K, F), if they are given, are added to the discriminator's inputs.
     """
 
     def __init__(self, network: Any) -> None:
@@ -46,6 +46,6 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             }
 
         def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
-            """Return what the discriminator hears of the rows of a kind."""
+            """Return the discriminator's inputs for the rows of a kind."""
             rows, noise = input_dict[kind], input_dict.get(f"{kind}_noise")
             return (rows if noise is None else rows + noise,)

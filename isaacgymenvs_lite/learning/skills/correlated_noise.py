@@ -1,6 +1,6 @@
-"""Exploration noise that lasts, so that what was tried can be told from what comes of it.
+"""Exploration noise that is correlated in time, so that an exploratory action has an effect.
 
-Independent noise on a latent asks for another skill six times a second, and none is carried out.
+Independent noise on a latent selects another skill six times a second, and none is carried out.
 Hollenstein et al. 2024, "Colored Noise in PPO" (arXiv 2312.11091), with a first-order
 autoregressive process in place of their coloured one.
 """
