@@ -42,9 +42,9 @@ _NO_SIMULATOR = (
 _GYM = "gym"
 # Modules of other packages that are ours.
 _OTHERS = {
-    f"{_SIMULATOR}.torch_utils": f"{_NEW}.published.torch_jit_utils",
-    _GYM: f"{_NEW}.published.gym",
-    f"{_GYM}.wrappers": f"{_NEW}.published.gym_wrappers",
+    f"{_SIMULATOR}.torch_utils": f"{_NEW}.isaacgymenvs_compat.torch_jit_utils",
+    _GYM: f"{_NEW}.isaacgymenvs_compat.gym",
+    f"{_GYM}.wrappers": f"{_NEW}.isaacgymenvs_compat.gym_wrappers",
 }
 # Whose users make rl_games' Runner next.
 _RUNNER_USERS = "utils.rlgames_utils"

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 RENAMED: dict[str, str] = {
     **{
-        f"utils.{name}": f"published.{name}"
+        f"utils.{name}": f"isaacgymenvs_compat.{name}"
         for name in (
             *("dr_utils", "reformat", "rlgames_utils", "rna_util"),
             *("torch_jit_utils", "utils", "wandb_utils"),
         )
     },
     "tasks.humanoid_amp": "tasks.amp.humanoid_amp",
-    "tasks.amp.utils_amp": "published.utils_amp",
-    "tasks.amp.utils_amp.amp_torch_utils": "published.torch_jit_utils",
-    "tasks.amp.utils_amp.motion_lib": "published.motion_lib",
-    "train": "published.train",
+    "tasks.amp.utils_amp": "isaacgymenvs_compat.utils_amp",
+    "tasks.amp.utils_amp.amp_torch_utils": "isaacgymenvs_compat.torch_jit_utils",
+    "tasks.amp.utils_amp.motion_lib": "isaacgymenvs_compat.motion_lib",
+    "train": "isaacgymenvs_compat.train",
 }
 """Modules that are called otherwise here."""
 
