@@ -6,7 +6,7 @@ them once, when an agent or a player is made. N is the number of environments.
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeGuard, TypeVar
 
 import gymnasium
 import torch
@@ -218,8 +218,12 @@ class ReferenceEnv(Env, Protocol):
 E = TypeVar("E")
 
 
-def missing_members(env: object, contract: type) -> list[str]:
-    """Return the members of a Protocol of this module that `env` lacks."""
+def fits(env: object, contract: type[E]) -> TypeGuard[E]:
+    """Return whether `env` has all members of a Protocol of this module."""
+    return not _missing_members(env, contract)
+
+
+def _missing_members(env: object, contract: type) -> list[str]:
     protocols = [cls for cls in reversed(contract.__mro__) if cls.__module__ == __name__]
     names = dict.fromkeys(name for cls in protocols for name in vars(cls) if name[0] != "_")
     return [name for name in names if not hasattr(env, name)]
@@ -236,7 +240,7 @@ def require(env: Any, contract: type[E], user: str) -> E:
     Raises:
         ConfigError: a member is missing; all of them are named.
     """
-    if missing := missing_members(env, contract):
+    if missing := _missing_members(env, contract):
         raise ConfigError(
             f"{user} needs a task with reference motions, such as task=HumanoidAMP;"
             f" {type(env).__name__} has no {', '.join(missing)} (expected is"

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from isaacgymenvs_lite.env_interface import ClipWindowsEnv, SkillEnv, missing_members, require
+from isaacgymenvs_lite.env_interface import ClipWindowsEnv, SkillEnv, fits, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
@@ -60,8 +60,9 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         )
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
-        has_clips = not missing_members(self.env, ClipWindowsEnv)
-        self._probe = SkillProbe(self.env, self.encoder) if has_clips else None
+        self._probe: SkillProbe | None = None
+        if fits(self.env, ClipWindowsEnv):
+            self._probe = SkillProbe(self.env, self.encoder)
         self.skills: SkillResult | None = None
 
     def _build_net_config(self) -> dict[str, Any]:

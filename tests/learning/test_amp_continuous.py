@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from rl_games.common.ivecenv import IVecEnv
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 from tests.learning.conftest import make_training_set, model_inputs, prepared_minibatch
 
 CONFIG = "train.params.config"
@@ -330,23 +333,52 @@ def test_the_discriminator_learns_to_tell_apart(make_agent):
 # --- what it needs of the task ----------------------------------------------------------------
 
 
+class OwnVecEnv(IVecEnv):
+    """Steps a task, whose other members agents do not see: `env` has AMP's members only."""
+
+    def __init__(self, vec_env: Any, *members: str) -> None:
+        self._vec_env = vec_env
+        self.env = SimpleNamespace(**{name: getattr(vec_env.env, name) for name in members})
+
+    def step(self, actions: torch.Tensor) -> Any:
+        return self._vec_env.step(actions)
+
+    def reset(self) -> Any:
+        return self._vec_env.reset()
+
+    def reset_done(self) -> Any:
+        return self._vec_env.reset_done()
+
+    def get_env_info(self) -> dict[str, Any]:
+        return self._vec_env.get_env_info()
+
+
+def made_with(vec_env: Any, runner: Any) -> Any:
+    runner.params["config"] |= {"vec_env": vec_env, "env_info": vec_env.get_env_info()}
+    return runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+
+
+def test_a_task_of_ones_own_needs_the_members_of_amp_only(make_runner):
+    runner = make_runner("max_iterations=1")
+    members = ("amp_observation_space", "fetch_amp_obs_demo")
+    vec_env = OwnVecEnv(RLGPUEnv("rlgpu", 8), *members)
+    agent = made_with(vec_env, runner)
+    agent.train()
+    agent.writer.close()
+    assert agent.vec_env is vec_env
+    assert agent.epoch_num == 1
+    assert agent.demo_buffer.get_total_count() == 48 + 16
+
+
 def test_a_task_without_reference_motions_is_refused(make_runner):
     runner = make_runner()
-    task = runner.params["config"]
-    env_info = {"observation_space": _Space(105), "action_space": _Space(28), "agents": 1}
-    task["env_info"] = env_info
-    with pytest.raises(ConfigError, match="amp_observation_space") as caught:
-        runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+    with pytest.raises(ConfigError, match="SimpleNamespace has no fetch_amp_obs_demo") as caught:
+        made_with(OwnVecEnv(RLGPUEnv("rlgpu", 8), "amp_observation_space"), runner)
+    with pytest.raises(ConfigError, match="has no amp_observation_space, fetch_amp_obs_demo"):
+        made_with(OwnVecEnv(RLGPUEnv("rlgpu", 8)), runner)
     assert "\n" not in str(caught.value)
     # a value of the key algo.name, if any: not the name of a Python class
     assert "'AMPAgent'" not in str(caught.value)
-
-
-class _Space:
-    def __init__(self, size: int) -> None:
-        self.shape = (size,)
-        self.low, self.high = -np.ones(size, np.float32), np.ones(size, np.float32)
-        self.dtype = np.dtype(np.float32)
 
 
 def test_the_discriminator_has_a_learning_rate_that_no_schedule_changes(make_agent, tmp_path):

@@ -1,9 +1,8 @@
-"""rl_games' own PPO: its agent on a cart that is pushed along a rail, and its player."""
+"""rl_games' own PPO, on a cart that is pushed along a rail."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -22,13 +21,6 @@ CART = """
   <body name="cart"><joint name="rail" type="slide" axis="1 0 0"/><geom size="0.1" mass="2"/></body>
 </worldbody><actuator><motor joint="rail" gear="10"/></actuator></mujoco>
 """
-PPO = (
-    "train.params.algo.name=a2c_continuous",
-    "train.params.model.name=continuous_a2c_logstd",
-    "train.params.network.name=actor_critic",
-    "task.env.episodeLength=12",
-    "task.env.enableEarlyTermination=False",
-)
 NUM_ENVS = 64
 PARAMS: dict[str, Any] = {
     "seed": 7,
@@ -188,41 +180,3 @@ def test_the_cart_learns_to_go_where_it_is_rewarded(make_agent):
     # standing still is worth -32 in 32 steps
     assert rewards[0] < -20.0
     assert rewards[-1] > rewards[0] + 5.0
-
-
-# --- its player, on a humanoid that resets its episodes on request -------------------------------
-
-
-@pytest.fixture
-def player(make_runner: Callable[..., Any]) -> Any:
-    return make_runner(*PPO, "+train.params.config.player.games_num=16").create_player()
-
-
-def test_it_plays_whole_episodes(player) -> None:
-    player.run()
-    assert player.result.num_episodes == 16
-    # The step that ends an episode at the limit is the one before the last; a reward of 1 in each.
-    assert player.result.steps == 11
-    assert player.result.reward == pytest.approx(11.0)
-
-
-def test_mean_actions_unless_asked_otherwise(player) -> None:
-    obs = player.env.reset()
-    assert (player.act(obs) == player.act(obs)).all()
-    player.is_deterministic = False
-    assert (player.act(obs) != player.act(obs)).any()
-
-
-def test_training_sees_one_episode_after_another(make_agent) -> None:
-    agent = make_agent(*PPO, "train.params.config.horizon_length=30", "max_iterations=1")
-    lengths: list[int] = []
-    step = agent.vec_env.env.step
-
-    def noting(actions):
-        lengths.extend(agent.vec_env.env.progress_buf.tolist())
-        return step(actions)
-
-    agent.vec_env.env.step = noting
-    agent.train()
-    # 8 environments, 30 steps: progress before a step is 0 to 10, never beyond the limit.
-    assert sorted(set(lengths)) == list(range(11))
