@@ -80,7 +80,7 @@ class AMPObsEnv(Protocol):
 
 
 class AMPEnv(AMPObsEnv, Protocol):
-    """A task that AMP can learn: it has reference motions, too.
+    """A task that AMP can learn: it also has reference motions.
 
     `infos["terminate"]` (N,) is 1 where an episode ended by a failure.
     """

@@ -373,18 +373,18 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
         """Store the rows after step n that no later policy call evaluates; failures have V = 0."""
-        wanted = self._needs_next_value()
-        # A policy call returns the model's values, not those of a subclass' own critic.
+        rows = self._needs_next_value()
+        # A policy call returns the model's values, not the values of a subclass' own critic.
         own_critic = is_overridden(self, CommonAgent._eval_critic)
         if n == self.horizon_length - 1 or own_critic:
-            wanted = torch.ones_like(wanted)
-        self._pending = ~wanted
+            rows = torch.ones_like(rows)
+        self._pending = ~rows
         terminate = failures(self.dones, infos).bool()
         self.experience_buffer.tensor_dict["next_values"][n].zero_()
-        rows = (wanted & ~terminate).nonzero().flatten()
+        env_ids = (rows & ~terminate).nonzero().flatten()
         inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
-        kept = {name: value.index_select(0, rows) for name, value in inputs.items()}
-        self._bootstrap_queue.append((n * len(terminate) + rows, kept))
+        queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
+        self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
 
     def _fill_next_values(self, n: int, values: Tensor) -> None:
         """Set V(s') of step n where it is the value (N, values) of step n + 1."""
@@ -393,9 +393,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def _evaluate_bootstrap_queue(self) -> None:
         """Evaluate the rows of `_queue_bootstrap_values` of a whole rollout in one call."""
-        places, kept = zip(*self._bootstrap_queue, strict=True)
+        places, queued = zip(*self._bootstrap_queue, strict=True)
         self._bootstrap_queue = []
-        inputs = {name: torch.cat([rows[name] for rows in kept]) for name in kept[0]}
+        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
         if len(inputs["obs"]) > 0:
             next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
             next_values[torch.cat(places)] = self._eval_critic(inputs)

@@ -1,4 +1,4 @@
-"""Plays policies that act under skill latents: random ones, moving ones or those of a file."""
+"""Plays policies that act under skill latents: random or moving ones, or the rows of a file."""
 
 from __future__ import annotations
 

@@ -256,8 +256,8 @@ def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any
 
     Args:
         params: such a section, which is returned as it is, or a flat configuration: keys of its
-            `config`, which replace those of `train_file`. `network` may be a section of its own or
-            a model of rl_games that is not built yet; `vec_env` and `env_info` an environment that
+            `config`, which replace the values of `train_file`. `network` may be a section or a
+            model of rl_games that is not built yet; `vec_env` and `env_info` an environment that
             exists; without them `env_config` holds arguments of `isaacgymenvs_lite.make`.
         train_file: name of the train file with the values of all other keys.
 

@@ -1,4 +1,4 @@
-"""Losses and advantages as pure functions: PPO's as in IsaacGymEnvs, and those of skills.
+"""Losses and advantages as pure functions: PPO's as in IsaacGymEnvs, and the losses of skills.
 
 PPO's differ from rl_games': no factor 0.5 on the critic, a bound at 1.0 instead of 1.1, and
 advantages that bootstrap with the value of the state *after* each step (docs/amp.md has the list).

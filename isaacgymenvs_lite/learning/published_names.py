@@ -23,7 +23,7 @@ _NOT_OWN = frozenset((_PACKAGE, "rl_games", "torch", "builtins", "typing", "abc"
 
 @dataclass(frozen=True)
 class Surface:
-    """The names of a published class. Those of methods end in `()`.
+    """The names of a published class; a method's ends in `()`.
 
     `name(argument)` is the method `name` of a subclass that takes this argument.
 

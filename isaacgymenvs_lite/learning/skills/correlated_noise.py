@@ -18,7 +18,7 @@ class CorrelatedNoise:
 
     Args:
         correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
-            probability of an action is still that of independent noise, as in the paper.
+            probability of an action still assumes independent noise, as in the paper.
     """
 
     def __init__(self, correlation: float) -> None:

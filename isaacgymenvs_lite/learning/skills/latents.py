@@ -4,8 +4,8 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 Random latents alone, as in ASE, make a policy find every skill by exploration, and it settles for
 the easiest: standing in many ways. With `ClipLatents` some episodes that start in a clip have the
 latent that the encoder finds in the clip, so that continuing the clip earns the encoder's reward at
-once. This is between ASE and CALM (Tessler et al. 2023, arXiv 2305.02195), where all latents are
-those of clips.
+once. This is between ASE and CALM (Tessler et al. 2023, arXiv 2305.02195), which reads all latents
+from clips.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class ClipLatents:
         self._sample = sample
 
     def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
-        """Return n latents (n, Z); those of clips are read at random moments."""
+        """Return n latents (n, Z), read at random moments of the clips or random."""
         latents, chosen = self.random(n, device)
         if len(chosen) > 0:
             latents[chosen] = self._read(self._fetch(len(chosen)))
