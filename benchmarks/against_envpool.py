@@ -43,7 +43,7 @@ from benchmarks.from_inside import (
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
+from isaacgymenvs_lite.learning.ppo import PPOAgent
 
 _WARM_UP_EPOCHS = 3
 _MODELS = Path("mujoco", "assets_gym")  # in EnvPool's folder of files

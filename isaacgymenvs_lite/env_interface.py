@@ -1,24 +1,249 @@
-"""Who looks on while a task is stepped: a recorder of videos, a window."""
+"""What agents, players and measurements use of a task: Protocols, so that no class is inherited.
+
+A task of another project fits if it has the members; it imports nothing from here. `require` checks
+them once, when an agent or a player is made. N is the number of environments.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol, TypeGuard, TypeVar
+
+import gymnasium
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
 
 
 class StepListener(Protocol):
-    """Added to `VecTask.listeners`; reads the task and changes nothing of it.
+    """Called after each control step: a video writer, a window. One of `VecTask.listeners`.
 
-    One with a true attribute `keeps_playing` lets a play go on after its last episode.
+    It reads the task and changes nothing in it. If it has a true attribute `keeps_playing`, a
+    player goes on after its last episode.
     """
 
     def after_step(self) -> None:
-        """Hear that a control step was made; episodes that it ended may not have begun anew."""
+        """A control step was made; the episodes that ended in it are not reset yet."""
         ...
 
     def render(self) -> None:
-        """Show the present state, because somebody asked the task to."""
+        """Render the current state: `VecTask.render` was called."""
         ...
 
     def close(self) -> None:
-        """Finish what was begun; a second call does nothing."""
+        """Finish and release everything; a second call does nothing."""
         ...
+
+
+class Env(Protocol):
+    """A task that resets its episodes on request, as `evaluation.evaluate` plays it."""
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        ...
+
+    @property
+    def rl_device(self) -> Any:
+        """Device of observations, rewards and dones."""
+        ...
+
+    @property
+    def progress_buf(self) -> Tensor:
+        """(N,) control steps of the running episodes."""
+        ...
+
+    def reset(self) -> dict[str, Tensor]:
+        """Reset all environments; return {"obs": (N, O)}."""
+        ...
+
+    def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
+        """Reset the environments whose episodes ended; return observations, and ids (n,)."""
+        ...
+
+    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
+        """Make a control step; return observations, rewards (N,), dones (N,) and infos."""
+        ...
+
+
+class AMPObsEnv(Protocol):
+    """A task whose `infos["amp_obs"]` (N, F) show the motion of the last control steps.
+
+    Its `num_amp_obs_steps`, an int, is how many; without it 1 is assumed.
+    """
+
+    @property
+    def amp_observation_space(self) -> gymnasium.spaces.Box:
+        """Shape (F,) of an AMP observation."""
+        ...
+
+
+class AMPEnv(AMPObsEnv, Protocol):
+    """A task that AMP can learn: it also has reference motions.
+
+    `infos["terminate"]` (N,) is 1 where an episode ended by a failure.
+    """
+
+    def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
+        """Return AMP observations (num_samples, F) of the reference motions."""
+        ...
+
+
+class SkillEnv(AMPEnv, Protocol):
+    """A task for policies that act under skill latents (GenAMP, ASE)."""
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        ...
+
+    @property
+    def progress_buf(self) -> Tensor:
+        """(N,) control steps of the running episodes."""
+        ...
+
+
+class ClipSkillEnv(SkillEnv, Protocol):
+    """A task for skills that are encoded from its reference motions."""
+
+    def amp_obs_of(self, env_ids: Tensor) -> Tensor:
+        """Return the current AMP observations (n, F) of environments (n,)."""
+        ...
+
+    def fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
+        """Return AMP observations (num_samples, 2, F) of two moments of the same clip each."""
+        ...
+
+
+class ClipWindowsEnv(AMPObsEnv, Protocol):
+    """A task in whose reference motions `SkillProbe` looks for what a policy shows."""
+
+    @property
+    def num_amp_obs_steps(self) -> int:
+        """Control steps of an AMP observation."""
+        ...
+
+    @property
+    def progress_buf(self) -> Tensor:
+        """(N,) control steps of the running episodes."""
+        ...
+
+    @property
+    def motion_lib(self) -> MotionLib:
+        """The reference motions."""
+        ...
+
+    def windows_of_clips(self) -> list[Tensor]:
+        """Return the AMP observations (n, F) along each clip."""
+        ...
+
+
+class HierarchyEnv(AMPObsEnv, Protocol):
+    """A task for a high-level policy over a low-level controller (HRL)."""
+
+    @property
+    def observation_space(self) -> gymnasium.spaces.Box:
+        """Shape (O,) of an observation, the task's features included."""
+        ...
+
+    @property
+    def action_space(self) -> gymnasium.spaces.Box:
+        """Shape (A,) and limits of the low-level controller's actions."""
+        ...
+
+    @property
+    def reset_buf(self) -> Tensor:
+        """(N,) 1 where the next `reset_done` starts a new episode; the agent writes into it."""
+        ...
+
+    def get_task_obs_size(self) -> int:
+        """Return how many entries of an observation, the last ones, describe the task."""
+        ...
+
+
+class BodyStates(Protocol):
+    """A task's `simulation`, as far as measurements read it; B bodies, positions in m."""
+
+    @property
+    def body_names(self) -> Any:
+        """B names."""
+        ...
+
+    @property
+    def body_pos(self) -> Tensor:
+        """(N, B, 3) in the world frame."""
+        ...
+
+    @property
+    def body_rot(self) -> Tensor:
+        """(N, B, 4) quaternions xyzw in the world frame."""
+        ...
+
+    @property
+    def root_states(self) -> Tensor:
+        """(N, 13) position, quaternion xyzw, linear and angular velocity."""
+        ...
+
+
+class ReferenceEnv(Env, Protocol):
+    """A task whose motion is compared with its reference motions."""
+
+    @property
+    def motion_lib(self) -> MotionLib:
+        """The reference motions."""
+        ...
+
+    @property
+    def simulation(self) -> BodyStates:
+        """The simulated bodies."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a control step."""
+        ...
+
+    @property
+    def max_episode_length(self) -> int:
+        """Control steps of the longest episode."""
+        ...
+
+    @property
+    def device(self) -> str | torch.device:
+        """Device of the simulated state."""
+        ...
+
+
+E = TypeVar("E")
+
+
+def fits(env: object, contract: type[E]) -> TypeGuard[E]:
+    """Return whether `env` has all members of a Protocol of this module."""
+    return not _missing_members(env, contract)
+
+
+def _missing_members(env: object, contract: type) -> list[str]:
+    protocols = [cls for cls in reversed(contract.__mro__) if cls.__module__ == __name__]
+    names = dict.fromkeys(name for cls in protocols for name in vars(cls) if name[0] != "_")
+    return [name for name in names if not hasattr(env, name)]
+
+
+def require(env: Any, contract: type[E], user: str) -> E:
+    """Return `env`, once it has all members of a Protocol of this module.
+
+    Args:
+        env: the task.
+        contract: the Protocol.
+        user: what needs it, the first words of the message: `StyleReward`.
+
+    Raises:
+        ConfigError: a member is missing; all of them are named.
+    """
+    if missing := _missing_members(env, contract):
+        raise ConfigError(
+            f"{user} needs a task with reference motions, such as task=HumanoidAMP;"
+            f" {type(env).__name__} has no {', '.join(missing)} (expected is"
+            f" isaacgymenvs_lite.env_interface.{contract.__name__})"
+        )
+    return env

@@ -36,8 +36,7 @@ from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
 from isaacgymenvs_lite.learning.hrl_models import ModelHRLContinuous
 from isaacgymenvs_lite.learning.hrl_network_builder import HRLBuilder
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
-from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
-from isaacgymenvs_lite.learning.ppo_players import PPOPlayer
+from isaacgymenvs_lite.learning.ppo import PPOAgent, PPOPlayer
 from isaacgymenvs_lite.learning.sac import SACAgent, SACPlayer
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv

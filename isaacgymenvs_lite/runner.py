@@ -30,7 +30,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
-from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
+from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
 from isaacgymenvs_lite.registration import build_runner, known_names, register_env
 from isaacgymenvs_lite.run import (
     DiagnosticsObserver,

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import player_class_note
+from isaacgymenvs_lite.env_interface import Env, ReferenceEnv, fits
 from isaacgymenvs_lite.evaluation.pose_error import (
     EpisodeRecorder,
     ImitationResult,
@@ -60,7 +61,7 @@ class EvaluationResult:
 class _ImitationProbe:
     """Records body positions of a task with reference motions."""
 
-    def __init__(self, env: Any, episodes_per_env: int) -> None:
+    def __init__(self, env: ReferenceEnv, episodes_per_env: int) -> None:
         self._sim = env.simulation
         self._metric = PoseErrorMetric(ReferencePoses.from_motion_lib(env.motion_lib, env.dt))
         self._recorder = EpisodeRecorder(
@@ -82,7 +83,7 @@ class _ImitationProbe:
 
 
 def evaluate(
-    env: Any,
+    env: Env,
     policy: Policy,
     num_episodes: int,
     style_reward: Callable[[Tensor], Tensor] | None = None,
@@ -101,7 +102,7 @@ def evaluate(
         on_step: called with the dones (N,) and infos of each step, before resets.
     """
     episodes_per_env = max(1, -(-num_episodes // env.num_envs))
-    probe = _ImitationProbe(env, episodes_per_env) if hasattr(env, "motion_lib") else None
+    probe = _ImitationProbe(env, episodes_per_env) if fits(env, ReferenceEnv) else None
     left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
     totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
     env.reset()
@@ -127,7 +128,7 @@ def evaluate(
     )
 
 
-def _step(env: Any, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
+def _step(env: Env, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Start the episodes that are due and act; return rewards (N,), dones (N,) and infos."""
     obs, _ = env.reset_done()
     with torch.no_grad():
@@ -137,7 +138,7 @@ def _step(env: Any, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
 
 
 def play_on(
-    env: Any,
+    env: Env,
     policy: Policy,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> None:
@@ -152,7 +153,7 @@ def play_on(
         return
     log.info("playing on for whoever looks on; Ctrl-C ends it")
     with contextlib.suppress(KeyboardInterrupt):
-        while env.is_watched:
+        while getattr(env, "is_watched", False):
             _, dones, infos = _step(env, policy)
             if on_step is not None:
                 on_step(dones, infos)
@@ -183,7 +184,7 @@ def episodes_to_play(player_config: Mapping[str, Any]) -> int:
 
 
 def evaluate_and_log(
-    env: Any, policy: Policy, num_episodes: int, **probes: Any
+    env: Env, policy: Policy, num_episodes: int, **probes: Any
 ) -> EvaluationResult:
     """Play as `evaluate` does, and tell a user in one line what was reached."""
     result = evaluate(env, policy, num_episodes, **probes)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import ReferenceEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
@@ -28,7 +28,7 @@ class MotionRecorder:
         ConfigError: the task has no reference motions, or the file cannot be written.
     """
 
-    def __init__(self, env: Any, path: str) -> None:
+    def __init__(self, env: ReferenceEnv, path: str) -> None:
         if not hasattr(env, "motion_lib"):
             raise ConfigError(
                 f"train.params.config.player.record={path}: only tasks with reference motions can"

@@ -1,4 +1,4 @@
-"""The AMP keys of `train.params.config`, with their checks (the PPO keys are rl_games')."""
+"""The keys of `train.params.config` that AMP, GenAMP and HRL agents read beside PPO's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNREAD_KEYS = ("amp_latent_grad_bonus", "amp_latent_grad_bonus_max")
 
 @dataclass(frozen=True, kw_only=True)
 class AMPParams:
-    """What an AMP agent reads beside PPO's keys; names and meanings as IsaacGymEnvs unless said."""
+    """The keys of AMP; names and meanings as in IsaacGymEnvs unless they are marked as new here."""
 
     task_reward_w: float = setting()
     """Weight of the task's reward."""
@@ -45,32 +45,32 @@ class AMPParams:
     normalize_amp_input: bool = setting(True)
     """Normalise AMP observations by running statistics."""
     amp_input_memory: int | None = setting(None, minimum=1)
-    """This project's: rows that these statistics remember, older ones fade; None = all. The falls
-    of the first epochs widen the statistics, and a wide scale hides small differences of pose."""
+    """New here: rows that these statistics remember, older ones fade; None = all. The falls of the
+    first epochs widen the statistics, and a wide scale hides small differences of pose."""
     amp_obs_steps: int | None = setting(None, minimum=1)
-    """This project's: how many control steps of the AMP observation, the newest, discriminator and
+    """New here: how many control steps of the AMP observation, the newest, discriminator and
     encoder see; None = all. After a start in a clip the older ones are the clip's for a while,
     whatever the policy does."""
     disc_reward: str | None = setting(None, choices=DISC_REWARDS)
-    """This project's: the style reward's formula; None = the agent's own."""
+    """New here: the style reward's formula; None = the agent's own."""
     disc_learning_rate: float | None = setting(None, above=0)
-    """This project's: Adam's step size for the discriminator, which no schedule changes; None =
+    """New here: Adam's step size for the discriminator, which no schedule changes; None =
     learning_rate, with its schedule."""
     disc_loss: str = setting("bce", choices=DISC_LOSSES)
-    """This project's: the prediction loss; least_squares is the AMP paper's."""
+    """New here: the prediction loss; least_squares is the AMP paper's."""
     disc_input_noise: float = setting(0.0, minimum=0)
-    """This project's: standard deviation of noise on the normalised AMP observations that the
-    discriminator learns from. It hides the jitter of exploration, by which the policy's motion is
-    told from the clips' at once, so that what is learned is the motion (instance noise: Arjovsky
-    and Bottou 2017, arXiv 1701.04862)."""
+    """New here: standard deviation of noise on the normalised AMP observations that the
+    discriminator learns from. It hides the jitter of exploration, which separates the policy's
+    motion from the clips' at once, so that the discriminator learns the motion (instance noise:
+    Arjovsky and Bottou 2017, arXiv 1701.04862)."""
     enable_eps_greedy: bool = setting(False)
     """ASE's: some environments act without exploration noise, so that the discriminator sees
-    motion free of noise; what they did does not train the policy."""
+    motion free of noise; their steps do not train the policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GenAMPParams(AMPParams):
-    """What a GenAMP agent reads beside AMP's keys; names and meanings as ASE."""
+    """The keys of GenAMP beside AMP's; names and meanings as in ASE unless they are marked."""
 
     latent_dim: int = setting(minimum=2)
     """Numbers in a latent."""
@@ -93,32 +93,54 @@ class GenAMPParams(AMPParams):
     enc_reward_w: float = setting()
     """Weight of the encoder's reward."""
     clip_latents: float = setting(0.0, minimum=0, maximum=1)
-    """This project's: share of the latents that the encoder reads from the clips; see
-    `clip_latents`."""
+    """New here: share of the latents that the encoder reads from the clips; see
+    `latents.ClipLatents`."""
     latent_sharpness: float = setting(0.0, minimum=0)
-    """This project's, for a conditional discriminator: above 0 random latents stand for motions of
+    """New here, for a conditional discriminator: above 0 random latents are paired with motions of
     the clips whose own latents are near, the more exclusively the larger it is."""
     enc_alignment_coef: float = setting(0.0, minimum=0)
-    """This project's: weight of the loss that brings together what the encoder reads at moments of
-    a clip that are near each other."""
+    """New here: weight of the loss that brings together what the encoder reads at moments of a
+    clip that are near each other."""
     enc_uniformity_coef: float = setting(0.0, minimum=0)
-    """This project's: weight of the loss that spreads what it reads at all moments."""
+    """New here: weight of the loss that spreads what it reads at all moments."""
 
     @property
     def encodes_clips(self) -> bool:
-        """Whether the encoder learns from the clips, too."""
+        """Whether the encoder also learns from the clips."""
         return self.enc_alignment_coef != 0.0 or self.enc_uniformity_coef != 0.0
 
 
-P = TypeVar("P", bound=AMPParams)
+@dataclass(frozen=True, kw_only=True)
+class HRLParams:
+    """The keys of HRL; names and meanings as in ASE unless they are marked as new here."""
+
+    llc_config: str = setting()
+    """Train file of the low-level controller."""
+    llc_checkpoint: str | None = setting("")
+    """Its checkpoint, or the name of a shipped policy; see `llc_reference.llc_checkpoint_for`."""
+    llc_steps: int = setting(minimum=1)
+    """Control steps that the low-level controller makes under one latent."""
+    task_reward_w: float = setting(1.0)
+    """Weight of the task's reward."""
+    disc_reward_w: float = setting(0.0)
+    """Weight of the low-level controller's style reward."""
+    exploration_correlation: float = setting(0.0, minimum=0, maximum=0.99)
+    """New here: correlation of the exploration noise of consecutive steps; see
+    `correlated_noise`."""
 
 
-def read_amp_params(config: Mapping[str, Any], cls: type[P] = AMPParams) -> P:
-    """Check the AMP keys of `train.params.config`.
+AGENT_KEYS = frozenset((*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS))
+"""All keys that the agents of this project read or accept beside PPO's."""
+
+P = TypeVar("P", bound=AMPParams | HRLParams)
+
+
+def read_agent_params(config: Mapping[str, Any], cls: type[P]) -> P:
+    """Check the keys of `train.params.config` that a class of this module has.
 
     Args:
         config: with PPO's keys beside them.
-        cls: whose keys they are.
+        cls: AMPParams, GenAMPParams or HRLParams.
 
     Raises:
         ConfigError: a key is missing, ill-typed or out of range.

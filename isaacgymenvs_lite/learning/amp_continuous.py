@@ -2,6 +2,24 @@
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
 (arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
+
+In the order of an epoch: the rollout stores `amp_obs` of each step, the discriminator rewards them,
+demonstrations and replayed rows are drawn, each minibatch trains policy and discriminator together,
+and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops and its hooks.
+Hooks that this agent adds, for agents with other rewards or rows:
+
+| hook | what it is for | overridden by |
+|---|---|---|
+| `_store_demos` | which demonstrations enter the buffer | GenAMP |
+| `_fetch_amp_obs_demo` | AMP observations of the reference motions | - |
+| `_preproc_amp_obs` | from AMP observations to inputs of the discriminator | - |
+| `_calc_amp_rewards`, `_calc_disc_rewards`, `_eval_disc` | reward terms | - |
+| `_reward_latents` | inputs of the rewards beside `amp_obs` | GenAMP |
+| `_combine_rewards` | the sum of the reward terms | GenAMP |
+| `_demo_disc_batch`, `_agent_disc_batch` | real and fake rows for the discriminator | GenAMP |
+| `_log_rewards` | scalars of the reward terms | GenAMP |
+| `_disc_loss`, `_disc_loss_neg`, `_disc_loss_pos` | the discriminator's loss | - |
+| `_compute_disc_acc` | its logged accuracies | - |
 """
 
 from __future__ import annotations
@@ -12,10 +30,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.agent_hooks import LossTerms
-from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
-from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.env_interface import AMPEnv, require
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
+from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_masked
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
@@ -36,21 +53,21 @@ _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 class AMPAgent(StyleRewards, CommonAgent):
     """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
 
-    Also where a user registers this class as `amp_agent` by hand, as IsaacGymEnvs does;
-    `registration.register` gives that name to `LeastSquaresAMPAgent`.
-
-    Needs of the environment: `amp_observation_space`, `infos["amp_obs"]` (N, F),
-    `infos["terminate"]` (N,) and `fetch_amp_obs_demo(n)` -> (n, F).
+    A script that registers this class as `amp_agent`, as IsaacGymEnvs does, gets the same reward;
+    `registration.register` gives that name to `LeastSquaresAMPAgent`. The task is an `AMPEnv`.
 
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
         params_class: the keys that it reads beside PPO's.
+        env_contract: the members that it needs of a task.
         discriminator: buffers, normaliser, loss and reward.
     """
 
     discriminator: DiscriminatorTrainer
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
+    env_contract: ClassVar[Any] = AMPEnv
+    _env: AMPEnv
     scalars: ClassVar[dict[str, str]] = {
         **CommonAgent.scalars,
         "disc_loss": "losses/disc_loss",
@@ -78,15 +95,27 @@ class AMPAgent(StyleRewards, CommonAgent):
     _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
     _enable_eps_greedy = ReadOnly("_amp.enable_eps_greedy")
     _amp_input_mean_std = ReadOnly("discriminator.normalizer", "the agent's discriminator")
-    _amp_observation_space = ReadOnly("vec_env.env.amp_observation_space", "the task")
+    _amp_observation_space = ReadOnly("_env.amp_observation_space", "the task")
 
-    def __init__(
-        self,
-        base_name: str,
-        params: dict[str, Any] | None = None,
-        config: dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(base_name, params, config)
+    # --- constructor -----------------------------------------------------------------------
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        super()._load_config_params(config)
+        self._amp = read_agent_params(config, self.params_class)
+        self._env = require(self.vec_env.env, self.env_contract, "train.params.algo: AMP")
+        self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
+        # True if some environments act without exploration noise.
+        self._masks_exploration = self._amp.enable_eps_greedy
+        self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
+
+    def _build_net_config(self) -> dict[str, Any]:
+        return {
+            **super()._build_net_config(),
+            "amp_input_shape": (self._amp_obs_size,),
+        }
+
+    def _build_modules(self) -> None:
+        super()._build_modules()
         self.discriminator = DiscriminatorTrainer(
             self.model.a2c_network,
             self._amp_obs_size,
@@ -98,25 +127,6 @@ class AMPAgent(StyleRewards, CommonAgent):
         # A subclass' loss as published has three arguments and computes the gradient itself.
         self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)
 
-    def _load_config_params(self, config: dict[str, Any]) -> None:
-        super()._load_config_params(config)
-        self._amp = read_amp_params(config, self.params_class)
-        if "amp_observation_space" not in self.env_info:
-            raise ConfigError(
-                "train.params.algo: AMP needs a task with reference motions"
-                " (amp_observation_space), such as task=HumanoidAMP"
-            )
-        self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self.vec_env.env), self._amp)
-        # Whether some environments act without exploration noise.
-        self._masks_exploration = self._amp.enable_eps_greedy
-        self._amp_minibatch_size = min(self._amp.amp_minibatch_size, self.minibatch_size)
-
-    def _build_net_config(self) -> dict[str, Any]:
-        return {
-            **super()._build_net_config(),
-            "amp_input_shape": (self._amp_obs_size,),
-        }
-
     def _parameter_groups(self) -> list[dict[str, Any]]:
         if self._amp.disc_learning_rate is None:
             return super()._parameter_groups()
@@ -125,12 +135,12 @@ class AMPAgent(StyleRewards, CommonAgent):
         return [{"params": others}, {"params": disc, "lr": self._amp.disc_learning_rate}]
 
     def init_tensors(self) -> None:
-        """Allocate the rollout of AMP observations and the buffers of the discriminator, too."""
+        """Allocate the rollout, AMP observations included, and the discriminator's buffers."""
         super().init_tensors()
         self._build_amp_buffers()
 
     def _build_amp_buffers(self) -> None:
-        """Allocate what AMP keeps beside PPO: the rollout's rows, demonstrations, replayed rows."""
+        """Allocate the buffers of the rollout, of demonstrations and of replayed rows."""
         self.experience_buffer.tensor_dict["amp_obs"] = torch.zeros(
             self.horizon_length, self.num_actors, self._amp_obs_size, device=self.ppo_device
         )
@@ -160,8 +170,18 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _amp_replay_buffer(self, buffer: ReplayBuffer) -> None:
         self.discriminator.replay_buffer = buffer
 
+    @property
+    def demo_buffer(self) -> ReplayBuffer:
+        """Demonstrations: AMP observations of the reference motions."""
+        return self._amp_obs_demo_buffer
+
+    @property
+    def replay_buffer(self) -> ReplayBuffer:
+        """AMP observations of earlier policies."""
+        return self._amp_replay_buffer
+
     def _build_rand_action_probs(self) -> None:
-        """Set `_rand_action_probs` (N,), how probable exploration noise is in each environment."""
+        """Set `_rand_action_probs` (N,), the probability of exploration noise per environment."""
         self._rand_action_probs = torch.ones(self.num_actors, device=self.ppo_device)
         if self._amp.enable_eps_greedy:
             self._rand_action_probs = exploration_probs(self.num_actors).to(self.ppo_device)
@@ -175,7 +195,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         self.discriminator.fill_demo_buffer(self._store_demos)
 
     def _update_amp_demos(self) -> None:
-        """Add new demonstrations to the buffer; once in each epoch."""
+        """Add new demonstrations to the buffer; called once per epoch."""
         self._store_demos()
 
     def _store_demos(self) -> None:
@@ -184,12 +204,12 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, F) of the reference motions."""
-        return self.vec_env.env.fetch_amp_obs_demo(num_samples)
+        return self._env.fetch_amp_obs_demo(num_samples)
 
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions; where `_rand_action_probs` say so, the mean action is taken."""
+        """Sample actions; `_rand_action_probs` decide where it is the mean action."""
         result = super().get_action_values(obs)
         if self._masks_exploration:
             self._explored = torch.bernoulli(self._rand_action_probs)
@@ -216,7 +236,7 @@ class AMPAgent(StyleRewards, CommonAgent):
     # --- update ----------------------------------------------------------------------------
 
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        """Fetch new demonstrations and draw the rows that the discriminator will compare."""
+        """Fetch new demonstrations, and draw the real and fake rows for the discriminator."""
         self._log_rewards()
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
@@ -226,11 +246,11 @@ class AMPAgent(StyleRewards, CommonAgent):
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
     def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the discriminator's real rows, made of rows of the demonstrations."""
+        """Return the real rows for the discriminator, given rows of the demonstrations."""
         return {"amp_obs_demo": demos["amp_obs"]}
 
     def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return the rollout's rows as the discriminator's fakes; names begin with `amp_obs`."""
+        """Return the fake rows, given the rollout's; their names begin with `amp_obs`."""
         return {"amp_obs": batch_dict["amp_obs"]}
 
     def _log_rewards(self) -> None:
@@ -238,7 +258,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         task_part = self._amp.task_reward_w * task.mean()
         style_part = self._amp.disc_reward_w * style.mean()
         total = (task_part.abs() + style_part.abs()).clamp(min=1e-8)
-        self._collect(
+        self.train_log.add(
             {
                 "disc_reward_mean": style.mean(),
                 "disc_reward_std": style.std(),
@@ -248,7 +268,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         )
 
     def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """As CommonAgent, by the moments of the rows that explored."""
+        """As CommonAgent, with the moments of the rows that explored."""
         if not (self._masks_exploration and self.normalize_advantage):
             return super()._calc_advs(batch_dict)
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
@@ -273,7 +293,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         return dict.fromkeys(_AMP_OBS_KINDS, self._amp_minibatch_size)
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Normalise the AMP observations, and hand on the noise on them."""
+        """Return normalised AMP observations, and the noise that is added to them."""
         inputs = super()._training_inputs(input_dict)
         noise = (f"{name}_noise" for name in _AMP_OBS_KINDS)
         inputs |= {name: input_dict[name] for name in noise if name in input_dict}
@@ -315,7 +335,7 @@ class AMPAgent(StyleRewards, CommonAgent):
     ) -> dict[str, Tensor]:
         """Return the discriminator's loss and its parts; see `DiscriminatorTrainer.loss`.
 
-        Called as `_extra_losses`. The published three arguments do: without the last one the
+        Several threads call it, as `_extra_losses`. With the published three arguments the
         gradient of `disc_demo_logit` by `obs_demo` is computed here.
         """
         return self.discriminator.loss(
@@ -337,15 +357,15 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _compute_disc_acc(
         self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return the shares that the discriminator takes for what they are."""
+        """Return the shares of fakes and of demonstrations that are classified correctly."""
         return accuracies(disc_agent_logit, disc_demo_logit)
 
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
-        """Keep the policy's AMP observations: all until the buffer is full, then a few."""
+        """Store the policy's AMP observations: all until the buffer is full, then a few."""
         self._store_replay_amp_obs(**self._agent_disc_batch(batch_dict))
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
-        """Keep AMP observations (n, F), and rows that belong to them."""
+        """Store AMP observations (n, F), and other columns of the same rows."""
         self.discriminator.store_replay({"amp_obs": amp_obs, **others})
 
     def _record_train_batch_info(
@@ -362,20 +382,20 @@ class AMPAgent(StyleRewards, CommonAgent):
         return replace(parts, modules={**parts.modules, **own})
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics; AMP's are beside the model, as in IsaacGymEnvs."""
+        """Return normaliser statistics; AMP's have a key of their own, as in IsaacGymEnvs."""
         own = self.discriminator.checkpoint_modules
         states = {key: module.state_dict() for key, module in own.items()}
         return {**super().get_stats_weights(model_stats), **states}
 
     def set_stats_weights(self, weights: dict[str, Any]) -> None:
-        """Take over the statistics of a checkpoint."""
+        """Load the statistics of a checkpoint."""
         super().set_stats_weights(weights)
         for key, module in self.discriminator.checkpoint_modules.items():
             module.load_state_dict(weights[key])
 
 
 def exploration_probs(num_envs: int) -> Tensor:
-    """Return (N,) how probable exploration noise is in each environment, from 1 to 0 (as ASE).
+    """Return (N,) the probability of exploration noise per environment, from 1 to 0 (as ASE).
 
     1 - exp(10 (i / (N - 1) - 1)) for environment i; a single environment always explores.
     """
@@ -389,7 +409,7 @@ def exploration_probs(num_envs: int) -> Tensor:
 class LeastSquaresAMPAgent(AMPAgent):
     """`algo: name: amp_agent`: AMPAgent with the paper's bounded style reward by default.
 
-    Only `registration.register` gives it that name; AMPAgent by itself pays the logistic reward.
+    Only `registration.register` gives it that name; AMPAgent has the logistic reward.
     """
 
     default_disc_reward = "least_squares"

@@ -16,18 +16,18 @@ class AMPDataset(PublishedNames, PPODataset):
     """rl_games' dataset with random minibatches.
 
     A permutation of all rows is drawn at the start and again after the last minibatch of every
-    pass, so that each pass sees every row once. Means and standard deviations of the policy are
-    those of the rollout: they are not rewritten between minibatches, unlike in rl_games.
+    pass, so that each pass sees every row once. Means and standard deviations of the policy stay
+    the rollout's: unlike in rl_games they are not rewritten between minibatches.
 
     Args:
         batch_size: rows of an epoch.
         minibatch_size: rows of a minibatch; divides batch_size.
         is_discrete: discrete actions.
         is_rnn: recurrent networks (not supported by this dataset's users).
-        device: where the rows live.
+        device: of the rows.
         seq_length: for recurrent networks.
-        row_limits: name -> rows that its users read of each minibatch, its first ones; the
-            others are not gathered.
+        row_limits: name -> how many rows of a minibatch are read, the first ones; the others are
+            not gathered.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class AMPDataset(PublishedNames, PPODataset):
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
-        """Refuse: minibatches are random rows, which have no place to be written back to.
+        """Not supported: minibatches are random rows, which cannot be written back in order.
 
         Raises:
             NotImplementedError: always.

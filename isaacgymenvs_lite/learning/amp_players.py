@@ -1,4 +1,4 @@
-"""Players of AMP policies: they know the style reward."""
+"""Players of AMP policies: they also measure the style reward."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
+from isaacgymenvs_lite.env_interface import AMPObsEnv, require
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.modules.discriminator import (
@@ -41,15 +41,15 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
 
     def __init__(self, params: dict[str, Any]) -> None:
         self._print_disc_prediction = bool(params["config"].get("print_disc_prediction", False))
-        self._amp = read_amp_params(params["config"], self.params_class)
+        self._amp = read_agent_params(params["config"], self.params_class)
         super().__init__(params)
 
     def _build_net(self, config: dict[str, Any]) -> None:
-        """As CommonPlayer, and the discriminator."""
+        """Build the model and the discriminator."""
         super()._build_net(config)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            disc_obs_size(AMPObsShape.from_task(self.env), self._amp),
+            self._amp_obs_size,
             self._amp,
             self.default_disc_reward,
             self.device,
@@ -57,22 +57,18 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
         )
 
     def _build_net_config(self) -> dict[str, Any]:
-        if not hasattr(self.env, "amp_observation_space"):
-            raise ConfigError(
-                "an AMP policy needs a task with reference motions (amp_observation_space), such"
-                " as task=HumanoidAMP"
-            )
-        return {
-            **super()._build_net_config(),
-            "amp_input_shape": (disc_obs_size(AMPObsShape.from_task(self.env), self._amp),),
-        }
+        task = require(self.env, AMPObsEnv, "an AMP policy")
+        self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(task), self._amp)
+        return {**super()._build_net_config(), "amp_input_shape": (self._amp_obs_size,)}
 
     def _parts(self) -> Parts:
         parts = super()._parts()
         own = self.discriminator.checkpoint_modules
         return replace(parts, modules={**parts.modules, **own})
 
-    def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
+    def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
+        """Return a function from AMP observations (N, F) to style rewards (N, 1)."""
+
         def reward(amp_obs: Tensor) -> Tensor:
             rewards = self._calc_disc_rewards(amp_obs.to(self.device), *self._disc_latents())
             return rewards.to(amp_obs.device)
@@ -80,7 +76,7 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
         return reward
 
     def _disc_latents(self) -> tuple[Tensor, ...]:
-        """Return what the discriminator hears beside the AMP observations (N, F) of now."""
+        """Return the discriminator's inputs beside the current AMP observations (N, F)."""
         return ()
 
     def _post_step(self, info: dict[str, Any]) -> None:
@@ -89,7 +85,7 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
             self._amp_debug(info)
 
     def _amp_debug(self, info: dict[str, Any]) -> None:
-        """Log what environment 0 is worth."""
+        """Log logit and rewards of environment 0."""
         amp_obs = info["amp_obs"][:1].to(self.device)
         logit = self._eval_disc(amp_obs, *(rows[:1] for rows in self._disc_latents()))
         rewards = self._calc_amp_rewards(amp_obs, *(rows[:1] for rows in self._reward_latents()))

@@ -1,14 +1,57 @@
-"""CommonAgent: PPO as IsaacGymEnvs' CommonAgent, and the one rollout and update loop here.
+"""CommonAgent: PPO as IsaacGymEnvs' CommonAgent has it, and the only rollout and update loop here.
 
-rl_games' own `train()` runs it, so that checkpoints, stop rules and diagnostics are rl_games'.
-Agents override the hooks of `agent_hooks`, never the loops.
+From top to bottom: constructor, rollout, bootstrap, update, loss, logging, checkpoint. rl_games'
+`train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are rl_games'.
+Agents override hooks, never the loops:
+
+| hook | what it is for | overridden by |
+|---|---|---|
+| `_complete_section` | which configurations the constructor takes | HRL |
+| `load_networks` | how the network is chosen | HRL |
+| `_load_config_params` | the agent's own keys | AMP, GenAMP, HRL |
+| `_setup_action_space` | number and limits of the actions | HRL |
+| `_build_net_config` | arguments of the networks | AMP, GenAMP |
+| `_build_modules` | what is built on the networks | AMP, GenAMP |
+| `_parameter_groups` | parameters with a learning rate of their own | AMP |
+| `init_tensors` | rollout buffers | AMP, GenAMP, HRL |
+| `_init_train` | work before the first epoch | AMP |
+| `env_reset` | the first reset | GenAMP |
+| `_env_reset_done` | the reset of ended episodes | - |
+| `_after_reset`, `_before_step` | work where episodes start, and before policy steps | GenAMP |
+| `get_action_values` | exploration | AMP, HRL |
+| `_policy_inputs` | inputs of the networks beside the observation | GenAMP |
+| `preprocess_actions` | from the policy's actions to the environment's | HRL |
+| `env_step` | a step of the environment | HRL |
+| `_needs_next_value` | rows whose V(s') the next policy call does not give | GenAMP |
+| `_eval_critic` | the critic that V(s') comes from | - |
+| `_record_step` | what to keep of a step | AMP, GenAMP, HRL |
+| `_track_episodes` | what episodes earn, for logs and the best checkpoint | HRL |
+| `_total_rewards` | rewards beside the task's | AMP, HRL |
+| `mean_policy` | the policy for another task | HRL |
+| `_evaluation_inputs` | `_policy_inputs` for another task | GenAMP |
+| `_before_update` | work before the gradient steps | AMP, HRL |
+| `_after_update` | work after them | AMP |
+| `_calc_advs` | how advantages are normalised | AMP |
+| `_extra_dataset`, `_dataset_row_limits` | more rows in the training set | AMP, GenAMP |
+| `_normalizer_inputs` | rows that update the running statistics | AMP |
+| `_minibatch_extras` | rows that need the whole minibatch | AMP, GenAMP |
+| `_training_inputs` | inputs of the model beside the observation | AMP, GenAMP |
+| `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's loss terms | - |
+| `_extra_losses` | loss terms beside PPO's | AMP, GenAMP |
+| `_record_train_batch_info` | what to log of an epoch | AMP, GenAMP, HRL |
+| `_log_train_info` | how it is logged | - |
+| `_parts`, `get_stats_weights`, `set_stats_weights` | more modules in checkpoints | AMP |
+| `get_full_state_weights`, `set_full_state_weights` | other entries of checkpoints | HRL |
+
+A hook that the agents of IsaacGymEnvs or ASE have too has their name and arguments;
+`published_names` lists the others of theirs. N environments, horizon H, batch B = N * H.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import torch
 from rl_games.algos_torch import torch_ext
@@ -16,15 +59,18 @@ from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.env_interface import Env
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.cpu.parallel import parallelize
-from isaacgymenvs_lite.learning.flat_config import given_section
-from isaacgymenvs_lite.learning.minibatch_loss import MinibatchLoss
-from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
-from isaacgymenvs_lite.learning.next_values import NextValues
-from isaacgymenvs_lite.learning.published_names import ExplainedNames
-from isaacgymenvs_lite.learning.training_log import TrainingLog
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
+from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
+
+LossTerms = dict[str, tuple[float, Tensor]]
+"""{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
+weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
 
 _UNSUPPORTED_KEYS = (
     "central_value_config",
@@ -34,31 +80,38 @@ _UNSUPPORTED_KEYS = (
 )
 
 
-class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
-    """PPO that asks the environment for resets and bootstraps with the value after each step.
+class CommonAgent(ExplainedNames, PPOSafeguards):
+    """PPO that resets ended episodes before it acts, and bootstraps with the value after each step.
 
-    Differences from rl_games' `A2CAgent`: see docs/amp.md and `losses`.
+    `PPOSafeguards` restores, saves, and checks for numbers that are not finite; its base is
+    rl_games' A2CAgent. docs/amp.md and `losses` list the differences from that one.
 
     Attributes:
+        scalars: what the agent collects -> its name in TensorBoard.
         control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
+        train_log: scalars of the current epoch.
 
     Args:
         base_name: name for rl_games' bookkeeping.
         params: the section `params` of a train file, prepared by the Runner.
-        config: the same under the name that the published agents have for it.
+        config: the same under the published name.
 
     Raises:
         ConfigError: a key that this family of agents does not support.
         OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
-    # rl_games declares these as None and fills them in its constructors.
+    scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
+    control_steps_per_action = 1
+
+    # rl_games declares these as None and sets them in its constructors.
     vec_env: Any
     writer: Any
     obs: Any
     train_result: Any
     tensor_list: list[str]
-    control_steps_per_action = 1
+
+    # --- constructor -----------------------------------------------------------------------
 
     def __init__(
         self,
@@ -66,43 +119,17 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         params: dict[str, Any] | None = None,
         config: dict[str, Any] | None = None,
     ) -> None:
-        section = given_section(params, config)
-        settings: dict[str, Any] = section["config"]
-        for key in _UNSUPPORTED_KEYS:
-            if settings.get(key):
-                raise ConfigError(
-                    f"train.params.config.{key} is not supported by AMP-family agents; remove it"
-                )
-        wanted_precision = settings.get("mixed_precision", False)
-        # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
-        settings["mixed_precision"] = False
-        settings["torch_compile"] = torch_compile_setting(
-            settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
-        )
-        # Not A2CAgent's constructor: it builds the model before an agent can say with which inputs.
-        ContinuousA2CBase.__init__(self, base_name, section)
+        self._section = self._complete_section(given_params(params, config))
+        precision = _prepare_settings(self._section["config"])
+        # Not A2CAgent's constructor: it builds the model before the agent's own keys are read.
+        ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
         self.network_path = self.nn_dir
         self._load_config_params(self.config)
         self._setup_action_space()
-
-        self.model = self.network.build(self._build_net_config())
-        self.model.to(self.ppo_device)
-        replace_normalizers(self.model)
-        self.executor = parallelize(self.model, self.ppo_device, wanted_precision)
-        self.states = None
-        self.init_rnn_from_model(self.model)
-        if self.is_rnn:
-            raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
-        self.last_lr = float(self.last_lr)
-        self._learned = [p for p in self.model.parameters() if p.requires_grad]
-        self.optimizer = torch.optim.Adam(
-            self._parameter_groups(),
-            self.last_lr,
-            eps=1e-8,
-            weight_decay=self.weight_decay,
-            fused=True,
-        )
+        self._build_model(precision)
+        self._build_modules()
+        self._build_optimizer()
         self.dataset = AMPDataset(
             self.batch_size,
             self.minibatch_size,
@@ -112,17 +139,31 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
             self.seq_length,
             row_limits=self._dataset_row_limits(),
         )
-        if self.normalize_value:
-            self.value_mean_std = self.model.value_mean_std
-        self._train_info: dict[str, list[Tensor]] = {}
+        self.train_log = TrainingLog(self.scalars)
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
         self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
+    def _complete_section(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Return the section `params` of a train file, of what the constructor received.
+
+        Raises:
+            ConfigError: it is no such section.
+        """
+        if not isinstance(given.get("config"), Mapping):
+            raise ConfigError(
+                "an agent's params have no section 'config': expected the section params of a"
+                " train file (algo, model, network, config), as rl_games' Runner passes it"
+            )
+        return given
+
+    def _load_config_params(self, config: dict[str, Any]) -> None:
+        """Read the agent's own keys of `params.config`; the networks do not exist yet."""
+
     def _setup_action_space(self) -> None:
-        """Take number and limits of the actions from `env_info`; the networks do not exist yet."""
+        """Set number and limits of the actions from `env_info`; the networks do not exist yet."""
         box = self.env_info["action_space"]
         self.actions_num = box.shape[0]
         self.actions_low = torch.from_numpy(box.low.copy()).float().to(self.ppo_device)
@@ -139,16 +180,59 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
             "normalize_input": self.normalize_input,
         }
 
+    def _build_model(self, mixed_precision: Any) -> None:
+        self.model = self.network.build(self._build_net_config())
+        self.model.to(self.ppo_device)
+        replace_normalizers(self.model)
+        self.executor = parallelize(self.model, self.ppo_device, mixed_precision)
+        self.states = None
+        self.init_rnn_from_model(self.model)
+        if self.is_rnn:
+            raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
+        if self.normalize_value:
+            self.value_mean_std = self.model.value_mean_std
+
+    def _build_modules(self) -> None:
+        """Build what an agent needs beside the model, which exists."""
+
+    def _build_optimizer(self) -> None:
+        self.last_lr = float(self.last_lr)
+        self._learned = [p for p in self.model.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.Adam(
+            self._parameter_groups(),
+            self.last_lr,
+            eps=1e-8,
+            weight_decay=self.weight_decay,
+            fused=True,
+        )
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """Return Adam's parameter groups; the first follows the learning rate's schedule.
+
+        Groups keep the order of `model.parameters()` within them.
+        """
+        return [{"params": list(self.model.parameters())}]
+
+    # --- before the first epoch ------------------------------------------------------------
+
     def init_tensors(self) -> None:
         """Allocate the rollout buffers; rl_games calls this once before training."""
         super().init_tensors()
         buffer = self.experience_buffer.tensor_dict
         buffer["next_values"] = torch.zeros_like(buffer["values"])
 
+    def init_current_rewards(self, batch_size: int, current_rewards_shape: Any) -> None:
+        """Start the statistics of episodes; rl_games calls this with its buffers."""
+        super().init_current_rewards(batch_size, current_rewards_shape)
+        self._episodes = EpisodeStatistics(
+            (self.current_rewards, self.current_shaped_rewards, self.current_lengths),
+            (self.game_rewards, self.game_shaped_rewards, self.game_lengths),
+        )
+
     def env_reset(self) -> Any:
         """Reset the environment at the start of training, and keep the restored best reward.
 
-        The networks have threads of their own; what is left is too small to be shared by torch's.
+        The networks have threads of their own; the rest is too small to be split by torch's.
         rl_games forgets the best reward of a checkpoint between restoring and training, and
         would overwrite the best checkpoint by a worse one. Calls `_init_train`.
         """
@@ -158,18 +242,8 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self._init_train()
         return super().env_reset()
 
-    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Take over a checkpoint; see `env_reset` for the best reward.
-
-        Raises:
-            CheckpointError: it holds a model without the state of its training, or does not fit.
-        """
-        own_rates = [group["lr"] for group in self.optimizer.param_groups]
-        super().set_full_state_weights(weights, set_epoch)
-        # The settings of this run count, as they do for the learning rate.
-        for group, rate in zip(self.optimizer.param_groups, own_rates, strict=True):
-            group["lr"] = rate
-        self._restored_best = self.last_mean_rewards
+    def _init_train(self) -> None:
+        """Called once, before the first rollout: buffers exist, environments are not reset yet."""
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -201,14 +275,24 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         return self._rollout_batch(step_time_s)
 
     def _env_reset_done(self) -> tuple[Any, Tensor]:
-        """Let ended episodes start anew; return all observations, and the environments (n,)."""
+        """Reset ended episodes; return all observations, and the environments (n,)."""
         obs, env_ids = self.vec_env.reset_done()
         return self.obs_to_tensors(obs), env_ids
+
+    def _after_reset(self, env_ids: Tensor) -> None:
+        """Called before each policy step with the environments (n,) whose episodes start there."""
+
+    def _before_step(self) -> None:
+        """Called before each policy step of a rollout."""
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised."""
         with self._acting_in_rollout(obs):
             return self._evaluate_policy(obs, self._policy_inputs())
+
+    def _policy_inputs(self) -> dict[str, Tensor]:
+        """Return inputs of actor and critic beside the observation, (N, ...) each."""
+        return {}
 
     def _evaluate_policy(
         self, obs: dict[str, Tensor], inputs: dict[str, Tensor]
@@ -225,21 +309,16 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
                 }
             )
 
-    def mean_policy(self, env: Any) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return what plays `env`, another task of the same kind: mean actions without noise.
+    def _record_step(self, n: int, infos: dict[str, Any]) -> None:
+        """Store what an agent needs of step n."""
 
-        Args:
-            env: a `VecTask`; the policy may look at its `progress_buf`.
-        """
-        inputs = self._evaluation_inputs(env)
-
-        def act(obs: dict[str, Tensor]) -> Tensor:
-            tensors: Any = self.obs_to_tensors(obs)
-            means = self._evaluate_policy(tensors, inputs())["mus"].float()
-            actions: Any = self.preprocess_actions(means)
-            return actions
-
-        return act
+    def _track_episodes(
+        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
+    ) -> None:
+        """Update the statistics of episodes, and the observers."""
+        finished = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
+        self._episodes.add((rewards, shaped_rewards, 1.0), self.dones, finished)
+        self.algo_observer.process_infos(infos, finished)
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         self._evaluate_bootstrap_queue()
@@ -256,6 +335,89 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         batch["step_time"] = step_time_s
         return batch
 
+    def _total_rewards(self, task_rewards: Tensor) -> Tensor:
+        """Return the rewards (H, N, values) to learn from, given the shaped task rewards.
+
+        Sets `self._rollout_rewards` to the terms, {name: (H, N, values)}; they join the batch.
+        """
+        return task_rewards
+
+    def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return the policy for `env`, another task of the same kind: mean actions without noise.
+
+        Args:
+            env: where the policy will act, from its first reset on.
+        """
+        inputs = self._evaluation_inputs(env)
+
+        def act(obs: dict[str, Tensor]) -> Tensor:
+            tensors: Any = self.obs_to_tensors(obs)
+            means = self._evaluate_policy(tensors, inputs())["mus"].float()
+            actions: Any = self.preprocess_actions(means)
+            return actions
+
+        return act
+
+    def _evaluation_inputs(self, env: Env) -> Callable[[], dict[str, Tensor]]:
+        """Return a function that returns what `_policy_inputs` would, for each step of `env`."""
+        return dict
+
+    # --- bootstrap -------------------------------------------------------------------------
+    # V(s') of every step, at no more than one call of the critic per rollout: where the episode
+    # goes on, the policy call of the next step evaluates the same observation.
+
+    def _needs_next_value(self) -> Tensor:
+        """Return (N,) bool: rows whose observation or inputs change before the next policy step."""
+        return self.dones.bool()
+
+    def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
+        """Store the rows after step n that no later policy call evaluates; failures have V = 0."""
+        rows = self._needs_next_value()
+        # A policy call returns the model's values, not the values of a subclass' own critic.
+        own_critic = is_overridden(self, CommonAgent._eval_critic)
+        if n == self.horizon_length - 1 or own_critic:
+            rows = torch.ones_like(rows)
+        self._pending = ~rows
+        terminate = failures(self.dones, infos).bool()
+        self.experience_buffer.tensor_dict["next_values"][n].zero_()
+        env_ids = (rows & ~terminate).nonzero().flatten()
+        inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
+        queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
+        self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
+
+    def _fill_next_values(self, n: int, values: Tensor) -> None:
+        """Set V(s') of step n where it is the value (N, values) of step n + 1."""
+        next_values = self.experience_buffer.tensor_dict["next_values"][n]
+        torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
+
+    def _evaluate_bootstrap_queue(self) -> None:
+        """Evaluate the rows of `_queue_bootstrap_values` of a whole rollout in one call."""
+        places, queued = zip(*self._bootstrap_queue, strict=True)
+        self._bootstrap_queue = []
+        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
+        if len(inputs["obs"]) > 0:
+            next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
+            next_values[torch.cat(places)] = self._eval_critic(inputs)
+
+    def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
+        """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
+
+        The critic is called without the model around it, which would normalise the observation.
+        """
+        self.model.eval()
+        others = {name: value for name, value in obs_dict.items() if name != "obs"}
+        with torch.no_grad():
+            obs = self.model.norm_obs(obs_dict["obs"])
+            return self.model.denorm_value(self.model.a2c_network.eval_critic(obs, **others))
+
+    def discount_values(  # type: ignore[override]  # IsaacGymEnvs' CommonAgent has these arguments
+        self, mb_fdones: Tensor, mb_values: Tensor, mb_rewards: Tensor, mb_next_values: Tensor
+    ) -> Tensor:
+        """Return advantages (H, N, values); see `losses.discount_values`."""
+        return losses.discount_values(
+            mb_fdones, mb_values, mb_rewards, mb_next_values, self.gamma, self.tau
+        )
+
     # --- update ----------------------------------------------------------------------------
 
     def train_epoch(self) -> tuple[Any, ...]:
@@ -268,7 +430,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         played = time.perf_counter()
         self.set_train()
         self.curr_frames = batch.pop("played_frames")
-        self._train_info = {}
+        self.train_log.start_epoch()
         self._before_update(batch)
         self.prepare_dataset(batch)
         self.algo_observer.after_steps()
@@ -276,7 +438,7 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self._after_update(batch)
         end = time.perf_counter()
         info = {
-            **self._train_info,
+            **self.train_log.values,
             "last_lr": [self.last_lr],
             "lr_mul": [lr_mul],
             "play_time": played - start,
@@ -298,6 +460,33 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
             self.last_lr,
             lr_mul,
         )
+
+    def _before_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows before the training set is made."""
+
+    def _after_update(self, batch_dict: dict[str, Any]) -> None:
+        """Called with the rollout's rows after the last minibatch."""
+
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """Normalise values and advantages, and pass all rows to the dataset."""
+        super().prepare_dataset(batch_dict)
+        self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
+        self.dataset.values_dict.update(self._extra_dataset(batch_dict))
+
+    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
+        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values)."""
+        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
+        if not self.normalize_advantage:
+            return advantages
+        return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+
+    def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """Return rows (B, ...) that join the training set."""
+        return {}
+
+    def _dataset_row_limits(self) -> dict[str, int]:
+        """Return how many rows of a minibatch are read, for names where it is not all."""
+        return {}
 
     def _run_mini_epochs(self) -> tuple[float, list[Tensor]]:
         """Step through all minibatches `mini_epochs` times; return lr_mul and every KL."""
@@ -322,47 +511,18 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
         self.set_train()
         self.calc_gradients(input_dict)
         result: Any = self.train_result
-        self._collect({n: value for n, value in result.items() if isinstance(value, Tensor)})
+        self.train_log.add({n: value for n, value in result.items() if isinstance(value, Tensor)})
         return result
-
-    def update_lr(self, lr: float) -> None:
-        """Set the step size of all parameters but those that have one of their own."""
-        fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
-        super().update_lr(lr)
-        for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
-            group["lr"] = own_lr
-
-    def _schedule_learning_rate(self, kl: Tensor) -> None:
-        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
-        kl_value = kl.item() if self.is_adaptive_lr else 0.0
-        self.last_lr, self.entropy_coef = self.scheduler.update(
-            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl_value
-        )
-        self.update_lr(self.last_lr)
-
-    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Normalise values and advantages and hand all rows to the dataset."""
-        super().prepare_dataset(batch_dict)
-        self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
-        self.dataset.values_dict.update(self._extra_dataset(batch_dict))
-
-    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values)."""
-        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        if not self.normalize_advantage:
-            return advantages
-        return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
 
     def calc_gradients(self, input_dict: dict[str, Tensor]) -> None:
         """Take one gradient step on a minibatch.
 
-        `self.train_result` is then what the published agents keep of one: `entropy`, `kl`,
-        `last_lr`, `lr_mul`, `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss` and the terms
-        that an agent adds, means over the minibatch without gradients.
+        Sets `self.train_result` as the published agents do: `entropy`, `kl`, `last_lr`, `lr_mul`,
+        `b_loss`, `actor_loss`, `actor_clip_frac`, `critic_loss` and the terms that an agent adds,
+        means over the minibatch without gradients.
         """
-        self._update_normalizers(input_dict)
-        rows = input_dict | self._minibatch_extras(input_dict)
-        gradients, values = self.executor.gradients(self._compute_loss, rows, self._learned)
+        rows = self.prepare_minibatch(input_dict)
+        gradients, values = self.executor.gradients(self.compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
         self.trancate_gradients_and_step()
@@ -381,3 +541,254 @@ class CommonAgent(ExplainedNames, NextValues, MinibatchLoss, TrainingLog):
             0,
         )
         self.train_result = {**values, "last_lr": self.last_lr, "lr_mul": 1.0}
+
+    def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Update the running statistics, and return the rows that `compute_loss` needs."""
+        self._update_normalizers(minibatch)
+        return minibatch | self._minibatch_extras(minibatch)
+
+    def _update_normalizers(self, minibatch: dict[str, Tensor]) -> None:
+        """Update all running statistics by a minibatch; later, slices of it are only normalised."""
+
+        def update(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
+            normalizer.eval()
+            for rows in kinds:
+                normalizer.count_in(rows)
+
+        self.executor.map(update, self._normalizer_inputs(minibatch))
+
+    def _normalizer_inputs(
+        self, input_dict: dict[str, Tensor]
+    ) -> list[tuple[RunningMeanStd, list[Tensor]]]:
+        """Return normalisers, and the rows (n, ...) of a minibatch that update them, in order."""
+        if not self.normalize_input:
+            return []
+        return [(self.model.running_mean_std, [self._preproc_obs(input_dict["obs"])])]
+
+    def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return rows (M, ...) that join a minibatch before it is cut into slices.
+
+        For what needs all rows at once, or random numbers: several threads compute the slices.
+        `row_weights` (M,), of mean 1, weigh the rows in the policy's losses.
+        """
+        return {}
+
+    def update_lr(self, lr: float) -> None:
+        """Set the step size of all parameters but those that have one of their own."""
+        fixed = [group["lr"] for group in self.optimizer.param_groups[1:]]
+        super().update_lr(lr)
+        for group, own_lr in zip(self.optimizer.param_groups[1:], fixed, strict=True):
+            group["lr"] = own_lr
+
+    def _schedule_learning_rate(self, kl: Tensor) -> None:
+        # Only the adaptive schedule looks at the KL, and reading it waits for the device.
+        kl_value = kl.item() if self.is_adaptive_lr else 0.0
+        self.last_lr, self.entropy_coef = self.scheduler.update(
+            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl_value
+        )
+        self.update_lr(self.last_lr)
+
+    # --- loss ------------------------------------------------------------------------------
+    # Several threads call these at the same time, each with a slice of the minibatch: they must
+    # not change the agent.
+
+    def compute_loss(self, minibatch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss of rows that `prepare_minibatch` returned, and what to log of it.
+
+        The values are the loss terms, `actor_clip_frac` and `kl`, numbers, and `neglogp` (n,).
+        """
+        batch = {
+            "is_train": True,
+            "prev_actions": minibatch["actions"],
+            "obs": self._preproc_obs(minibatch["obs"]),
+            **self._training_inputs(minibatch),
+        }
+        result = self.model(batch)
+        terms, values = self._ppo_terms(result, minibatch)
+        terms |= self._extra_losses(result, batch, minibatch)
+        weighted = [weight * term for weight, term in terms.values() if weight != 0.0]
+        values |= {name: term for name, (_, term) in terms.items()}
+        return torch.stack(weighted).sum(), values
+
+    def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return inputs of the model beside the observation."""
+        return {}
+
+    def _ppo_terms(
+        self, result: dict[str, Tensor], rows: dict[str, Tensor]
+    ) -> tuple[LossTerms, dict[str, Tensor]]:
+        neglogp, mu = result["prev_neglogp"], result["mus"]
+        actor = self._actor_loss(rows["old_logp_actions"], neglogp, rows["advantages"], self.e_clip)
+        critic = self._critic_loss(
+            rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
+        )
+        with torch.no_grad():
+            kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
+        bound = self.bound_loss(mu)
+        terms = {
+            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
+            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
+            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
+        }
+        values = {"kl": kl, "neglogp": neglogp}
+        if "actor_clipped" in actor:
+            values["actor_clip_frac"] = weighted_mean(actor["actor_clipped"].float(), rows)
+        # What a subclass adds is logged as a number, as the published agents' `actor_clip_frac`.
+        own = {*terms, "actor_clipped"}
+        for name, value in {**actor, **critic}.items():
+            if name not in own and isinstance(value, Tensor):
+                values[name] = value.detach().mean()
+        return terms, values
+
+    def _actor_loss(
+        self,
+        old_action_log_probs_batch: Tensor,
+        action_log_probs: Tensor,
+        advantage: Tensor,
+        curr_e_clip: float,
+    ) -> dict[str, Tensor]:
+        """Return `actor_loss` (n,) and `actor_clipped` (n,) bool, of negative log probabilities."""
+        loss, clipped = losses.actor_loss(
+            old_action_log_probs_batch, action_log_probs, advantage, self.ppo, curr_e_clip
+        )
+        return {"actor_loss": loss, "actor_clipped": clipped}
+
+    def _critic_loss(
+        self,
+        value_preds_batch: Tensor,
+        values: Tensor,
+        curr_e_clip: float,
+        return_batch: Tensor,
+        clip_value: bool,
+    ) -> dict[str, Tensor]:
+        """Return `critic_loss` (n, values), of normalised values."""
+        loss = losses.critic_loss(value_preds_batch, values, return_batch, curr_e_clip, clip_value)
+        return {"critic_loss": loss}
+
+    def bound_loss(self, mu: Tensor) -> Tensor:
+        """Return (n,) the squared excess of mean actions (n, A) over +-1."""
+        return losses.bound_loss(mu)
+
+    def _extra_losses(
+        self, result: dict[str, Tensor], batch: dict[str, Any], input_dict: dict[str, Tensor]
+    ) -> LossTerms:
+        """Return loss terms beside PPO's; see `LossTerms`.
+
+        Args:
+            result: the model's output.
+            batch: the model's input.
+            input_dict: the rows of the slice.
+        """
+        return {}
+
+    # --- logging ---------------------------------------------------------------------------
+
+    def _record_train_batch_info(
+        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
+    ) -> None:
+        """Add to `train_info` what `_log_train_info` needs of the rollout's rows."""
+
+    def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
+        """Write the scalars of an epoch.
+
+        Args:
+            train_info: lists with one value for each minibatch, by the names of `train_result`,
+                and what `_record_train_batch_info` added.
+            frame: environment steps before the epoch.
+        """
+        self.train_log.write(self.writer, train_info, frame)
+
+    def train_info_means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return self.train_log.means()
+
+    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
+        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
+        (step_time, play_time, update_time, *_rest) = args
+        frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
+        writer = self.writer
+        writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
+        writer.add_scalar("performance/update_time", update_time, frame)
+        writer.add_scalar("performance/play_time", play_time, frame)
+        self._log_train_info(self._epoch_info, frame)
+        if self.game_rewards.current_size > 0:
+            mean_length = self.game_lengths.get_mean().item()
+            mean_reward = self.game_rewards.get_mean()[0].item()
+            writer.add_scalar("rewards/frame", mean_reward, frame)
+            writer.add_scalar("episode_lengths/frame", mean_length, frame)
+        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
+
+    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
+        """Check that everything collected is finite, which includes `losses`; as PPOSafeguards."""
+        super()._check_losses(self.train_log.values)
+
+    # --- checkpoint ------------------------------------------------------------------------
+    # `PPOSafeguards` reads and writes the files.
+
+    def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
+        """Load a checkpoint; see `env_reset` for the best reward.
+
+        Raises:
+            CheckpointError: it holds a model without the state of its training, or does not fit.
+        """
+        own_rates = [group["lr"] for group in self.optimizer.param_groups]
+        super().set_full_state_weights(weights, set_epoch)
+        # The settings of this run count, as they do for the learning rate.
+        for group, rate in zip(self.optimizer.param_groups, own_rates, strict=True):
+            group["lr"] = rate
+        self._restored_best = self.last_mean_rewards
+
+
+def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:
+    """Return what an agent's constructor received, as `params` or under the published name.
+
+    Raises:
+        ConfigError: neither, or both.
+    """
+    if (params is None) == (config is None):
+        raise ConfigError(
+            "an agent is made with base_name and the section params of a train file, given as"
+            " params= or config=, one of both"
+        )
+    return params if config is None else config  # type: ignore[return-value]
+
+
+def _prepare_settings(settings: dict[str, Any]) -> Any:
+    """Check and adapt the section `config` for rl_games, in place; return `mixed_precision`.
+
+    Raises:
+        ConfigError: a key that this family of agents does not support.
+    """
+    for key in _UNSUPPORTED_KEYS:
+        if settings.get(key):
+            raise ConfigError(
+                f"train.params.config.{key} is not supported by AMP-family agents; remove it"
+            )
+    mixed_precision = settings.get("mixed_precision", False)
+    # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
+    settings["mixed_precision"] = False
+    settings["torch_compile"] = torch_compile_setting(
+        settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
+    )
+    return mixed_precision
+
+
+def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
+    """Return (N,) 1 where an episode ended by a failure: no future to bootstrap from.
+
+    Args:
+        dones: (N,) 1 where an episode ended.
+        infos: of the step; without `terminate` and `time_outs` (N,) every end is a failure.
+    """
+    if "terminate" in infos:
+        return infos["terminate"].to(dones.device)
+    if "time_outs" in infos:
+        return dones.bool() & ~infos["time_outs"].to(dones.device).bool()
+    return dones
+
+
+def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:
+    """Return the mean of values (n,), by the weights that rows may have (`_minibatch_extras`)."""
+    weights = rows.get("row_weights")
+    return values.mean() if weights is None else (weights * values).mean()

@@ -1,4 +1,7 @@
-"""CommonPlayer: plays a policy in an environment that resets when it is asked to."""
+"""Players: they measure a policy over whole episodes, in the play loop of `evaluation`.
+
+`EpisodePlayer` gives rl_games' own players that loop, `CommonPlayer` is the player of AMP's family.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,37 @@ from isaacgymenvs_lite.learning.published_names import ExplainedNames
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
+class EpisodePlayer(BasePlayer):
+    """Plays `games_num` episodes in a loop that ends without a window; a mixin for players.
+
+    Attributes:
+        result: what was measured; None before.
+    """
+
+    result: EvaluationResult | None = None
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        super().__init__(params)
+        self.has_batch_dimension = True
+
+    def run(self) -> None:
+        """Play, log the result, and go on while a window is open."""
+        games = episodes_to_play(self.player_config)
+        self.result = evaluate_and_log(self.env, self.act, games, on_step=self.on_step)
+        play_on(self.env, self.act, self.on_step)
+
+    def act(self, obs: dict[str, Tensor]) -> Tensor:
+        """Return the task's actions (N, A) for the task's observations."""
+        rows: Any = self.obs_to_torch(obs)
+        with torch.no_grad():
+            return self.get_action(rows, self.is_deterministic)
+
+    def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        """Called with the dones (N,) and infos of each step, before resets."""
+
+
 class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
-    """rl_games' PPO player with the play loop of `evaluation`.
+    """The player of a CommonAgent; `RestoringPlayer` loads its checkpoints.
 
     Keys of `train.params.config.player`: `games_num` (default: 32, at least one per environment),
     `deterministic` (default True: mean actions), `record` (a .npz file that the first episode of
@@ -31,25 +63,25 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
 
     Attributes:
         result: what `run` measured; None before.
-        is_latent_conditioned: whether its policies act under skill latents.
+        is_latent_conditioned: True if its policies act under skill latents.
 
     Raises:
-        ConfigError: a latent for a policy that hears none.
+        ConfigError: a latent for a policy that has no such input.
         OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
     is_latent_conditioned: ClassVar[bool] = False
 
     def __init__(self, params: dict[str, Any]) -> None:
-        # Not PpoPlayerContinuous' constructor: it builds the model before an agent's own inputs
-        # are known.
+        # Not PpoPlayerContinuous' constructor: it builds the model before a subclass can set its
+        # inputs.
         BasePlayer.__init__(self, params)
         self.result: EvaluationResult | None = None
         latent = self.player_config.get("latent")
         if latent and not self.is_latent_conditioned:
             raise ConfigError(
-                f"latent={latent}: this policy hears no skill latents (algorithms gen_amp and ase"
-                " make such); remove it"
+                f"latent={latent}: this policy has no skill latents (policies of gen_amp and ase"
+                " have); remove it"
             )
         # rl_games' default means "until the window is closed"; without a window a play ends.
         self.games_num = episodes_to_play(self.player_config)
@@ -69,7 +101,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         self.actions_high = torch.from_numpy(self.action_space.high.copy()).to(self.device)
 
     def _build_net(self, config: dict[str, Any]) -> None:
-        """Build the model, of the arguments that `_build_net_config` returned."""
+        """Build the model with the arguments that `_build_net_config` returned."""
         self.model = self.network.build(config).to(self.device).eval()
         self.is_rnn = False
 
@@ -85,7 +117,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         }
 
     def run(self) -> None:
-        """Play `games_num` episodes, log what was reached, and play on for whoever looks on."""
+        """Play `games_num` episodes, log the result, and go on while a window is open."""
         self._measure()
         play_on(self.env, self.act)
 
@@ -95,7 +127,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
             self.env,
             self.act,
             self.games_num,
-            style_reward=self._style_reward_function(),
+            style_reward=self.style_reward_function(),
             on_step=self._on_step,
         )
 
@@ -104,7 +136,7 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         return {"obs": super().obs_to_torch(obs)}
 
     def get_action(self, obs_dict: Any, is_deterministic: bool = False) -> Tensor:
-        """Return actions (N, A), within the action space's limits.
+        """Return actions (N, A) within the action space's limits.
 
         Args:
             obs_dict: raw observations, {"obs": (N, O)} or the tensor itself.
@@ -127,15 +159,15 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         return rescale_actions(self.actions_low, self.actions_high, actions.clamp(-1.0, 1.0))
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        """Return inputs of the policy beside the observation, (N, ...); once for each step."""
+        """Return inputs of the policy beside the observation, (N, ...); called once per step."""
         return {}
 
     def act(self, obs: dict[str, Tensor]) -> Tensor:
-        """Return the task's actions (N, A) for what the task observes."""
+        """Return the task's actions (N, A) for the task's observations."""
         return self.get_action(self.obs_to_torch(obs), self.is_deterministic)
 
-    def _style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
-        """Return a function from AMP observations to rewards, None without a discriminator."""
+    def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
+        """Return a function from AMP observations (N, F) to rewards; None: no discriminator."""
         return None
 
     def _on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:

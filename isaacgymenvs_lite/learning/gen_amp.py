@@ -1,7 +1,8 @@
-"""GenAMPAgent: AMP whose policy hears a skill latent; the low-level controller of ASE.
+"""GenAMPAgent: AMP with a policy that acts under a skill latent; ASE's low-level controller.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-An encoder must tell the latent from the motion, so that different latents become different skills.
+An encoder recovers the latent from the motion and rewards the policy when it can, so that different
+latents become different skills.
 """
 
 from __future__ import annotations
@@ -13,41 +14,40 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import ClipSkillEnv, Env, SkillEnv, require
 from isaacgymenvs_lite.errors import OverrideError
-from isaacgymenvs_lite.learning.agent_hooks import LossTerms
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
-from isaacgymenvs_lite.learning.losses import diversity_loss
-from isaacgymenvs_lite.learning.minibatch_loss import weighted_mean
+from isaacgymenvs_lite.learning.common_agent import LossTerms, weighted_mean
+from isaacgymenvs_lite.learning.losses import alignment_loss, diversity_loss, uniformity_loss
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder, SkillRewards
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts, is_overridden
-from isaacgymenvs_lite.learning.skills.clip_latents import (
+from isaacgymenvs_lite.learning.skills.latents import (
     ClipLatents,
-    alignment_loss,
+    EvaluationLatents,
+    LatentSchedule,
     sample_similar_rows,
-    uniformity_loss,
 )
-from isaacgymenvs_lite.learning.skills.latents import EvaluationLatents, LatentSchedule
 
 # Rows of the clips that a random latent is compared with.
 _NEIGHBOURS = 512
-# What a conditional discriminator hears of rows that the policy did not just make.
+# Latents of the replayed and of the real rows, inputs of a conditional discriminator.
 _DISC_LATENTS = ("amp_obs_replay_latents", "amp_obs_demo_latents")
 
 
 class GenAMPAgent(SkillRewards, AMPAgent):
     """The agent of `algo: name: gen_amp` or `ase`.
 
-    Needs of the environment beside AMP's: `progress_buf` (N,), control steps of the episodes, and
-    for latents of clips `amp_obs_of(env_ids)`, the AMP observations (n, F) of now, and
-    `fetch_amp_obs_demo_pairs(n)` (n, 2, F), pairs of those of the clips.
+    The task is a `SkillEnv`; with latents of clips, an encoder that learns from clips or a
+    conditional discriminator it is a `ClipSkillEnv`.
 
     Attributes:
         encoder: reward and loss.
-        schedule: the latents of now.
+        schedule: the current latents.
     """
 
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
+    env_contract: ClassVar[Any] = SkillEnv
     scalars: ClassVar[dict[str, str]] = {
         **AMPAgent.scalars,
         "enc_loss": "losses/enc_loss",
@@ -59,6 +59,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     _amp: GenAMPParams
+    _env: SkillEnv
     _latent_dim = ReadOnly("_amp.latent_dim")
     _latent_steps_min = ReadOnly("_amp.latent_steps_min")
     _latent_steps_max = ReadOnly("_amp.latent_steps_max")
@@ -72,25 +73,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     _ase_latents = ReadOnly("schedule.latents", "the agent's schedule")
     _latent_reset_steps = ReadOnly("schedule.change_at", "the agent's schedule")
 
-    def __init__(
-        self,
-        base_name: str,
-        params: dict[str, Any] | None = None,
-        config: dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(base_name, params, config)
-        self.encoder = SkillEncoder(
-            self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
-        )
-        # A subclass' loss as published has three arguments and draws the other latents itself.
-        self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
-        needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
-        if needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
-            raise OverrideError(
-                f"{type(self).__name__}._fetch_amp_obs_demo: with enc_alignment_coef,"
-                " enc_uniformity_coef or disc.conditional demonstrations come in pairs; override"
-                " _fetch_amp_obs_demo_pairs"
-            )
+    # --- constructor -----------------------------------------------------------------------
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
@@ -111,8 +94,30 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _build_net_config(self) -> dict[str, Any]:
         return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
 
+    def _build_modules(self) -> None:
+        super()._build_modules()
+        self.encoder = SkillEncoder(
+            self.model.a2c_network, lambda amp_obs: self._preproc_amp_obs(amp_obs), self._amp
+        )
+        # A subclass' loss as published has three arguments and draws the other latents itself.
+        self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
+        self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
+        if self._needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
+            raise OverrideError(
+                f"{type(self).__name__}._fetch_amp_obs_demo: with enc_alignment_coef,"
+                " enc_uniformity_coef or disc.conditional demonstrations come in pairs; override"
+                " _fetch_amp_obs_demo_pairs"
+            )
+        if self._needs_pairs or self._amp.clip_latents > 0.0:
+            self._clips = require(
+                self._env,
+                ClipSkillEnv,
+                "train.params.config: clip_latents, enc_alignment_coef, enc_uniformity_coef or"
+                " network.disc.conditional",
+            )
+
     def init_tensors(self) -> None:
-        """Allocate the rollout of latents, too."""
+        """Allocate the rollout, latents included."""
         super().init_tensors()
         self.experience_buffer.tensor_dict["amp_latents"] = torch.zeros(
             self.horizon_length, self.num_actors, self._amp.latent_dim, device=self.ppo_device
@@ -120,8 +125,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         self.tensor_list += ["amp_latents"]
 
     def _store_demos(self) -> None:
-        """As AMP; with each demonstration another moment of its clip where one is needed."""
-        if not (self._amp.encodes_clips or self._disc_is_conditional):
+        """As AMP; where pairs are needed, with another moment of the clip for each."""
+        if not self._needs_pairs:
             super()._store_demos()
             return
         pairs = self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size)
@@ -129,7 +134,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
-        return self.vec_env.env.fetch_amp_obs_demo_pairs(num_samples)
+        return self._clips.fetch_amp_obs_demo_pairs(num_samples)
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -147,15 +152,15 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
             return
-        amp_obs = self.discriminator.truncate(self.vec_env.env.amp_obs_of(env_ids))
-        self.schedule.restart(env_ids, self._clip_latents.of_starts(amp_obs))
+        amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
+        self.schedule.restart(env_ids, self._clip_latents.for_starts(amp_obs))
 
     def _before_step(self) -> None:
         super()._before_step()
         self._update_latents()
 
     def _update_latents(self) -> None:
-        """Renew the latents that are over; called before each policy step."""
+        """Replace the latents whose time is over; called before each policy step."""
         self.schedule.advance(self._progress())
 
     def _sample_latents(self, n: int) -> Tensor:
@@ -163,19 +168,20 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return self.model.a2c_network.sample_latents(n)
 
     def _progress(self) -> Tensor:
-        return self.vec_env.env.progress_buf.to(self.ppo_device)
+        return self._env.progress_buf.to(self.ppo_device)
 
     def _policy_inputs(self) -> dict[str, Tensor]:
         return {**super()._policy_inputs(), "amp_latents": self.schedule.latents}
 
-    def _evaluation_inputs(self, env: Any) -> Callable[[], dict[str, Tensor]]:
+    def _evaluation_inputs(self, env: Env) -> Callable[[], dict[str, Tensor]]:
+        task = require(env, SkillEnv, "mean_policy of GenAMP")
         latents = EvaluationLatents(
-            make_evaluation_schedule(self._amp, env, self.encoder, self.ppo_device)
+            make_evaluation_schedule(self._amp, task, self.encoder, self.ppo_device)
         )
         return lambda: {"amp_latents": latents(env.progress_buf.to(self.ppo_device))}
 
     def _needs_next_value(self) -> Tensor:
-        """Where the latent ends, too: the value is that of going on under the latent of now."""
+        """Also where the latent changes: V(s') is bootstrapped under this step's latent."""
         return super()._needs_next_value() | self.schedule.is_over(self._progress())
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
@@ -195,9 +201,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     # --- update ----------------------------------------------------------------------------
 
     def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As AMP; a conditional discriminator hears the latent of another moment of the clip.
+        """As AMP; a conditional discriminator gets the latent of another moment of the clip.
 
-        Of the moment itself it could learn to compare the two.
+        With the same moment the discriminator could solve the task by matching its inputs.
         """
         rows = super()._demo_disc_batch(demos)
         if self._disc_is_conditional:
@@ -207,10 +213,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         return rows
 
     def _give_random_latents(self, rows: dict[str, Tensor]) -> None:
-        """Let as many rows have random latents as the policy acts under, in place.
+        """Give as many rows random latents as the policy has, in place.
 
-        Each latent goes with a row that it is near to, so that all latents mean something that
-        the clips show, not only those that the encoder finds in them.
+        Each random latent is paired with a row whose own latent is near, so that every latent, not
+        only those of the clips, belongs to a motion of the clips.
         """
         demos, latents = rows["amp_obs_demo"], rows["amp_obs_demo_latents"]
         fresh, chosen = self._clip_latents.random(len(latents), latents.device)
@@ -229,16 +235,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _log_rewards(self) -> None:
         super()._log_rewards()
         rewards = self._rollout_rewards["enc_rewards"]
-        self._collect({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
+        self.train_log.add({"enc_reward_mean": rewards.mean(), "enc_reward_std": rewards.std()})
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         latents = batch_dict["amp_latents"]
         own = {"amp_latents": latents, "amp_obs_latents": latents}
-        heard = {name: batch_dict[name] for name in _DISC_LATENTS if name in batch_dict}
-        return {**super()._extra_dataset(batch_dict), **own, **heard}
+        of_disc = {name: batch_dict[name] for name in _DISC_LATENTS if name in batch_dict}
+        return {**super()._extra_dataset(batch_dict), **own, **of_disc}
 
     def _dataset_row_limits(self) -> dict[str, int]:
-        """Latents of AMP observations are cut as these are, the first ones of a minibatch."""
+        """As AMP; the latents of AMP observations are limited as these are."""
         own = dict.fromkeys(("amp_obs_latents", *_DISC_LATENTS), self._amp_minibatch_size)
         return {**super()._dataset_row_limits(), **own}
 
@@ -249,7 +255,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp.encodes_clips:
             demos = self.discriminator.sample_demos(max(1, self._amp_minibatch_size // 2))
             pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
-            # Drawn at random, so that the next is as good as any to be compared with.
+            # Rows are drawn at random, so that the next one is a random other one.
             others = pairs[:, :1].roll(1, dims=0)
             rows["demo_triples"] = self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
         return rows
@@ -301,7 +307,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         ase_latents: Tensor,
         new_latents: Tensor | None = None,
     ) -> Tensor:
-        """Return (n,) the loss of rows; see `losses.diversity_loss`. Called as `_extra_losses`.
+        """Return (n,) the loss of rows; see `losses.diversity_loss`. Threads as `_extra_losses`.
 
         Args:
             obs: (n, O), normalised by the model.
@@ -332,7 +338,7 @@ def make_schedule(
     device: str | torch.device,
     draw: Callable[[int], Tensor] | None = None,
 ) -> LatentSchedule:
-    """Return the schedule that the keys ask for; `draw` as `LatentSchedule` has it.
+    """Return the schedule that the keys describe; `draw` as in `LatentSchedule`.
 
     Raises:
         ConfigError: latent_steps_min is not below latent_steps_max.
@@ -342,15 +348,15 @@ def make_schedule(
 
 
 def make_evaluation_schedule(
-    params: GenAMPParams, env: Any, encoder: SkillEncoder, device: str | torch.device
+    params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
-    """Return the schedule of a task that is played: latents as in training, those of its clips.
+    """Return the schedule of a task that is played: latents as in training, of the task's clips.
 
     Args:
         params: the keys.
-        env: the task; for latents of clips it has `fetch_amp_obs_demo(n)`.
+        env: the task.
         encoder: reads the latents.
-        device: where they are wanted.
+        device: of the latents.
 
     Raises:
         ConfigError: as `make_schedule`.

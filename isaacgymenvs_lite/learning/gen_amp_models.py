@@ -13,8 +13,8 @@ class ModelGenAMPContinuous(ModelAMPContinuous):
     Every input has `amp_latents` (n, Z) beside `obs`. A training input with AMP observations and
     `amp_obs_latents` (K, Z), the latents under which the policy made `amp_obs` (K, F), has outputs
     `enc_pred` (K, Z), unit vectors, and, with `enc_gradient` True, `enc_gradient` (K, F), the
-    gradients of the encoder's error by the AMP observations. With a conditional discriminator
-    `amp_obs_replay_latents` and `amp_obs_demo_latents` (K, Z) are inputs, too.
+    gradients of the encoder's error by the AMP observations. A conditional discriminator also
+    needs `amp_obs_replay_latents` and `amp_obs_demo_latents` (K, Z).
     """
 
     class Network(ModelAMPContinuous.Network):

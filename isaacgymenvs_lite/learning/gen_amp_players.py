@@ -1,4 +1,4 @@
-"""The player of skill-conditioned policies: which latents they act under."""
+"""Plays policies that act under skill latents: random or moving ones, or the rows of a file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import ClipWindowsEnv, SkillEnv, fits, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
@@ -30,11 +31,13 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     Keys of `train.params.config.player` beside CommonPlayer's: `latent`, which `train.py` has as
     `latent=`: `random` (by default: new ones at resets and after a random number of steps, drawn
     as in training), `interpolate` (moves from one to the next) or a .npy file (K, latent_dim):
-    environment i acts under row i mod K for ever.
+    environment i always acts under row i mod K.
 
     Attributes:
         encoder: reads latents in motion.
-        skills: what `run` saw of the skills; None before, or if all episodes were too short.
+        current_latents: (N, Z), of the last step.
+        skills: which skills `run` has seen; None before, if all episodes were too short, or in a
+            task that is no `ClipWindowsEnv`.
 
     Raises:
         ConfigError: a latent that is none of these, or of another width.
@@ -44,7 +47,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     _latent_steps_min = ReadOnly("_amp.latent_steps_min")
     _latent_steps_max = ReadOnly("_amp.latent_steps_max")
     _enc_reward_scale = ReadOnly("_amp.enc_reward_scale")
-    _ase_latents = ReadOnly("_latents_now", "_latents_of")
+    _ase_latents = ReadOnly("current_latents", "_latents_of")
 
     is_latent_conditioned = True
     params_class: ClassVar[type[AMPParams]] = GenAMPParams
@@ -57,7 +60,9 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         )
         latent = str(self.player_config.get("latent") or "random")
         self._latents = self._latents_of(latent)
-        self._probe = SkillProbe(self.env, self.encoder)
+        self._probe: SkillProbe | None = None
+        if fits(self.env, ClipWindowsEnv):
+            self._probe = SkillProbe(self.env, self.encoder)
         self.skills: SkillResult | None = None
 
     def _build_net_config(self) -> dict[str, Any]:
@@ -69,34 +74,36 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         return self._amp.latent_dim
 
     def _latents_of(self, latent: str) -> Callable[[Tensor], Tensor]:
-        num_envs = self.env.num_envs
+        """Return a function from control steps of the episodes (N,) to latents (N, Z)."""
+        task = require(self.env, SkillEnv, "a policy with skill latents")
         if latent in ("random", "interpolate"):
-            schedule = make_evaluation_schedule(self._amp, self.env, self.encoder, self.device)
+            schedule = make_evaluation_schedule(self._amp, task, self.encoder, self.device)
             return EvaluationLatents(schedule, interpolate=latent == "interpolate")
         rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
-        fixed = rows[torch.arange(num_envs, device=self.device) % len(rows)]
+        fixed = rows[torch.arange(task.num_envs, device=self.device) % len(rows)]
         return lambda progress: fixed
 
     def _policy_inputs(self) -> dict[str, Tensor]:
-        self._latents_now = self._latents(self.env.progress_buf.to(self.device))
-        return {**super()._policy_inputs(), "amp_latents": self._latents_now}
+        self.current_latents = self._latents(self.env.progress_buf.to(self.device))
+        return {**super()._policy_inputs(), "amp_latents": self.current_latents}
 
     def _disc_latents(self) -> tuple[Tensor, ...]:
-        return (self._latents_now,) if self._disc_is_conditional else ()
+        return (self.current_latents,) if self._disc_is_conditional else ()
 
     def _reward_latents(self) -> tuple[Tensor, ...]:
-        return (self._latents_now,)
+        return (self.current_latents,)
 
     def _measure(self) -> None:
-        """As AMP's; the log says which skills there are."""
+        """As AMP's, and log which skills the motion shows."""
         super()._measure()
-        self.skills = self._probe.result()
+        self.skills = self._probe.result() if self._probe is not None else None
         if self.skills is not None:
             log.info("skills: %s", self.skills)
 
     def _post_step(self, info: dict[str, Any]) -> None:
         super()._post_step(info)
-        self._probe.step(self._latents_now, info["amp_obs"].to(self.device))
+        if self._probe is not None:
+            self._probe.step(self.current_latents, info["amp_obs"].to(self.device))
 
 
 def read_latents(file: Path, latent_dim: int) -> Tensor:

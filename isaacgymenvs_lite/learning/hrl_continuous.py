@@ -5,10 +5,13 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import torch
+from omegaconf import OmegaConf
+from rl_games.common import env_configurations, tr_helpers
+from rl_games.common.algo_observer import DefaultAlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.llc_reference import (
@@ -16,9 +19,12 @@ from isaacgymenvs_lite.checkpoints.llc_reference import (
     llc_checkpoint_for,
     warn_of_another_llc,
 )
-from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.learning.flat_config import complete_params, given_params
-from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
+from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
+from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, require
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
+from isaacgymenvs_lite.learning.common_agent import CommonAgent, failures
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.skills.latents import latent_space
@@ -28,27 +34,30 @@ from isaacgymenvs_lite.learning.skills.low_level_policy import (
     latents_of_actions,
 )
 
-# The train file whose values a flat configuration leaves out.
+# The train file with the values that a flat configuration leaves out.
 _DEFAULTS = "HumanoidASEHRLPPO"
+# Values of a configuration; everything else in a flat one is an object.
+_PLAIN = (str, int, float, bool, dict, list, tuple, type(None))
+_ENV_NAME = "rlgpu"
+_NUM_ACTORS = 64
 
 
 class HRLAgent(CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
     A step of the high level is `llc_steps` control steps under one latent: rewards are averaged
-    over them, an episode that ends on the way earns nothing more, and is reset after the last one.
-
-    Needs of the environment beside CommonAgent's: `get_task_obs_size()`, the number of trailing
-    observation entries that the low-level controller does not see, and `infos["amp_obs"]` (N, F).
+    over them, an episode that ends in between earns nothing more, and is reset after the last one.
+    The task is a `HierarchyEnv`.
 
     Attributes:
         llc: the low-level controller.
+        style_rewards: (N, 1) the low level's style rewards of the last step.
 
     Args:
         base_name: name for rl_games' bookkeeping.
-        params: the section `params` of a train file, as the Runner hands it over, or a flat
-            configuration; see `flat_config.complete_params`.
-        config: the same under the name that the published agents have for it.
+        params: the section `params` of a train file, as the Runner passes it, or a flat
+            configuration; see `complete_params`.
+        config: the same under the published name.
 
     Raises:
         ConfigError: a value that cannot be used, or a train file of no low-level controller.
@@ -68,14 +77,10 @@ class HRLAgent(CommonAgent):
     _task_reward_w = ReadOnly("_hrl.task_reward_w")
     _disc_reward_w = ReadOnly("_hrl.disc_reward_w")
 
-    def __init__(
-        self,
-        base_name: str,
-        params: dict[str, Any] | None = None,
-        config: dict[str, Any] | None = None,
-    ) -> None:
-        self._params = complete_params(given_params(params, config), _DEFAULTS)
-        super().__init__(base_name, self._params)
+    # --- constructor -----------------------------------------------------------------------
+
+    def _complete_section(self, given: dict[str, Any]) -> dict[str, Any]:
+        return complete_params(given, _DEFAULTS)
 
     def load_networks(self, params: dict[str, Any]) -> None:
         """Build the network that the section names, unless the configuration holds one."""
@@ -84,11 +89,12 @@ class HRLAgent(CommonAgent):
 
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
-        self._hrl: HRLParams = read_hrl_params(config)
+        self._hrl = read_agent_params(config, HRLParams)
+        self._env = require(self.vec_env.env, HierarchyEnv, "train.params.algo: a hierarchy")
         self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
-        self._disc_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
+        self.style_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
         # A subclass' reward as published depends on the motion alone.
         self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
 
@@ -96,22 +102,22 @@ class HRLAgent(CommonAgent):
         """Return the low-level controller that the keys name."""
         return LowLevelPolicy(
             params.llc_config,
-            llc_checkpoint_for(params.llc_checkpoint, self._params),
+            llc_checkpoint_for(params.llc_checkpoint, self._section),
             self._build_llc_agent_config(),
             self.ppo_device,
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return what the task tells the low-level controller; see `LowLevelSizes.from_task`."""
-        return LowLevelSizes.from_task(self.vec_env.env)
+        """Return the sizes that the low-level controller has in this task."""
+        return LowLevelSizes.from_task(self._env)
 
     def _setup_action_space(self) -> None:
-        """Make the latent the agent's action; rl_games sized everything by the task's actions."""
+        """Make latents the actions: until here everything has the size of the task's actions."""
         self.env_info = {**self.env_info, "action_space": latent_space(self.llc.latent_dim)}
         super()._setup_action_space()
 
     def init_tensors(self) -> None:
-        """Allocate the rollout of style rewards, too."""
+        """Allocate the rollout, style rewards included."""
         super().init_tensors()
         buffer = self.experience_buffer.tensor_dict
         buffer["disc_rewards"] = torch.zeros_like(buffer["rewards"])
@@ -119,18 +125,18 @@ class HRLAgent(CommonAgent):
     # --- checkpoint ------------------------------------------------------------------------
 
     def get_full_state_weights(self) -> dict[str, Any]:
-        """Return what a checkpoint holds, and over which low level it was trained."""
+        """Return the checkpoint, which names the low level that it was trained over."""
         return {**super().get_full_state_weights(), LLC_KEY: self.llc.reference}
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Take over a checkpoint; as CommonAgent."""
+        """Load a checkpoint; as CommonAgent."""
         super().set_full_state_weights(weights, set_epoch)
         warn_of_another_llc(weights, self.llc.reference, self._restored_from)
 
     # --- rollout ---------------------------------------------------------------------------
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """As CommonAgent; with `exploration_correlation` the noise lasts over several steps."""
+        """As CommonAgent; `exploration_correlation` correlates the noise of consecutive steps."""
         result = super().get_action_values(obs)
         if self._hrl.exploration_correlation != 0.0:
             given = (result[name] for name in ("actions", "mus", "sigmas"))
@@ -142,7 +148,7 @@ class HRLAgent(CommonAgent):
         return actions.clamp(-1.0, 1.0)
 
     def _obs_tensor(self, obs: Any) -> Tensor:
-        """Return the observation tensor (N, O) of what the environment gives."""
+        """Return the observation tensor (N, O), given what the environment returned."""
         tensors: Any = self.obs_to_tensors(obs)
         return tensors["obs"] if isinstance(tensors, dict) else tensors
 
@@ -171,7 +177,7 @@ class HRLAgent(CommonAgent):
         going_on = torch.ones(len(actions), device=self.ppo_device)
         terminate = torch.zeros_like(going_on)
         rewards = torch.zeros(len(actions), 1, device=self.ppo_device)
-        self._disc_rewards = torch.zeros_like(rewards)
+        self.style_rewards = torch.zeros_like(rewards)
         infos: dict[str, Any] = {}
         for _ in range(self._hrl.llc_steps):
             raw_obs, step_rewards, dones, infos = self.vec_env.step(
@@ -183,30 +189,27 @@ class HRLAgent(CommonAgent):
             if self._hrl.disc_reward_w != 0.0:
                 amp_obs = infos["amp_obs"].to(self.ppo_device)
                 given = (latents_of_actions(actions),) if self._disc_reward_takes_latents else ()
-                self._disc_rewards += playing * self._calc_disc_reward(amp_obs, *given)
-            terminate += going_on * self._step_terminated(dones, infos)
-            going_on *= 1.0 - dones.to(self.ppo_device).float()
-        self._disc_rewards /= self._hrl.llc_steps
-        # A task may have forgotten an end that lies some steps back.
-        env = self.vec_env.env
-        env.reset_buf.masked_fill_((going_on == 0.0).to(env.device), 1)
+                self.style_rewards += playing * self._calc_disc_reward(amp_obs, *given)
+            dones = dones.to(self.ppo_device)
+            terminate += going_on * failures(dones, infos).float()
+            going_on *= 1.0 - dones.float()
+        self.style_rewards /= self._hrl.llc_steps
+        # Later steps may have cleared the mark of an episode that ended in an earlier one.
+        reset_buf = self._env.reset_buf
+        reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
 
     def _calc_disc_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:
         """Return the low level's style rewards (N, 1); see `LowLevelPolicy.style_reward`.
 
-        Asked for only if disc_reward_w is not 0.
+        Called only if disc_reward_w is not 0.
         """
         return self.llc.style_reward(amp_obs, latents)
 
-    def _step_terminated(self, dones: Tensor, infos: dict[str, Any]) -> Tensor:
-        self.dones = dones.to(self.ppo_device)
-        return self._terminated(infos).float()
-
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
         super()._record_step(n, infos)
-        self.experience_buffer.update_data("disc_rewards", n, self._disc_rewards)
+        self.experience_buffer.update_data("disc_rewards", n, self.style_rewards)
 
     def _total_rewards(self, task_rewards: Tensor) -> Tensor:
         style = self.experience_buffer.tensor_dict["disc_rewards"]
@@ -220,13 +223,12 @@ class HRLAgent(CommonAgent):
     def _track_episodes(
         self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
     ) -> None:
-        """As CommonAgent, in control steps and their rewards."""
+        """As CommonAgent, counted in control steps and their rewards."""
         steps = self._hrl.llc_steps
         super()._track_episodes(steps * rewards, steps * shaped_rewards, infos)
 
-    def mean_policy(self, env: Any) -> Callable[[dict[str, Tensor]], Tensor]:
-        """Return what plays `env` one control step after another; see CommonAgent."""
-        del env
+    def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return a policy that makes one control step per call; see CommonAgent."""
 
         def choose(obs: Tensor) -> Tensor:
             means = self._evaluate_policy({"obs": obs}, {})["mus"].float()
@@ -238,10 +240,73 @@ class HRLAgent(CommonAgent):
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
         super()._before_update(batch_dict)
         style = self.experience_buffer.tensor_dict["disc_rewards"]
-        self._collect({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
+        self.train_log.add({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]
     ) -> None:
         super()._record_train_batch_info(batch_dict, train_info)
         train_info["disc_rewards"] = batch_dict["disc_rewards"]
+
+
+def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:
+    """Return the section `params` of a train file, as rl_games' Runner passes it to an agent.
+
+    The published HRLAgent is constructed by hand, with a flat configuration.
+
+    Args:
+        params: such a section, which is returned as it is, or a flat configuration: keys of its
+            `config`, which replace the values of `train_file`. `network` may be a section or a
+            model of rl_games that is not built yet; `vec_env` and `env_info` an environment that
+            exists; without them `env_config` holds arguments of `isaacgymenvs_lite.make`.
+        train_file: name of the train file with the values of all other keys.
+
+    Raises:
+        ConfigError: a value that cannot be used, or no environment to make.
+    """
+    if isinstance(params.get("config"), Mapping):
+        return dict(params)
+    given = dict(params)
+    objects = {key: given.pop(key) for key in list(given) if not isinstance(given[key], _PLAIN)}
+    vec_env = objects.get("vec_env")
+    if vec_env is not None:
+        given.setdefault("num_actors", vec_env.env.num_envs)
+        # Spaces are objects, not values of a configuration.
+        objects["env_info"] = given.pop("env_info", None) or vec_env.get_env_info()
+    num_actors = int(given.setdefault("num_actors", _NUM_ACTORS))
+    device = str(given.setdefault("device", "cpu"))
+    _check_env(given, vec_env, num_actors)
+    observer = given.pop("features", {}).get("observer") or DefaultAlgoObserver()
+    shaper = objects.pop("reward_shaper", None)
+
+    section = load_train_file(train_file, num_actors, device)["params"]
+    if "network" in given:
+        section["network"] = given.pop("network")
+    section["config"] |= given
+    tree = OmegaConf.create({"train": {"params": section}, "pbt": {}, "rl_device": device})
+    names = KnownNames(config_keys=AGENT_KEYS)
+    complete = prepare_train_params(tree, num_envs=num_actors, seed=0, names=names)
+    config = complete["config"]
+    config["reward_shaper"] = shaper or tr_helpers.DefaultRewardsShaper(**config["reward_shaper"])
+    config["features"] = {"observer": observer}
+    config |= objects
+    return complete
+
+
+def _check_env(given: dict[str, Any], vec_env: Any, num_actors: int) -> None:
+    if vec_env is not None:
+        return
+    name = given.setdefault("env_name", _ENV_NAME)
+    if name not in env_configurations.configurations:
+        raise ConfigError(
+            f"env_name={name} is not known to rl_games: call"
+            " isaacgymenvs_lite.registration.build_runner() first, or give vec_env"
+        )
+    # A copy: the caller's dictionary is not changed.
+    env_config = given["env_config"] = dict(given.get("env_config") or {})
+    if name == _ENV_NAME and "task" not in env_config:
+        raise ConfigError(
+            "config: which task? expected vec_env, or env_config with the arguments of"
+            " isaacgymenvs_lite.make, such as {'task': 'HumanoidHeading'}"
+        )
+    env_config.setdefault("num_envs", num_actors)

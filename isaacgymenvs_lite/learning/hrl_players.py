@@ -1,4 +1,4 @@
-"""The player of a hierarchy: the high-level policy chooses latents for the frozen low level."""
+"""Plays a hierarchy: the high-level policy chooses latents for the frozen low level."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.llc_reference import llc_checkpoint_for, warn_of_another_llc
+from isaacgymenvs_lite.env_interface import HierarchyEnv, require
+from isaacgymenvs_lite.learning.amp_config import HRLParams, read_agent_params
 from isaacgymenvs_lite.learning.common_player import CommonPlayer
-from isaacgymenvs_lite.learning.hrl_config import HRLParams, read_hrl_params
 from isaacgymenvs_lite.learning.published_names import ReadOnly
 from isaacgymenvs_lite.learning.skills.latents import latent_space
 from isaacgymenvs_lite.learning.skills.low_level_policy import (
@@ -31,7 +32,7 @@ class HRLPlayer(CommonPlayer):
     _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
 
     def __init__(self, params: dict[str, Any]) -> None:
-        self._hrl = read_hrl_params(params["config"])
+        self._hrl = read_agent_params(params["config"], HRLParams)
         self._llc_checkpoint = llc_checkpoint_for(self._hrl.llc_checkpoint, params)
         super().__init__(params)
         self._policy = self.llc.policy_under(
@@ -41,7 +42,7 @@ class HRLPlayer(CommonPlayer):
         )
 
     def _setup_action_space(self) -> None:
-        """Make the latent the policy's action, of the low-level controller that is built here."""
+        """Build the low-level controller, and make its latents the policy's actions."""
         self.llc = self._build_llc(self._hrl)
         self.action_space = latent_space(self.llc.latent_dim)
         super()._setup_action_space()
@@ -53,8 +54,9 @@ class HRLPlayer(CommonPlayer):
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return what the task tells the low-level controller; see `LowLevelSizes.from_task`."""
-        return LowLevelSizes.from_task(self.env)
+        """Return the sizes that the low-level controller has in this task."""
+        task = require(self.env, HierarchyEnv, "train.params.algo: a hierarchy")
+        return LowLevelSizes.from_task(task)
 
     def _compute_llc_action(self, obs: Tensor, actions: Tensor) -> Tensor:
         """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
@@ -65,7 +67,7 @@ class HRLPlayer(CommonPlayer):
         return self.llc.extract_obs(obs)
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Take over the high level of a checkpoint; see `RestoringPlayer.restore`."""
+        """Load the high level from a checkpoint; see `RestoringPlayer.restore`."""
         state = super().restore(fn)
         warn_of_another_llc(state, self.llc.reference, fn)
         return state

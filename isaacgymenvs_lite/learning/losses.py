@@ -1,6 +1,6 @@
-"""PPO's losses and advantages as CommonAgent of IsaacGymEnvs defines them, as pure functions.
+"""Losses and advantages as pure functions: PPO's as in IsaacGymEnvs, and the losses of skills.
 
-They differ from rl_games': no factor 0.5 on the critic, a bound at 1.0 instead of 1.1, and
+PPO's differ from rl_games': no factor 0.5 on the critic, a bound at 1.0 instead of 1.1, and
 advantages that bootstrap with the value of the state *after* each step (docs/amp.md has the list).
 """
 
@@ -30,7 +30,7 @@ def actor_loss(
 def critic_loss(
     old_values: Tensor, values: Tensor, returns: Tensor, e_clip: float, clip_value: bool
 ) -> Tensor:
-    """Return the squared errors (M, values) of values, clipped around the old ones if so chosen."""
+    """Return the squared value errors (M, values); `clip_value` clips around the old values."""
     loss = (returns - values) ** 2
     if not clip_value:
         return loss
@@ -81,7 +81,7 @@ def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
 def diversity_loss(
     mu: Tensor, other_mu: Tensor, latents: Tensor, other_latents: Tensor, target: float
 ) -> Tensor:
-    """Return (M,) how far actions of two latents are from being as different as the latents are.
+    """Return (M,) the squared error of how different the actions under two latents are.
 
     (target - |a - a'|^2 / A / (0.5 - 0.5 z . z' + 1e-5))^2 with actions clamped to +-1 (ASE, Peng
     et al. 2022, eq. 14, in its published code's form).
@@ -99,10 +99,9 @@ def diversity_loss(
 
 
 def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
-    """Return values (n,) less the mean and over the spread of those whose mask (n,) is 1.
+    """Return values (n,) normalised by mean and standard deviation of the rows of mask (n,) 1.
 
-    Unbiased variance; with fewer than two rows there is no spread and the values are returned as
-    they are.
+    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
     """
     count = mask.sum()
     if count < 2:
@@ -110,3 +109,19 @@ def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
     mean = (mask * values).sum() / count
     variance = ((mask * values).square().sum() / count - mean.square()) * count / (count - 1)
     return (values - mean) / (variance.clamp(min=0.0).sqrt() + 1e-8)
+
+
+def alignment_loss(found: Tensor, near: Tensor) -> Tensor:
+    """Return (n,) |q - q'|^2 of unit vectors (n, Z) that should be equal.
+
+    Wang and Isola 2020 (arXiv 2005.10242), eq. 1.
+    """
+    return (found - near).square().sum(dim=-1)
+
+
+def uniformity_loss(found: Tensor, others: Tensor) -> Tensor:
+    """Return (n,) how near unit vectors (n, Z) are to others (n, Z): exp(-2 |q - q'|^2).
+
+    Wang and Isola 2020, eq. 2, without the logarithm of the mean; it spreads them over the sphere.
+    """
+    return torch.exp(-2.0 * (found - others).square().sum(dim=-1))

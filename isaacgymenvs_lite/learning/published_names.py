@@ -1,8 +1,8 @@
-"""What became of the methods and attributes of the agents of IsaacGymEnvs and ASE.
+"""Lists where the methods and attributes of the agents of IsaacGymEnvs and ASE are here.
 
-`SURFACES` has every name that their learning packages define. A subclass that overrides one which
-nothing calls here would train without it and without a word: it is refused when it is defined.
-The tables of docs/migration.md are what `as_markdown` returns.
+`SURFACES` has every name that their learning packages define. A subclass that overrides a method
+which nothing calls here would silently train without it: its definition raises an error.
+`as_markdown` returns the tables of docs/migration.md.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _NOT_OWN = frozenset((_PACKAGE, "rl_games", "torch", "builtins", "typing", "abc"
 
 @dataclass(frozen=True)
 class Surface:
-    """The names of a published class. Those of methods end in `()`.
+    """The names of a published class; a method's ends in `()`.
 
     `name(argument)` is the method `name` of a subclass that takes this argument.
 
     Attributes:
         published: the class, below `isaacgymenvs/learning` or `ase/learning`.
-        ours: the class that stands for it, below `isaacgymenvs_lite.learning`.
-        same: names that are here, and called here, with their meaning and arguments.
-        other: name -> what has its place here.
-        absent: name -> why it is not here, or what to do instead.
+        ours: the class in its place, below `isaacgymenvs_lite.learning`.
+        same: names that exist here, and are called, with their meaning and arguments.
+        other: name -> its replacement here.
+        absent: name -> why there is none, or what to do instead.
     """
 
     published: str
@@ -43,11 +43,11 @@ class Surface:
 
     @property
     def replaced(self) -> dict[str, str]:
-        """Names that are not here under themselves -> what to do instead."""
+        """Names that do not exist here -> what to do instead."""
         return self.other | self.absent
 
 
-_LOOP = "the play loop is learning.evaluation's: act(obs), _post_step(info) or run() of your own"
+_LOOP = "the play loop is evaluation.evaluate's: act(obs), _post_step(info) or run() of your own"
 _CENTRAL = "the AMP family has no asymmetric critic"
 _CALLED_BY_LOOP = frozenset(("_env_reset_done", "env_step", "env_reset"))
 _NO_DEBUG = "_record_step(n, infos) gets infos['amp_obs'] of each step"
@@ -289,11 +289,11 @@ ABSENT_MODULE_NAMES = {"ase_network_builder.LatentType": "nothing reads it"}
 
 
 class ReadOnly:
-    """A published attribute whose value has another place here.
+    """A published attribute whose value is stored elsewhere here.
 
     Args:
-        path: the place, from the object on: `_amp.disc_coef`.
-        set_by: what decides about the value; by default the key of this name.
+        path: where, relative to the object: `_amp.disc_coef`.
+        set_by: what sets the value; by default the key of this name.
     """
 
     def __init__(self, path: str, set_by: str = "") -> None:
@@ -310,7 +310,7 @@ class ReadOnly:
         raise OverrideError(self.refusal(type(instance)))
 
     def refusal(self, cls: type) -> str:
-        """Return the message for who sets it in a class or in an object of it."""
+        """Return the message for an attempt to set it in a class or an object."""
         return f"{cls.__name__}.{self._name} can only be read; its value comes from {self.set_by}"
 
 
@@ -337,14 +337,14 @@ def _surfaces_of(cls: type) -> Iterator[Surface]:
 
 
 def _check_overrides(cls: type) -> None:
-    """Refuse what a class of a user's own defines without any effect.
+    """Raise an error for names that a user's class defines without any effect.
 
     Raises:
         OverrideError: a method that only the published code calls, or a value that is not read.
     """
     if cls.__module__.partition(".")[0] == _PACKAGE:
         return
-    # A class that `type(...)` made may seem to be of the module of its metaclass.
+    # A class made by `type(...)` may have the module of its metaclass.
     others = (base for base in cls.__mro__[1:] if base.__module__.partition(".")[0] not in _NOT_OWN)
     own = [cls, *others]
     defined = {name: value for base in reversed(own) for name, value in vars(base).items()}
@@ -390,7 +390,7 @@ def _names_used(value: Any) -> set[str]:
 
 
 class PublishedNames:
-    """Mixed into classes that people subclass: refuses overrides that nothing would call."""
+    """Mixin for classes that people subclass: raises an error for overrides without effect."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -398,7 +398,7 @@ class PublishedNames:
 
 
 class ExplainedNames(PublishedNames):
-    """Mixed into agents and players, too: says where a published attribute went."""
+    """Mixin for agents and players: its AttributeError names where a published attribute is."""
 
     def __getattr__(self, name: str) -> Any:
         for surface in _surfaces_of(type(self)):
@@ -412,7 +412,7 @@ class ExplainedNames(PublishedNames):
 
 
 def counts() -> dict[str, int]:
-    """Return how many published names are the same, have another one, or are absent."""
+    """Return how many published names are the same, are replaced, or are absent."""
     same = sum(len(surface.same.split()) for surface in SURFACES) + len(CONSTANTS)
     other = sum(len(surface.other) for surface in SURFACES)
     absent = sum(len(surface.absent) for surface in SURFACES) + len(ABSENT_MODULE_NAMES)

@@ -18,7 +18,7 @@ class ReplayBuffer(PublishedNames):
 
     Args:
         buffer_size: rows, at least 1.
-        device: where the rows live.
+        device: of the rows.
 
     Raises:
         ConfigError: buffer_size below 1.
@@ -33,17 +33,17 @@ class ReplayBuffer(PublishedNames):
         self.reset()
 
     def reset(self) -> None:
-        """Forget all rows."""
+        """Remove all rows."""
         self._head = 0
         self._total_count = 0
         self._reset_sample_idx()
 
     def get_buffer_size(self) -> int:
-        """Rows that fit."""
+        """Return how many rows fit."""
         return self._buffer_size
 
     def get_total_count(self) -> int:
-        """Rows stored since the start or the last `reset`, those overwritten included."""
+        """Return the rows stored since the start or the last `reset`, overwritten ones included."""
         return self._total_count
 
     @property
@@ -74,7 +74,7 @@ class ReplayBuffer(PublishedNames):
         self._head = (self._head + n) % self._buffer_size
 
     def _init_data_buf(self, data: dict[str, Tensor]) -> None:
-        """Allocate the rings, for rows like those of the first `store`."""
+        """Allocate the rings for rows of the shapes in the first `store`."""
         for name, rows in data.items():
             shape = (self._buffer_size, *rows.shape[1:])
             self._data_buf[name] = torch.empty(shape, dtype=rows.dtype, device=self._device)
@@ -84,7 +84,7 @@ class ReplayBuffer(PublishedNames):
 
         Args:
             data: as `store`; of more rows than fit some are drawn.
-            keep_prob: with which a row is kept once the buffer is full.
+            keep_prob: probability that a row is stored once the buffer is full.
         """
         values = next(iter(data.values()))
         rows = torch.arange(len(values), device=values.device)

@@ -1,8 +1,8 @@
-"""What a checkpoint must have in common with the networks that take it over, compared beforehand.
+"""Checks that a checkpoint fits agent or player before anything of it is loaded.
 
 Adam's fused step reads as many numbers of a moment as its parameter has, whatever the moment's
-size is, and `load_state_dict` stops in the middle. Here every tensor and every number is compared
-with the one that it replaces, and nothing is taken over unless all of them fit.
+size is, and `load_state_dict` stops halfway. Here every tensor and every number is compared with
+the one that it replaces, and nothing is loaded unless all of them fit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _COMPILED_PREFIX = "_orig_mod."
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 # Entries of state dictionaries of which a square root is taken.
 _NOT_NEGATIVE = ("running_var", "exp_avg_sq")
-# Of an optimiser's groups, what a checkpoint decides: number of values, least, below which.
+# Entries of an optimiser's groups that a checkpoint sets: number of values, least, upper bound.
 _HYPERPARAMETERS = {
     "lr": (1, 0.0, math.inf),
     "betas": (2, 0.0, 1.0),
@@ -35,15 +35,15 @@ _HYPERPARAMETERS = {
 
 @dataclass(frozen=True)
 class Parts:
-    """What an agent or a player takes over of a checkpoint, by the checkpoint's keys.
+    """The entries of a checkpoint that an agent or a player loads, by the checkpoint's keys.
 
     Attributes:
         modules: networks and normalisers.
-        optimizers: of the agent; Adam, all of them.
-        tensors: single ones.
+        optimizers: of the agent; all of them are Adam.
+        tensors: single tensors.
         scalers: gradient scalers.
         optional: keys that a checkpoint may leave out.
-        counts: whether it needs `epoch` and `frame`.
+        counts: True if it must have `epoch` and `frame`.
     """
 
     modules: Mapping[str, nn.Module]
@@ -61,16 +61,16 @@ class Parts:
         return [key for key in keys if key not in self.optional]
 
 
-# Checked when the file was read; what a task keeps there, it checks itself.
+# Checked when the file was read; a task checks its own entry.
 _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 
 
 class Fitting:
-    """Compares a checkpoint with what is to take it over.
+    """Compares a checkpoint with the modules and optimisers that load it.
 
     Args:
-        source: what the user gave, the first words of a message: `checkpoint=FILE`.
-        hint: what to do about a misfit.
+        source: the user's argument, the first words of a message: `checkpoint=FILE`.
+        hint: what to do if it does not fit.
     """
 
     def __init__(
@@ -83,10 +83,10 @@ class Fitting:
         self._hint = hint
 
     def parts(self, state: Mapping[str, Any], parts: Parts) -> dict[str, Any]:
-        """Return the entries of a checkpoint that `parts` takes over, all of which fit.
+        """Return the entries of a checkpoint that `parts` names; all of them fit.
 
         Raises:
-            CheckpointError: one is missing or does not fit; the first of them is named.
+            CheckpointError: one is missing or does not fit; the message names the first.
         """
         missing = [key for key in parts.required if key not in state]
         if missing:
@@ -114,10 +114,10 @@ class Fitting:
         return fitted
 
     def module(self, given: Mapping[str, Tensor], module: nn.Module, where: str) -> dict[str, Any]:
-        """Return the state of a module, under the names that it has for its own.
+        """Return the state of a module, under the module's own names.
 
         Raises:
-            CheckpointError: another name, or a tensor that does not fit.
+            CheckpointError: a name is unknown or missing, or a tensor does not fit.
         """
         own = module.state_dict()
         names = {name.replace(_COMPILED_PREFIX, ""): name for name in own}
@@ -133,10 +133,10 @@ class Fitting:
         return {own_name: given[name] for name, own_name in names.items()}
 
     def _compare(self, given: Any, own: Tensor, where: str) -> None:
-        """Check a tensor against the one that it replaces.
+        """Compare a tensor with the one that it replaces.
 
         Raises:
-            CheckpointError: its kind or shape is another one, or its numbers cannot be used.
+            CheckpointError: type or shape differ, or a number cannot be used.
         """
         if not isinstance(given, Tensor) or _kind(given) != _kind(own):
             raise self._misfit(f"{where} is {_kind(given)}, expected {_kind(own)}")
@@ -158,12 +158,12 @@ class Fitting:
         model: nn.Module | None,
         where: str,
     ) -> dict[str, Any]:
-        """Return the state of an Adam that `optimizer` can take over.
+        """Return the state of an Adam in the form that `optimizer` loads.
 
         Groups keep the switches of `optimizer`; the numbers are the checkpoint's.
 
         Raises:
-            CheckpointError: it is of other parameters, or a number cannot be used.
+            CheckpointError: its parameters are others, or a number cannot be used.
         """
         parameters = [p for group in optimizer.param_groups for p in group["params"]]
         self._check_structure(given, len(parameters), where)
@@ -186,7 +186,7 @@ class Fitting:
         return {"state": self._moments(given["state"], parameters, where), "param_groups": groups}
 
     def _check_structure(self, given: Any, num_parameters: int, where: str) -> None:
-        """Check that there are groups of as many parameters, which are numbered through."""
+        """Check that the groups have as many parameters, numbered 0, 1, 2, ..."""
         groups = given.get("param_groups") if isinstance(given, dict) else None
         numbers: list[Any] = []
         for group in groups if isinstance(groups, list) else ():
@@ -194,7 +194,7 @@ class Fitting:
             numbers += params if isinstance(params, list) else [None]
         if not numbers or not isinstance(given.get("state"), dict):
             raise self._misfit(f"{where} is no state of an optimiser, expected state and groups")
-        # Compared one by one: a number may be anything here.
+        # Compared one by one: the entries of a file may have any type.
         if any(type(n) is not int or n != i for i, n in enumerate(numbers)):
             raise self._misfit(f"{where}.param_groups do not number their parameters 0, 1, 2, ...")
         if len(numbers) != num_parameters:
@@ -224,7 +224,7 @@ class Fitting:
     def _moments(
         self, given: Mapping[Any, Any], parameters: list[Tensor], where: str
     ) -> dict[int, dict[str, Tensor]]:
-        """Return the moments of parameters by their number; those without have none."""
+        """Return the moments by number of the parameter; a parameter may have none."""
         moments: dict[int, dict[str, Tensor]] = {}
         for number, entry in given.items():
             place = f"{where}.state.{short(number)}"
@@ -242,7 +242,7 @@ class Fitting:
         return moments
 
     def _step(self, given: Any, where: str) -> Tensor:
-        """Return an optimiser's count of steps; before torch 1.12 it was no tensor."""
+        """Return an optimiser's step count; before torch 1.12 it was a number."""
         if type(given) in (int, float):
             given = torch.tensor(float(given))
         self._compare(given, torch.zeros(()), where)
@@ -251,7 +251,7 @@ class Fitting:
         return given
 
     def _numbers(self, given: Any, own: Mapping[str, Any], where: str) -> dict[str, Any]:
-        """Return the entries that `own` has, all of them positive numbers."""
+        """Return the entries that `own` has, all of them numbers of at least 0."""
         numbers = {key: given.get(key) for key in own} if isinstance(given, dict) else {}
         for key in own:
             value: Any = numbers.get(key)
@@ -264,22 +264,19 @@ class Fitting:
 
 
 class RestoringPlayer(BasePlayer):
-    """A player that takes a checkpoint over once all of it fits; stands before the player."""
+    """Loads a checkpoint once all of it fits; a mixin, listed before rl_games' player."""
 
     model: Any
 
     def _parts(self) -> Parts:
-        """Return what it takes over of a checkpoint."""
+        """Return the entries of a checkpoint that it loads."""
         return Parts({"model": self.model})
 
     def restore(self, fn: str) -> dict[str, Any]:
-        """Take over a checkpoint.
-
-        Returns:
-            What was taken over.
+        """Load a checkpoint, and return its entries.
 
         Raises:
-            CheckpointError: the file cannot be used; the player is as it was then.
+            CheckpointError: the file cannot be used; the player is unchanged then.
         """
         parts = self._parts()
         state = Fitting(f"checkpoint={fn}").parts(load_checkpoint(fn), parts)
@@ -292,7 +289,7 @@ class RestoringPlayer(BasePlayer):
 
 
 def _kind(value: Any) -> str:
-    """Return a tensor's shape and type in words; of other values the type."""
+    """Return shape and type of a tensor in words, of another value its type."""
     if not isinstance(value, Tensor):
         return f"a {type(value).__name__}"
     shape = "x".join(str(size) for size in value.shape) or "one number"

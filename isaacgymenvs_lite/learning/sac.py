@@ -1,4 +1,4 @@
-"""rl_games' soft actor-critic, with checkpoints that a training can go on from."""
+"""rl_games' soft actor-critic, with checkpoints from which training can continue."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
-from isaacgymenvs_lite.learning.episode_player import EpisodePlayer
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 
 
 class _EndOfEpoch(AlgoObserver):
-    """Lets an agent act before and after an observer is given an epoch.
+    """Checks and saves around the observer's report of an epoch; rl_games' loop has no hook there.
 
     Args:
-        agent: whose loop has no other place for it.
+        agent: the agent that is checked and saved.
         observer: of the training.
     """
 
@@ -47,12 +47,12 @@ class _EndOfEpoch(AlgoObserver):
 class SACAgent(Safeguards, RLGamesSACAgent):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
-    Its checkpoints hold the temperature and the best reward, too, which rl_games' leave out: a
+    Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
     resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
-    MB): a resumed run acts by its policy until a batch is there, and learns then.
+    MB): a resumed run acts with its policy until the buffer holds a batch, and then learns.
 
     `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
-    values of some hundreds in bfloat16 are apart by more than what a step is paid. rl_games' own
+    values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own
     switch means CUDA autocast.
 
     Args:
@@ -89,7 +89,7 @@ class SACAgent(Safeguards, RLGamesSACAgent):
 
     @property
     def curr_frames(self) -> int:
-        """Environment steps of an epoch, under the name that rl_games' other agents have for it."""
+        """Environment steps of an epoch, under the name of rl_games' other agents."""
         return self.num_frames_per_epoch
 
     def get_full_state_weights(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Take back what `get_full_state_weights` gave; rl_games' files lack the temperature."""
+        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature."""
         super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
@@ -120,10 +120,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         )
 
     def env_step(self, actions: Tensor) -> Any:
-        """Step the task; what goes in and comes out must be finite.
+        """Step the task, and check that actions, observations and rewards are finite.
 
         Raises:
-            NotFiniteError: it is not; it says what and where. Nothing of it was learned.
+            NotFiniteError: one is not; the message names it. The networks were not trained on it.
         """
         result: Any = super().env_step(actions)
         rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
@@ -136,7 +136,7 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         """As rl_games.
 
         Raises:
-            NotFiniteError: the networks are not finite, so that no action can be drawn.
+            NotFiniteError: the networks are not finite, so that no action can be sampled.
         """
         with self._acting_on(obs, self._step % self.num_steps_per_episode):
             return super().act(obs, action_dim, sample)
@@ -149,10 +149,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         )
 
     def check_epoch(self) -> None:
-        """Check what was learned in an epoch.
+        """Check networks and optimisers after an epoch.
 
         Raises:
-            NotFiniteError: it is not finite.
+            NotFiniteError: one is not finite.
         """
         self._check_learned()
         self._has_learned = True
@@ -161,9 +161,9 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         """Make a gradient step, once the replay buffer holds a batch.
 
         Returns:
-            actor's loss, entropy, temperature and its loss; losses of both critics. Of a step that
-            leaves the actor alone (`policy_frequency`), what the last one with the actor gave:
-            rl_games gives zeros and None, which it cannot average with others.
+            actor's loss, entropy, temperature and its loss; losses of both critics. A step without
+            an update of the actor (`policy_frequency`) repeats the actor's last values: rl_games
+            returns zeros and None, which it cannot average with others.
         """
         buffer = self.replay_buffer
         if not buffer.full and buffer.idx < self.batch_size:
@@ -177,7 +177,7 @@ class SACAgent(Safeguards, RLGamesSACAgent):
 
 
 def _played_parts(model: Any) -> Parts:
-    """Return what agent and player take over of a checkpoint."""
+    """Return the entries of a checkpoint that agent and player load."""
     names = ("actor", "critic", "critic_target")
     modules: dict[str, Any] = {name: getattr(model.sac_network, name) for name in names}
     if model.normalize_input:

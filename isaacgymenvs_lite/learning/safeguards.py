@@ -1,8 +1,8 @@
-"""What keeps a training from being lost: what it restores, what it saves, and when it must end.
+"""Mixins that protect a training: they check what it restores and saves, and end it in time.
 
-A mixin for agents that run in rl_games' own training loop. That loop takes over whatever a
-checkpoint holds, goes on with networks that are nan, writes them over good ones, and makes no
-periodic checkpoint before the first episode has ended.
+For agents in rl_games' own training loop. That loop loads any checkpoint unchecked, continues with
+networks that are nan, writes them over good ones, and makes no periodic checkpoint before the first
+episode has ended.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 
-# Rows of a rollout -> their name for a user, in the order in which one causes the next.
+# Rows of a rollout -> their name in messages; each may be the cause of the next.
 _ROLLOUT = {
     "obses": "observations",
     "states": "states",
@@ -39,10 +39,7 @@ _OF_TASK = ("obses", "states", "rewards", "amp_obs")
 
 
 class Safeguards(BaseAlgorithm):
-    """Checkpoints that fit and that are finite, for every agent; stands before rl_games' class.
-
-    Attributes: as rl_games' agents have them.
-    """
+    """Checkpoints that fit and that are finite, for every agent; a base before rl_games' class."""
 
     config: dict[str, Any]
     epoch_num: int
@@ -56,16 +53,16 @@ class Safeguards(BaseAlgorithm):
     _has_learned = False
 
     def _parts(self) -> Parts:
-        """Return what the agent takes over of a checkpoint."""
+        """Return the entries of a checkpoint that the agent loads."""
         raise NotImplementedError
 
     # --- restoring -------------------------------------------------------------------------
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Go on from the checkpoint `fn`.
+        """Continue from the checkpoint `fn`.
 
         Raises:
-            CheckpointError: it cannot be used; the agent is as it was then.
+            CheckpointError: it cannot be used; the agent is unchanged then.
         """
         former, self._restored_from = self._restored_from, str(fn)
         try:
@@ -75,10 +72,10 @@ class Safeguards(BaseAlgorithm):
             raise
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Take over what a checkpoint holds, once all of it fits.
+        """Load a checkpoint, once all of it fits.
 
         Raises:
-            CheckpointError: it cannot be used; the agent is as it was then.
+            CheckpointError: it cannot be used; the agent is unchanged then.
         """
         fitted = Fitting(self._source).parts(weights, self._parts())
         super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
@@ -100,10 +97,10 @@ class Safeguards(BaseAlgorithm):
         self._last_saved = save_checkpoint(fn, state) or self._last_saved
 
     def save_before_first_episode(self) -> None:
-        """Write the periodic checkpoint that rl_games leaves out as long as it knows no reward."""
+        """Write the periodic checkpoint that rl_games leaves out before it has a mean reward."""
         due = self.save_freq > 0 and self.epoch_num % self.save_freq == 0
         if due and self.game_rewards.current_size == 0:
-            # As rl_games names its last checkpoint then.
+            # rl_games' name of the last checkpoint in this case.
             name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
             self.save(os.path.join(self.nn_dir, name))
 
@@ -123,11 +120,11 @@ class Safeguards(BaseAlgorithm):
             raise self._not_finite(f"{_first_few(broken)} not finite")
 
     def _not_finite(self, what: str) -> NotFiniteError:
-        """Return the error that ends the training, and say the same in TensorBoard."""
+        """Return the error that ends the training, and write its message to TensorBoard."""
         good = self._good_checkpoint
         after = f"go on from the last good checkpoint, {good}," if good else "start again"
         return self._end(
-            f"{what} in epoch {self.epoch_num}, and networks do not come back from that: {after}"
+            f"{what} in epoch {self.epoch_num}, and networks do not recover from that: {after}"
             f" with {self._steadier_settings()}" + ("" if good else "; no checkpoint was saved yet")
         )
 
@@ -136,7 +133,7 @@ class Safeguards(BaseAlgorithm):
         return NotFiniteError(message)
 
     def _steadier_settings(self) -> str:
-        """Return what to change where networks have broken, with present values."""
+        """Return the settings to change when networks have become nan, with current values."""
         rate = float(self.config["learning_rate"])
         return (
             f"train.params.config.learning_rate={rate / 2:g} (now {rate:g}),"
@@ -145,13 +142,13 @@ class Safeguards(BaseAlgorithm):
 
     @property
     def _good_checkpoint(self) -> str:
-        """`checkpoint=<the newest one that is known to be finite>`, '' if there is none."""
+        """`checkpoint=<the newest one that was found finite>`, '' if there is none."""
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
     @contextmanager
     def _acting_on(self, obs: Any, step: int) -> Iterator[None]:
-        """Explain what torch raises when a policy that is not finite draws the actions of a step.
+        """Replace torch's error when a policy that is not finite samples the actions of a step.
 
         Raises:
             NotFiniteError: observations or networks are not finite.
@@ -166,14 +163,14 @@ class Safeguards(BaseAlgorithm):
             raise
 
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
-        """Check what was played, rows (steps, N, ...) by the names of rl_games.
+        """Check the rollout, rows (steps, N, ...) by the names of rl_games.
 
         Args:
             rows: of the rollout.
             first_step: of the epoch.
 
         Raises:
-            NotFiniteError: a number is not finite; it says which, where and when.
+            NotFiniteError: a number is not finite; the message has its name, place and time.
         """
         given = {
             name: rows[name].flatten(2) if rows[name].dim() > 2 else rows[name].unsqueeze(-1)
@@ -199,20 +196,20 @@ class Safeguards(BaseAlgorithm):
         if name not in _OF_TASK:
             return self._not_finite(f"{where}: the policy is not finite")
         if self._has_learned:
-            # PPO has learned nothing since they were last found to be finite; SAC may have.
+            # PPO's networks are unchanged since their last check; SAC's may not be: save checks.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         good = self._good_checkpoint
-        message = f"{where}: the task gave a number that is not finite; mend what computes it" + (
+        message = f"{where}: the task returned a number that is not finite; fix its computation" + (
             f", and go on from the last good checkpoint, {good}" if good else ""
         )
         return self._end(message)
 
 
 class PPOSafeguards(Safeguards, A2CAgent):
-    """The same for rl_games' PPO and all that is made of it; stands in its place.
+    """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
 
-    The rollout is checked before anything is learned of it, losses and networks before rl_games
-    reports them and saves.
+    The rollout is checked before the update, losses and networks before rl_games reports them and
+    saves.
     """
 
     # Policy steps of the rollout so far.
@@ -233,10 +230,10 @@ class PPOSafeguards(Safeguards, A2CAgent):
         )
 
     def _check_batch_size(self) -> None:
-        """Check that what an epoch gives has a spread, by which advantages are divided.
+        """Check that an epoch has a standard deviation, by which advantages are divided.
 
         Raises:
-            ConfigError: it is one sample.
+            ConfigError: it has one sample.
         """
         if self.batch_size < 2:
             raise ConfigError(
@@ -245,10 +242,10 @@ class PPOSafeguards(Safeguards, A2CAgent):
             )
 
     def restore_central_value_function(self, fn: str) -> None:
-        """Take the asymmetric critic alone over from the checkpoint `fn`.
+        """Load the asymmetric critic alone from the checkpoint `fn`.
 
         Raises:
-            CheckpointError: it cannot be used; the agent is as it was then.
+            CheckpointError: it cannot be used; the agent is unchanged then.
         """
         key = "assymetric_vf_nets"
         parts = Parts({key: self.central_value_net})
@@ -256,14 +253,14 @@ class PPOSafeguards(Safeguards, A2CAgent):
         self.set_central_value_function_weights(fitted)
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
-        """Return normaliser statistics, those of advantages too, which rl_games reads only."""
+        """Return normaliser statistics, also of advantages, which rl_games reads but not writes."""
         state: dict[str, Any] = super().get_stats_weights(model_stats)
         if self.normalize_advantage and self.normalize_rms_advantage:
             state["advantage_mean_std"] = self.advantage_mean_std.state_dict()
         return state
 
     def set_stats_weights(self, weights: dict[str, Any]) -> None:
-        """Take over normaliser statistics; a checkpoint of rl_games has none of advantages."""
+        """Load normaliser statistics; a checkpoint of rl_games has none of advantages."""
         if self.normalize_advantage and self.normalize_rms_advantage:
             own = {"advantage_mean_std": self.advantage_mean_std.state_dict()}
             weights = {**own, **weights}
@@ -273,7 +270,7 @@ class PPOSafeguards(Safeguards, A2CAgent):
         """As rl_games.
 
         Raises:
-            NotFiniteError: observations or networks are not finite, so that no action can be drawn.
+            NotFiniteError: observations or networks are not finite: no action can be sampled.
         """
         with self._acting_in_rollout(obs):
             return super().get_action_values(obs)
@@ -285,10 +282,10 @@ class PPOSafeguards(Safeguards, A2CAgent):
         self._acted += 1
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
-        """Make the training set of a rollout, once that is known to be finite.
+        """Make the training set of a rollout, once the rollout is found finite.
 
         Raises:
-            NotFiniteError: it is not; it says where and when.
+            NotFiniteError: it is not; the message has place and time.
         """
         self._acted = 0
         self._check_rows(self.experience_buffer.tensor_dict)
@@ -307,7 +304,7 @@ class PPOSafeguards(Safeguards, A2CAgent):
         """Write rl_games' scalars of an epoch whose losses and networks are finite.
 
         Raises:
-            NotFiniteError: they are not; rl_games has saved nothing of them.
+            NotFiniteError: they are not; rl_games has not saved them.
         """
         (_step_time, _play_time, _update_time, a_losses, c_losses, entropies, *_rest) = args
         self._check_losses({"a_loss": a_losses, "c_loss": c_losses, "entropy": entropies})
@@ -331,7 +328,7 @@ class PPOSafeguards(Safeguards, A2CAgent):
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
-    """Yield all that is learned, with its name in a checkpoint."""
+    """Yield all learned tensors, with their names in a checkpoint."""
     yield from parts.tensors.items()
     for key, module in parts.modules.items():
         for name, tensor in chain(module.named_parameters(), module.named_buffers()):
@@ -346,9 +343,9 @@ def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
 
 @torch.no_grad()
 def _all_finite(tensors: Iterable[Tensor]) -> bool:
-    """Return whether all numbers are finite, at the price of one sum each and one wait.
+    """Return whether all numbers are finite; costs one sum each and one synchronisation.
 
-    False may mean a sum out of range, too.
+    A sum out of range also returns False.
     """
     sums = [tensor.sum(dtype=torch.float32) for tensor in tensors]
     if not sums:

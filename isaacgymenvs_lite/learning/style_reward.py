@@ -18,7 +18,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     DiscriminatorTrainer,
@@ -41,7 +41,7 @@ def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMP
         ConfigError: there is no such file, or a key that cannot be used.
     """
     config = load_train_file(train_file)["params"]["config"]
-    return read_amp_params({**config, **changes})
+    return read_agent_params({**config, **changes}, AMPParams)
 
 
 class StyleReward:

@@ -1,87 +1,69 @@
-"""What CommonAgent collects in an epoch and writes to TensorBoard."""
+"""What an agent measures while it trains: finished episodes, and the scalars of its updates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rl_games.algos_torch import torch_ext
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 
+class EpisodeStatistics:
+    """Adds up what running episodes earn, and passes finished ones to rl_games' meters.
 
-class TrainingLog(PPOSafeguards):
-    """Statistics of finished episodes, and scalars of an agent's minibatches and epochs.
-
-    Attributes:
-        scalars: what an agent collects -> its name in TensorBoard.
+    Args:
+        sums: one tensor (N, ...) for each quantity, zero at the start of an episode.
+        meters: one for each; rl_games logs and saves by their means.
     """
 
-    scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
+    def __init__(self, sums: Sequence[Tensor], meters: Sequence[Any]) -> None:
+        self._sums, self._meters = sums, meters
 
-    writer: Any
-    _train_info: dict[str, list[Tensor]]
-    _epoch_info: dict[str, Any]
-
-    def _track_episodes(
-        self, rewards: Tensor, shaped_rewards: Tensor, infos: dict[str, Any]
-    ) -> None:
-        """Feed rl_games' meters of finished episodes and the observers."""
-        self.current_rewards += rewards
-        self.current_shaped_rewards += shaped_rewards
-        self.current_lengths += 1
-        done_indices = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
-        self.game_rewards.update(self.current_rewards[done_indices])
-        self.game_shaped_rewards.update(self.current_shaped_rewards[done_indices])
-        self.game_lengths.update(self.current_lengths[done_indices])
-        self.algo_observer.process_infos(infos, done_indices)
-        going_on = (1.0 - self.dones.float()).unsqueeze(1)
-        self.current_rewards *= going_on
-        self.current_shaped_rewards *= going_on
-        self.current_lengths *= going_on.squeeze(1)
-
-    def _collect(self, values: dict[str, Tensor]) -> None:
-        """Keep values of a minibatch or of an epoch; `_log_train_info` writes their means."""
-        for name, value in values.items():
-            self._train_info.setdefault(name, []).append(value)
-
-    def train_info_means(self) -> dict[str, float]:
-        """Return the epoch means of all collected scalars."""
-        return {
-            name: torch_ext.mean_list(values).item() for name, values in self._train_info.items()
-        }
-
-    def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
-        """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
-        (step_time, play_time, update_time, *_rest) = args
-        frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
-        writer = self.writer
-        writer.add_scalar("performance/total_fps", curr_frames / scaled_time, frame)
-        writer.add_scalar("performance/update_time", update_time, frame)
-        writer.add_scalar("performance/play_time", play_time, frame)
-        self._log_train_info(self._epoch_info, frame)
-        if self.game_rewards.current_size > 0:
-            mean_length = self.game_lengths.get_mean().item()
-            mean_reward = self.game_rewards.get_mean()[0].item()
-            writer.add_scalar("rewards/frame", mean_reward, frame)
-            writer.add_scalar("episode_lengths/frame", mean_length, frame)
-        super().write_stats(total_time, epoch_num, step_time, play_time, update_time, *_rest)
-
-    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
-        """As PPO; all that an agent has collected, which `losses` are a part of."""
-        del losses
-        super()._check_losses(self._train_info)
-
-    def _log_train_info(self, train_info: dict[str, Any], frame: int) -> None:
-        """Write the scalars of an epoch.
+    def add(self, step: Sequence[Tensor | float], dones: Tensor, finished: Tensor) -> None:
+        """Count a step.
 
         Args:
-            train_info: lists with one value for each minibatch, by the names of `train_result`,
-                and what `_record_train_batch_info` added.
-            frame: environment steps before the epoch.
+            step: what it added to each quantity.
+            dones: (N,) 1 where the episode ended.
+            finished: (n, 1) rows of the episodes that ended.
         """
-        for name, tag in self.scalars.items():
+        going_on = 1.0 - dones.float()
+        for total, meter, value in zip(self._sums, self._meters, step, strict=True):
+            total += value
+            meter.update(total[finished])
+            total *= going_on.view(-1, *(1,) * (total.ndim - 1))
+
+
+class TrainingLog:
+    """Collects scalars in an epoch and writes their means to TensorBoard.
+
+    Args:
+        tags: name of a scalar -> its name in TensorBoard; others are only collected.
+
+    Attributes:
+        values: one value for each minibatch or epoch, by name; of the current epoch.
+    """
+
+    def __init__(self, tags: Mapping[str, str]) -> None:
+        self._tags = tags
+        self.values: dict[str, list[Tensor]] = {}
+
+    def start_epoch(self) -> None:
+        """Drop what the last epoch collected."""
+        self.values = {}
+
+    def add(self, scalars: Mapping[str, Tensor]) -> None:
+        """Keep values of a minibatch or of an epoch."""
+        for name, value in scalars.items():
+            self.values.setdefault(name, []).append(value)
+
+    def means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {name: torch_ext.mean_list(values).item() for name, values in self.values.items()}
+
+    def write(self, writer: Any, train_info: Mapping[str, Any], frame: int) -> None:
+        """Write the means of the lists in `train_info` that have a tag."""
+        for name, tag in self._tags.items():
             if name in train_info:
-                mean = torch_ext.mean_list(train_info[name]).item()
-                self.writer.add_scalar(tag, mean, frame)
+                writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)

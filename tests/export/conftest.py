@@ -13,7 +13,7 @@ from tests.learning import conftest as learning
 from tests.learning.test_gen_amp import GEN_AMP
 from tests.learning.test_hrl import overrides as hierarchy
 from tests.learning.test_hrl import train_low_level
-from tests.learning.test_ppo_players import PPO
+from tests.learning.test_ppo_player import PPO
 from tests.tiny import TINY_LSTM, TINY_PPO, TINY_SAC
 
 make_runner = learning.make_runner

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,8 @@ from torch import Tensor
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.env_factory import make_from_config
-from isaacgymenvs_lite.learning.amp_config import GenAMPParams
-from isaacgymenvs_lite.learning.hrl_config import HRLParams
+from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
 from isaacgymenvs_lite.registration import build_runner, register_env
-from isaacgymenvs_lite.schema import keys_of
 from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP
 
 _TINY = (
@@ -46,8 +45,7 @@ def make_runner(tmp_path: Path, walk_clip: Path) -> Iterator[Callable[..., Any]]
         tasks.append(task)
         register_env(lambda **kwargs: task)
         runner = build_runner(observer)
-        keys = [*keys_of(GenAMPParams), *keys_of(HRLParams)]
-        keys += ["imitation_frequency", "print_disc_prediction"]
+        keys = [*AGENT_KEYS, "imitation_frequency", "print_disc_prediction"]
         params = prepare_train_params(
             cfg,
             num_envs=num_envs,
@@ -205,12 +203,33 @@ def scramble() -> Callable[[Any], None]:
     return scramble_normalisers
 
 
-def prepared_minibatch(agent: Any, roll_out: Callable[[Any], Any]) -> dict[str, torch.Tensor]:
-    batch = roll_out(agent)
+def make_training_set(agent: Any, batch: dict[str, Any]) -> dict[str, Tensor]:
+    """Fill the agent's dataset with a rollout as an epoch does; return its rows."""
     agent.set_train()
     agent._before_update(batch)
     agent.prepare_dataset(batch)
+    return agent.dataset.values_dict
+
+
+def prepared_minibatch(agent: Any, roll_out: Callable[[Any], Any]) -> dict[str, Tensor]:
+    make_training_set(agent, roll_out(agent))
     return agent.dataset[0]
+
+
+def mean_actions(agent: Any, obs: Tensor, *latents: Tensor) -> Tensor:
+    """Return the policy's mean actions for raw observations."""
+    agent.model.eval()
+    with torch.no_grad():
+        return agent.model.a2c_network.eval_actor(agent.model.norm_obs(obs), *latents)[0]
+
+
+@contextmanager
+def model_inputs(agent: Any) -> Iterator[list[dict[str, Any]]]:
+    """Collect the inputs of the agent's model."""
+    inputs: list[dict[str, Any]] = []
+    handle = agent.model.register_forward_pre_hook(lambda _, args: inputs.append(dict(args[0])))
+    yield inputs
+    handle.remove()
 
 
 def check_slices(
@@ -230,13 +249,12 @@ def check_slices(
         f"{config}.horizon_length=16",
         num_envs=64,
     )
-    rows = prepared_minibatch(agent, roll_out)
-    agent._update_normalizers(rows)
-    rows |= agent._minibatch_extras(rows)
+    rows = agent.prepare_minibatch(prepared_minibatch(agent, roll_out))
+    learned = [p for p in agent.model.parameters() if p.requires_grad]
 
     def gradients(threads: int) -> tuple[Any, Any]:
         agent.executor.num_threads = threads
-        return agent.executor.gradients(agent._compute_loss, dict(rows), agent._learned)
+        return agent.executor.gradients(agent.compute_loss, dict(rows), learned)
 
     whole, values = gradients(1)
     sliced, sliced_values = gradients(3)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from rl_games.common.ivecenv import IVecEnv
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_continuous import _AMP_OBS_KINDS
-from tests.learning.conftest import prepared_minibatch
+from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
+from tests.learning.conftest import make_training_set, model_inputs, prepared_minibatch
 
 CONFIG = "train.params.config"
+AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
 def start(agent: Any) -> Any:
@@ -52,10 +55,10 @@ def test_the_style_reward_of_each_algorithm(overrides, kind, make_agent, scrambl
     agent = make_agent(*overrides, f"{CONFIG}.disc_reward_scale=3.0")
     scramble(agent)
     with torch.no_grad():
-        agent.model.a2c_network._disc_logits.bias.fill_(0.7)
+        agent.model.a2c_network.get_parameter("_disc_logits.bias").fill_(0.7)
     amp_obs = torch.randn(4, 8, 210, generator=torch.Generator().manual_seed(0))
     before = snapshot(agent.discriminator.normalizer)
-    rewards = agent._calc_amp_rewards(amp_obs)["disc_rewards"]
+    rewards = agent.discriminator.reward(amp_obs)
     assert same(before, snapshot(agent.discriminator.normalizer))
 
     stats = agent.discriminator.normalizer
@@ -77,25 +80,12 @@ def test_rewards_are_combined_by_weight(make_agent, record, roll_out):
         f"{CONFIG}.disc_reward_w=0.7",
         f"{CONFIG}.reward_shaper.scale_value=2.0",
     )
-    task, style = torch.tensor([[1.0]]), torch.tensor([[10.0]])
-    combined = agent._combine_rewards(task, {"disc_rewards": style})
-    assert combined.item() == pytest.approx(7.3)
-
-    # What the advantages of a rollout are made of: shaped task reward and style, before GAE.
     tape = record(agent)
-    seen = []
-    total_rewards = agent._total_rewards
-
-    def tapped(task_rewards: torch.Tensor) -> torch.Tensor:
-        seen.append(total_rewards(task_rewards))
-        return seen[-1]
-
-    agent._total_rewards = tapped
     batch = roll_out(agent)
-    style = agent._calc_amp_rewards(torch.stack(tape.amp_obs))["disc_rewards"]
+    style = agent.discriminator.reward(torch.stack(tape.amp_obs))
     expected = 0.3 * 2.0 * torch.stack(tape.rewards).unsqueeze(-1) + 0.7 * style
-    assert len(seen) == 1
-    torch.testing.assert_close(seen[0], expected)
+    torch.testing.assert_close(batch["rewards"].view(8, 4), expected[..., 0].T)
+    # The advantages are made of them.
     buffer = agent.experience_buffer.tensor_dict
     last = (batch["returns"] - batch["values"]).view(8, 4)[:, -1]
     delta = expected[-1] + 0.99 * buffer["next_values"][-1] - buffer["values"][-1]
@@ -135,14 +125,14 @@ def test_the_discriminator_may_see_the_newest_step_only(
     buffer = agent.experience_buffer.tensor_dict
     assert buffer["amp_obs"].shape == (4, 8, 105)
     assert torch.equal(buffer["amp_obs"][2], tape.amp_obs[2][:, :105])
-    assert agent.discriminator.sample_demos(3)["amp_obs"].shape == (3, 105)
+    assert agent.demo_buffer.sample(3)["amp_obs"].shape == (3, 105)
     agent.train()
     agent.save(str(tmp_path / "agent"))
     player = make_runner(key).create_player()
     player.restore(str(tmp_path / "agent.pth"))
     amp_obs = torch.randn(6, 210)
     expected = agent.discriminator.reward(amp_obs[:, :105])
-    torch.testing.assert_close(player._style_reward_function()(amp_obs), expected)
+    torch.testing.assert_close(player.style_reward_function()(amp_obs), expected)
 
 
 def test_demonstrations_fill_their_buffer_and_come_in_every_epoch(make_agent, monkeypatch):
@@ -156,12 +146,12 @@ def test_demonstrations_fill_their_buffer_and_come_in_every_epoch(make_agent, mo
     start(agent)
     # 40 rows in fetches of 16
     assert fetched == [16, 16, 16]
-    assert agent.discriminator.demo_buffer.get_total_count() == 48
+    assert agent.demo_buffer.get_total_count() == 48
     assert same(before, snapshot(agent.discriminator.normalizer))
     agent.train_epoch()
     agent.train_epoch()
     assert fetched == [16] * 5
-    assert agent.discriminator.demo_buffer.get_total_count() == 48 + 32
+    assert agent.demo_buffer.get_total_count() == 48 + 32
 
 
 def prepared(agent: Any) -> dict[str, torch.Tensor]:
@@ -169,10 +159,13 @@ def prepared(agent: Any) -> dict[str, torch.Tensor]:
     agent.set_eval()
     with torch.no_grad():
         batch = agent.play_steps()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
+    rows = make_training_set(agent, batch)
+    end_epoch(agent, batch)
+    return rows
+
+
+def end_epoch(agent: Any, batch: dict[str, torch.Tensor]) -> None:
     agent._after_update(batch)
-    return agent.dataset.values_dict
 
 
 def rows_of(data: torch.Tensor) -> set[tuple[float, ...]]:
@@ -187,7 +180,7 @@ def test_the_training_set_has_as_many_demonstrations_and_replays_as_rows(make_ag
     # nothing to replay yet: the current observations
     assert torch.equal(first["amp_obs_replay"], first["amp_obs"])
     # 32 of the 40 rows in the buffer, none of them twice
-    demos = rows_of(agent.discriminator.sample_demos(40)["amp_obs"])
+    demos = rows_of(agent.demo_buffer.sample(40)["amp_obs"])
     assert rows_of(first["amp_obs_demo"]) <= demos
     assert len(rows_of(first["amp_obs_demo"])) == 32
     own = rows_of(first["amp_obs"])
@@ -230,12 +223,12 @@ def test_a_discriminator_minibatch_is_no_larger_than_the_minibatch(make_runner):
 def replay(agent: Any, count: int, offset: int = 0) -> None:
     """End an epoch of `count` rows whose numbers are offset, offset + 1, ..."""
     numbers = torch.arange(offset, offset + count, dtype=torch.float32)
-    agent._after_update({"amp_obs": numbers.view(-1, 1).expand(-1, 210)})
+    end_epoch(agent, {"amp_obs": numbers.view(-1, 1).expand(-1, 210)})
 
 
 def test_all_rows_are_kept_until_the_replay_buffer_has_run_over(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.0"))
-    buffer = agent.discriminator.replay_buffer
+    buffer = agent.replay_buffer
     replay(agent, 32)
     replay(agent, 32)  # exactly full: 64 rows
     assert buffer.get_total_count() == 64
@@ -249,7 +242,7 @@ def test_all_rows_are_kept_until_the_replay_buffer_has_run_over(make_agent):
 
 def test_a_full_replay_buffer_takes_its_share(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.25"))
-    buffer = agent.discriminator.replay_buffer
+    buffer = agent.replay_buffer
     for _ in range(3):
         replay(agent, 32)
     torch.manual_seed(0)
@@ -264,7 +257,7 @@ def test_a_full_replay_buffer_takes_its_share(make_agent):
 def test_of_more_rows_than_fit_a_random_subset_is_kept(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_buffer_size=8"))
     replay(agent, 100)
-    kept = agent.discriminator.replay_buffer.sample(8)["amp_obs"][:, 0].tolist()
+    kept = agent.replay_buffer.sample(8)["amp_obs"][:, 0].tolist()
     assert len(set(kept)) == 8
     # the last 8 or the first 8 by chance: 1 in 2e11
     assert set(kept) != set(range(92, 100))
@@ -283,17 +276,16 @@ def test_the_normaliser_counts_agent_replay_and_demonstration_before_any_is_norm
     }
     obs = 5.0 + torch.randn(16, 105, generator=generator)
     agent.set_train()
-    agent._update_normalizers({**kinds, "obs": obs})
+    agent.prepare_minibatch({**kinds, "obs": obs})
     mean, var, count = np.zeros(210), np.ones(210), 1.0
     for data in kinds.values():
         rows = data.double().numpy()
         delta, total = rows.mean(0) - mean, count + len(rows)
         var = (var * count + rows.var(0) * len(rows) + delta**2 * count * len(rows) / total) / total
         mean, count = mean + delta * len(rows) / total, total
-    inputs = agent._training_inputs(dict(kinds))
-    for name, data in kinds.items():
+    for data in kinds.values():
         expected = ((data.double().numpy() - mean) / np.sqrt(var + 1e-5)).clip(-5, 5)
-        np.testing.assert_allclose(inputs[name].detach().numpy(), expected, atol=1e-4)
+        np.testing.assert_allclose(agent.discriminator.normalize(data), expected, atol=1e-4)
     assert agent.discriminator.normalizer.count.item() == 25.0
     # Slices of observations are normalised by several threads: they must not count again.
     assert agent.model.running_mean_std.count.item() == 17.0
@@ -316,7 +308,7 @@ def test_the_losses_of_a_minibatch_are_those_of_the_discriminator(make_agent):
     prediction = 0.5 * (
         torch.log1p(fakes.exp()).mean() + torch.log1p((-result["disc_demo_logit"]).exp()).mean()
     )
-    info = {name: value[0].item() for name, value in agent._train_info.items() if len(value) == 1}
+    info = agent.train_info_means()
     penalty = info["disc_grad_penalty"]
     assert penalty > 0.0
     squares = [w.double().square().sum() for w in weights]
@@ -341,23 +333,52 @@ def test_the_discriminator_learns_to_tell_apart(make_agent):
 # --- what it needs of the task ----------------------------------------------------------------
 
 
+class OwnVecEnv(IVecEnv):
+    """Steps a task, whose other members agents do not see: `env` has AMP's members only."""
+
+    def __init__(self, vec_env: Any, *members: str) -> None:
+        self._vec_env = vec_env
+        self.env = SimpleNamespace(**{name: getattr(vec_env.env, name) for name in members})
+
+    def step(self, actions: torch.Tensor) -> Any:
+        return self._vec_env.step(actions)
+
+    def reset(self) -> Any:
+        return self._vec_env.reset()
+
+    def reset_done(self) -> Any:
+        return self._vec_env.reset_done()
+
+    def get_env_info(self) -> dict[str, Any]:
+        return self._vec_env.get_env_info()
+
+
+def made_with(vec_env: Any, runner: Any) -> Any:
+    runner.params["config"] |= {"vec_env": vec_env, "env_info": vec_env.get_env_info()}
+    return runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+
+
+def test_a_task_of_ones_own_needs_the_members_of_amp_only(make_runner):
+    runner = make_runner("max_iterations=1")
+    members = ("amp_observation_space", "fetch_amp_obs_demo")
+    vec_env = OwnVecEnv(RLGPUEnv("rlgpu", 8), *members)
+    agent = made_with(vec_env, runner)
+    agent.train()
+    agent.writer.close()
+    assert agent.vec_env is vec_env
+    assert agent.epoch_num == 1
+    assert agent.demo_buffer.get_total_count() == 48 + 16
+
+
 def test_a_task_without_reference_motions_is_refused(make_runner):
     runner = make_runner()
-    task = runner.params["config"]
-    env_info = {"observation_space": _Space(105), "action_space": _Space(28), "agents": 1}
-    task["env_info"] = env_info
-    with pytest.raises(ConfigError, match="amp_observation_space") as caught:
-        runner.algo_factory.create(runner.algo_name, base_name="run", params=runner.params)
+    with pytest.raises(ConfigError, match="SimpleNamespace has no fetch_amp_obs_demo") as caught:
+        made_with(OwnVecEnv(RLGPUEnv("rlgpu", 8), "amp_observation_space"), runner)
+    with pytest.raises(ConfigError, match="has no amp_observation_space, fetch_amp_obs_demo"):
+        made_with(OwnVecEnv(RLGPUEnv("rlgpu", 8)), runner)
     assert "\n" not in str(caught.value)
     # a value of the key algo.name, if any: not the name of a Python class
     assert "'AMPAgent'" not in str(caught.value)
-
-
-class _Space:
-    def __init__(self, size: int) -> None:
-        self.shape = (size,)
-        self.low, self.high = -np.ones(size, np.float32), np.ones(size, np.float32)
-        self.dtype = np.dtype(np.float32)
 
 
 def test_the_discriminator_has_a_learning_rate_that_no_schedule_changes(make_agent, tmp_path):
@@ -398,16 +419,17 @@ def test_checkpoints_of_one_group_resume_with_a_learning_rate_for_the_discrimina
 def test_noise_is_drawn_for_what_the_discriminator_learns_from(make_agent, roll_out):
     agent = make_agent(f"+{CONFIG}.disc_input_noise=0.5")
     rows = prepared_minibatch(agent, roll_out)
-    derived = agent._minibatch_extras(rows)
-    noise = torch.stack([derived[f"{kind}_noise"] for kind in _AMP_OBS_KINDS])
+    prepared = agent.prepare_minibatch(rows)
+    noise = torch.stack([prepared[f"{kind}_noise"] for kind in AMP_OBS_KINDS])
     assert noise.shape == (3, 8, 210)
     # 5040 numbers: standard errors 0.007 and 0.005
     assert noise.mean().item() == pytest.approx(0.0, abs=0.035)
     assert noise.std().item() == pytest.approx(0.5, abs=0.025)
-    inputs = agent._training_inputs({**rows, **derived})
-    for i, kind in enumerate(_AMP_OBS_KINDS):
-        assert torch.equal(inputs[f"{kind}_noise"], noise[i])
-        assert torch.equal(inputs[kind], agent.discriminator.normalize(rows[kind]))
+    with model_inputs(agent) as inputs:
+        agent.compute_loss(prepared)
+    for i, kind in enumerate(AMP_OBS_KINDS):
+        assert torch.equal(inputs[0][f"{kind}_noise"], noise[i])
+        assert torch.equal(inputs[0][kind], agent.discriminator.normalize(rows[kind]))
     # A reward is for the motion as it is.
     amp_obs = rows["amp_obs"]
     assert torch.equal(agent.discriminator.reward(amp_obs), agent.discriminator.reward(amp_obs))

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import CheckpointError
+from tests.learning.conftest import make_training_set
 
 CONFIG = "train.params.config"
 # Without falls of its own an environment times out after 2 control steps.
@@ -113,14 +114,12 @@ def test_a_resumed_training_takes_the_same_gradient_step(trained, make_agent, tm
     trained.obs = trained.env_reset()
     with torch.no_grad():
         batch = trained.play_steps()
-    trained._before_update(batch)
-    trained.prepare_dataset(batch)
+    make_training_set(trained, batch)
     minibatch = trained.dataset[0]
     checkpoint = saved_at(trained, tmp_path)
     agent = make_agent()
     agent.restore(checkpoint)
     for each in (trained, agent):
-        each._train_info = {}
         each.train_actor_critic({name: value.clone() for name, value in minibatch.items()})
     assert same(snapshot(agent.model), snapshot(trained.model))
 

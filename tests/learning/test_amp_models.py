@@ -120,7 +120,7 @@ def test_the_logits_of_demonstrations_can_be_differentiated_twice(make_model):
     (expected,) = torch.autograd.grad(model.a2c_network.eval_disc(demo).sum(), demo)
     torch.testing.assert_close(gradient, expected)
     gradient.square().sum().backward()
-    first_layer = model.a2c_network._disc_mlp[0].weight
+    first_layer = model.a2c_network.get_parameter("_disc_mlp.0.weight")
     assert first_layer.grad.abs().sum() > 0
 
 

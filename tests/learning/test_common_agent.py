@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from isaacgymenvs_lite.learning.common_agent import failures
+
 # Without falls of its own an environment times out after 4 control steps.
 SHORT_EPISODES = (
     "task.env.episodeLength=5",
@@ -125,9 +127,11 @@ def test_rows_are_environment_major(make_agent, record, roll_out):
 
 def test_returns_against_a_slow_loop(make_agent, record, roll_out, scramble):
     agent = make_agent(
-        *SHORT_EPISODES, "train.params.config.task_reward_w=1.0", "train.params.config.gamma=0.9"
+        *SHORT_EPISODES,
+        "train.params.config.task_reward_w=1.0",
+        "train.params.config.disc_reward_w=0.0",
+        "train.params.config.gamma=0.9",
     )
-    agent._amp = agent._amp.__class__(**{**vars(agent._amp), "disc_reward_w": 0.0})
     scramble(agent)
     tape = record(agent, ((3, 0), (5, 6)))
     batch = roll_out(agent)
@@ -168,12 +172,11 @@ def test_meters_count_finished_episodes_in_unshaped_rewards(make_agent, record, 
     assert agent.game_shaped_rewards.mean.item() == pytest.approx(0.1 * np.mean(rewards), rel=1e-5)
 
 
-def test_failures_are_read_from_what_the_environment_offers(make_agent):
-    agent = make_agent(num_envs=4)
-    agent.dones = torch.tensor([0, 1, 1, 1])
+def test_failures_are_read_from_what_the_environment_offers():
+    dones = torch.tensor([0, 1, 1, 1])
     time_outs = torch.tensor([False, False, True, False])
     terminate = torch.tensor([0, 0, 0, 1])
     both = {"terminate": terminate, "time_outs": time_outs}
-    assert agent._terminated(both).tolist() == [0, 0, 0, 1]
-    assert agent._terminated({"time_outs": time_outs}).int().tolist() == [0, 1, 0, 1]
-    assert agent._terminated({}).tolist() == [0, 1, 1, 1]
+    assert failures(dones, both).tolist() == [0, 0, 0, 1]
+    assert failures(dones, {"time_outs": time_outs}).int().tolist() == [0, 1, 0, 1]
+    assert failures(dones, {}).tolist() == [0, 1, 1, 1]

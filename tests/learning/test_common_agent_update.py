@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
+from tests.learning.conftest import make_training_set
 
 
 def counts(agent: Any) -> tuple[float, float, float]:
@@ -73,14 +74,14 @@ def test_the_environment_hears_how_far_the_training_is(make_agent):
 def tap_losses(agent: Any) -> list[float]:
     """Return a list that the agent's total losses will be added to."""
     heard: list[float] = []
-    whole = agent._compute_loss
+    whole = agent.compute_loss
 
     def tapped(rows: dict[str, torch.Tensor]) -> Any:
         loss, values = whole(rows)
         heard.append(loss.item())
         return loss, values
 
-    agent._compute_loss = tapped
+    agent.compute_loss = tapped
     return heard
 
 
@@ -90,9 +91,7 @@ def minibatch_of(agent: Any) -> dict[str, torch.Tensor]:
     agent.set_eval()
     with torch.no_grad():
         batch = agent.play_steps()
-    agent.set_train()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
+    make_training_set(agent, batch)
     return agent.dataset[0]
 
 
@@ -126,7 +125,7 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     mu, sigma = result["mus"], result["sigmas"]
     bound = (np.maximum(mu - 1, 0) ** 2 + np.minimum(mu + 1, 0) ** 2).sum(-1)
     assert bound.mean() > 0.01
-    disc = agent._train_info["disc_loss"][0].item()
+    disc = agent.train_log.values["disc_loss"][0].item()
     total = (
         actor.mean()
         + 5 * critic.mean()
@@ -136,7 +135,7 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
     )
     # float32 sums of 16 rows
     assert heard[0] == pytest.approx(total, rel=1e-4)
-    info = {name: value[0].item() for name, value in agent._train_info.items()}
+    info = {name: value[0].item() for name, value in agent.train_log.values.items()}
     assert info["actor_loss"] == pytest.approx(actor.mean(), rel=1e-4)
     assert info["critic_loss"] == pytest.approx(critic.mean(), rel=1e-4)
     assert info["b_loss"] == pytest.approx(bound.mean(), rel=1e-4)
@@ -162,10 +161,7 @@ def test_total_loss_and_kl_against_the_formulas(make_agent):
 def test_advantages_and_values_of_the_training_set(make_agent, roll_out):
     agent = make_agent()
     batch = roll_out(agent)
-    agent.set_train()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
-    rows = agent.dataset.values_dict
+    rows = make_training_set(agent, batch)
     raw = (batch["returns"] - batch["values"])[:, 0].double()
     expected = (raw - raw.mean()) / (raw.std(unbiased=True) + 1e-8)
     torch.testing.assert_close(rows["advantages"].double(), expected, rtol=1e-4, atol=1e-4)
@@ -281,7 +277,7 @@ def test_without_bound_loss_none_is_counted(make_agent):
         agent.model.a2c_network.mu.bias += 3.0
     heard = tap_losses(agent)
     agent.train_actor_critic(minibatch)
-    info = {name: value[0].item() for name, value in agent._train_info.items()}
+    info = {name: value[0].item() for name, value in agent.train_log.values.items()}
     expected = info["actor_loss"] + 5 * info["critic_loss"] + 5 * info["disc_loss"]
     assert heard[0] == pytest.approx(expected, rel=1e-5)
 
@@ -307,7 +303,7 @@ def test_bfloat16_changes_the_losses_only_slightly(make_agent):
     layer.register_forward_hook(lambda module, args, out: dtypes.append(out.dtype))
     infos = []
     for agent in (exact, rough):
-        agent._train_info = {}
+        agent.train_log.start_epoch()
         agent.train_actor_critic({k: v.clone() for k, v in minibatch.items()})
         infos.append(agent.train_info_means())
     assert dtypes == [torch.bfloat16]

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
-from tests.learning.conftest import check_slices, prepared_minibatch
+from tests.learning.conftest import check_slices, make_training_set, prepared_minibatch
 from tests.learning.test_gen_amp import GEN_AMP, LATENT_DIM
 from tests.learning.test_gen_amp_models import training_input
 from tests.learning.test_gen_amp_network_builder import build
@@ -98,7 +98,7 @@ def test_each_kind_of_rows_is_judged_under_its_own_latents(make):
 def test_demonstrations_stand_for_the_latent_of_another_moment(make, roll_out):
     agent = make()
     rows = prepared_minibatch(agent, roll_out)
-    stored = agent.discriminator.demo_buffer.rows
+    stored = all_demos(agent)
     place = places(rows["amp_obs_demo"], stored["amp_obs"])
     near = stored["amp_obs_near"][place]
     assert (near - rows["amp_obs_demo"]).abs().max() > 0.01
@@ -108,8 +108,7 @@ def test_demonstrations_stand_for_the_latent_of_another_moment(make, roll_out):
 def test_the_replay_buffer_keeps_latents_with_their_motion(make, roll_out):
     agent = make(f"{CONFIG}.amp_replay_buffer_size=64")
     first = roll_out(agent)
-    agent.set_train()
-    agent._before_update(first)
+    make_training_set(agent, first)
     # At first the rollout itself is replayed.
     assert torch.equal(first["amp_obs_replay_latents"], first["amp_latents"])
     agent._after_update(first)
@@ -117,24 +116,20 @@ def test_the_replay_buffer_keeps_latents_with_their_motion(make, roll_out):
     agent.set_eval()
     with torch.no_grad():
         second = agent.play_steps()
-    agent.set_train()
-    agent._before_update(second)
+    make_training_set(agent, second)
     place = places(second["amp_obs_replay"], first["amp_obs"])
     assert torch.equal(second["amp_obs_replay_latents"], first["amp_latents"][place])
-    agent.prepare_dataset(second)
     rows = agent.dataset[0]
     assert len(rows["amp_obs_replay_latents"]) == len(rows["amp_obs_replay"]) == 8
 
 
 def test_the_style_reward_is_for_the_latent_of_the_step(make, roll_out):
     agent = make()
-    roll_out(agent)
-    buffer = agent.experience_buffer.tensor_dict
-    rewards = agent._calc_amp_rewards(buffer["amp_obs"])["disc_rewards"]
-    normalized = agent.discriminator.normalize(buffer["amp_obs"])
-    logits = agent.model.a2c_network.eval_disc(normalized, buffer["amp_latents"])
-    scale = agent.config["disc_reward_scale"]
-    torch.testing.assert_close(rewards, scale * F.softplus(logits), rtol=1e-4, atol=1e-4)
+    batch = roll_out(agent)
+    normalized = agent.discriminator.normalize(batch["amp_obs"])
+    logits = agent.model.a2c_network.eval_disc(normalized, batch["amp_latents"])
+    expected = agent.config["disc_reward_scale"] * F.softplus(logits)
+    torch.testing.assert_close(batch["disc_rewards"], expected, rtol=1e-4, atol=1e-4)
 
 
 def test_slices_give_the_gradients_of_the_whole(make, roll_out):
@@ -158,7 +153,7 @@ def test_a_hierarchy_is_paid_for_what_its_latents_stand_for(low_level, make_agen
     latents = F.normalize(actions.clamp(-1, 1), dim=-1)
     expected = [trained.discriminator.reward(amp_obs, latents) for amp_obs in env.amp_obs]
     mean = torch.stack(expected).mean(dim=0)
-    torch.testing.assert_close(agent._disc_rewards, mean, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(agent.style_rewards, mean, rtol=1e-4, atol=1e-4)
 
 
 def test_motion_without_latents_is_judged_as_what_it_looks_like(low_level, make_agent):
@@ -171,31 +166,33 @@ def test_motion_without_latents_is_judged_as_what_it_looks_like(low_level, make_
     assert (others - expected).abs().min() > 1e-6
 
 
-def test_random_latents_go_with_moments_that_are_near(make):
+def all_demos(agent: Any) -> dict[str, torch.Tensor]:
+    return agent.demo_buffer.sample(2 * agent.demo_buffer.get_buffer_size())
+
+
+def test_random_latents_go_with_moments_that_are_near(make, roll_out):
     sharp = (f"{CONFIG}.clip_latents=0.5", f"{CONFIG}.latent_sharpness=1e7")
-    agent = make(*(f"++{word}" for word in sharp))
-    agent.init_tensors()
-    agent._store_demos()
-    demos = agent.discriminator.sample_demos(64)
-    rows = agent._demo_disc_batch(demos)
-    latents, found = rows["amp_obs_demo_latents"], agent.encoder.read(demos["amp_obs_near"])
-    of_clips = (latents == found).all(dim=-1)
+    # As many rows of the rollout as demonstrations: all of them are drawn.
+    sizes = (f"{CONFIG}.horizon_length=8", f"{CONFIG}.amp_obs_demo_buffer_size=64")
+    agent = make(*(f"++{word}" for word in sharp), *sizes)
+    batch = roll_out(agent)
+    make_training_set(agent, batch)
+    demos, latents = all_demos(agent), batch["amp_obs_demo_latents"]
+    found = agent.encoder.read(demos["amp_obs_near"])
+    taken = places(batch["amp_obs_demo"], demos["amp_obs"])
+    of_clips = (latents - found[taken]).abs().amax(dim=-1) < 1e-6
     assert 0 < of_clips.sum() < 64
-    torch.testing.assert_close(rows["amp_obs_demo"][of_clips], demos["amp_obs"][of_clips])
     # So sharp that every other one goes with a row whose latent is as near as any.
     nearness = latents[~of_clips] @ found.t()
-    taken = places(rows["amp_obs_demo"][~of_clips], demos["amp_obs"])
-    chosen = nearness.gather(1, taken.unsqueeze(1)).squeeze(1)
+    chosen = nearness.gather(1, taken[~of_clips].unsqueeze(1)).squeeze(1)
     torch.testing.assert_close(chosen, nearness.amax(dim=1), rtol=0, atol=1e-5)
     torch.testing.assert_close(latents.norm(dim=-1), torch.ones(64))
 
 
-def test_without_it_all_rows_keep_their_own_latents(make):
+def test_without_it_all_rows_keep_their_own_latents(make, roll_out):
     agent = make(f"++{CONFIG}.clip_latents=0.5")
-    agent.init_tensors()
-    agent._store_demos()
-    demos = agent.discriminator.sample_demos(16)
-    rows = agent._demo_disc_batch(demos)
-    expected = agent.encoder.read(demos["amp_obs_near"])
-    torch.testing.assert_close(rows["amp_obs_demo_latents"], expected)
-    torch.testing.assert_close(rows["amp_obs_demo"], demos["amp_obs"])
+    batch = roll_out(agent)
+    make_training_set(agent, batch)
+    demos = all_demos(agent)
+    near = demos["amp_obs_near"][places(batch["amp_obs_demo"], demos["amp_obs"])]
+    torch.testing.assert_close(batch["amp_obs_demo_latents"], agent.encoder.read(near))

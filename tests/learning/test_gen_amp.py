@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +12,13 @@ import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_continuous import exploration_probs
-from tests.learning.conftest import check_slices, prepared_minibatch
+from tests.learning.conftest import (
+    check_slices,
+    make_training_set,
+    mean_actions,
+    model_inputs,
+    prepared_minibatch,
+)
 
 CONFIG = "train.params.config"
 LATENT_DIM = 6
@@ -78,17 +83,16 @@ def test_what_follows_is_valued_under_the_latent_of_the_step(make, roll_out, rec
 
 def test_rewards_are_the_sum_of_task_style_and_encoder(make, roll_out):
     agent = make(f"{CONFIG}.task_reward_w=0.25", f"{CONFIG}.enc_reward_scale=3")
-    roll_out(agent)
-    buffer = agent.experience_buffer.tensor_dict
-    rewards = agent._calc_amp_rewards(buffer["amp_obs"])
-    found = agent.model.a2c_network.eval_enc(agent.discriminator.normalize(buffer["amp_obs"]))
-    cosine = (found * buffer["amp_latents"]).sum(-1, keepdim=True)
+    batch = roll_out(agent)
+    found = agent.model.a2c_network.eval_enc(agent.discriminator.normalize(batch["amp_obs"]))
+    cosine = (found * batch["amp_latents"]).sum(-1, keepdim=True)
     assert (cosine < 0).any()
     expected = 3 * torch.where(cosine > 0, cosine, torch.zeros(()))
-    torch.testing.assert_close(rewards["enc_rewards"], expected, rtol=1e-5, atol=1e-6)
-    task = torch.randn(4, 8, 1, generator=torch.Generator().manual_seed(0))
-    total = 0.25 * task + 0.5 * rewards["disc_rewards"] + 0.5 * rewards["enc_rewards"]
-    torch.testing.assert_close(agent._combine_rewards(task, rewards), total)
+    torch.testing.assert_close(batch["enc_rewards"], expected, rtol=1e-5, atol=1e-6)
+    style = agent.discriminator.reward(batch["amp_obs"])
+    torch.testing.assert_close(batch["disc_rewards"], style, rtol=1e-5, atol=1e-6)
+    total = 0.25 * batch["task_rewards"] + 0.5 * style + 0.5 * expected
+    torch.testing.assert_close(batch["rewards"], total, rtol=1e-5, atol=1e-5)
 
 
 def test_another_task_is_played_under_latents_of_its_own(make, make_runner):
@@ -110,7 +114,7 @@ def test_a_player_draws_latents_as_the_training_did(share, make_runner):
     player.act(player.env.reset_done()[0])
     windows = torch.cat(player.env.windows_of_clips())
     # The start of an episode is between two of the windows, which are 33 ms apart.
-    distances = torch.cdist(player._latents_now, player.encoder.read(windows)).min(dim=1).values
+    distances = torch.cdist(player.current_latents, player.encoder.read(windows)).min(dim=1).values
     assert bool((distances < 0.05).all()) == bool(share)
 
 
@@ -118,8 +122,10 @@ def test_a_player_draws_latents_as_the_training_did(share, make_runner):
 def test_a_measured_policy_acts_under_latents_as_in_training(share, make, make_runner):
     agent = make(f"+{CONFIG}.clip_latents={share}", "task.env.motion_file=stand")
     env = make_runner("task.env.motion_file=stand", num_envs=16).create_player().env
-    env.reset()
-    latents = agent._evaluation_inputs(env)()["amp_latents"]
+    policy = agent.mean_policy(env)
+    with model_inputs(agent) as inputs:
+        policy(env.reset())
+    latents = inputs[0]["amp_latents"]
     found = agent.encoder.read(torch.cat(env.windows_of_clips()))
     distances = torch.cdist(latents, found).min(dim=1).values
     assert bool((distances < 0.05).all()) == bool(share)
@@ -143,7 +149,7 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     roll_out(agent)
     assert starts == [list(range(8)), [3]]
     # Later latents are of clips, too.
-    demos = agent.encoder.read(agent.discriminator.demo_buffer.rows["amp_obs"])
+    demos = agent.encoder.read(agent.demo_buffer.sample(40)["amp_obs"])
     agent.schedule.advance(torch.full((8,), 10_000))
     distances = torch.cdist(agent.schedule.latents, demos).min(dim=1).values
     assert distances.max() < 1e-3
@@ -154,10 +160,8 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
 
 def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     agent = make(f"+{CONFIG}.enc_uniformity_coef=3", f"+{CONFIG}.enc_alignment_coef=2")
-    rows = prepared_minibatch(agent, roll_out)
-    agent._update_normalizers(rows)
-    rows |= agent._minibatch_extras(rows)
-    demos = agent.discriminator.demo_buffer.rows
+    rows = agent.prepare_minibatch(prepared_minibatch(agent, roll_out))
+    demos = agent.demo_buffer.sample(2 * agent.demo_buffer.get_buffer_size())
     pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
     normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
     triples = rows["demo_triples"]
@@ -168,18 +172,24 @@ def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     assert distances.min(dim=1).values.max() < 1e-3
     assert torch.equal(triples[:, 2], triples[:, 0].roll(1, dims=0))
 
-    loss, values = agent._compute_loss(dict(rows))
+    loss, values = agent.compute_loss(dict(rows))
     q = agent.model.a2c_network.eval_enc(triples.flatten(0, 1)).view(4, 3, -1)
     near, far = ((q[:, 0] * q[:, i]).sum(-1) for i in (1, 2))
     alignment = (2 - 2 * near).mean()  # |q - q'|^2 of unit vectors
     uniformity = torch.exp(-4 * (1 - far)).mean()
     assert values["enc_alignment_loss"].item() == pytest.approx(alignment.item(), rel=1e-4)
     assert values["enc_uniformity_loss"].item() == pytest.approx(uniformity.item(), rel=1e-4)
-    changed = dataclasses.replace(agent._amp, enc_uniformity_coef=1, enc_alignment_coef=1)
-    agent._amp = changed
-    lighter, _ = agent._compute_loss(dict(rows))
-    difference = 2 * uniformity + alignment
-    assert (loss - lighter).item() == pytest.approx(difference.item(), rel=1e-2)
+    total = weighted_sum(values) + 2 * alignment + 3 * uniformity
+    assert loss.item() == pytest.approx(total.item(), rel=1e-5)
+
+
+def weighted_sum(values: dict[str, torch.Tensor]) -> torch.Tensor:
+    """The loss that the logged terms make with the weights of `GEN_AMP`."""
+    weights = {
+        **{"actor_loss": 1, "critic_loss": 5, "b_loss": 10},
+        **{"disc_loss": 5, "enc_loss": 5, "amp_diversity_loss": 0.01},
+    }
+    return torch.stack([weight * values[name] for name, weight in weights.items()]).sum()
 
 
 @pytest.mark.parametrize("penalty", [0.0, 0.3])
@@ -188,10 +198,9 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
     rows = prepared_minibatch(agent, roll_out)
     assert len(rows["amp_latents"]) == 16
     assert torch.equal(rows["amp_obs_latents"], rows["amp_latents"][:8])
-    agent._update_normalizers(rows)
-    rows |= agent._minibatch_extras(rows)
+    rows = agent.prepare_minibatch(rows)
     network = agent.model.a2c_network
-    loss, values = agent._compute_loss(dict(rows))
+    loss, values = agent.compute_loss(dict(rows))
 
     amp_obs = agent.discriminator.normalize(rows["amp_obs"]).requires_grad_()
     error = -(network.eval_enc(amp_obs) * rows["amp_obs_latents"]).sum(-1)
@@ -212,15 +221,7 @@ def test_the_losses_of_a_minibatch(penalty, make, roll_out):
     diversity = (1.0 - quotient).square().mean()
     assert values["amp_diversity_loss"].item() == pytest.approx(diversity.item(), rel=1e-4)
 
-    total = (
-        values["actor_loss"]
-        + 5 * values["critic_loss"]
-        + 10 * values["b_loss"]
-        + 5 * values["disc_loss"]
-        + 5 * values["enc_loss"]
-        + 0.01 * values["amp_diversity_loss"]
-    )
-    assert loss.item() == pytest.approx(total.item(), rel=1e-5)
+    assert loss.item() == pytest.approx(weighted_sum(values).item(), rel=1e-5)
 
 
 def test_slices_give_the_gradients_of_the_whole(make, roll_out):
@@ -256,18 +257,17 @@ def test_who_did_not_explore_does_not_train_the_policy_but_the_critic(make, roll
     rows = prepared_minibatch(agent, roll_out)
     mask = rows["rand_action_mask"]
     assert 0 < mask.sum() < len(mask)
-    agent._update_normalizers(rows)
-    rows |= agent._minibatch_extras(rows)
-    _, values = agent._compute_loss(dict(rows))
+    rows = agent.prepare_minibatch(rows)
+    _, values = agent.compute_loss(dict(rows))
     silent = (mask == 0).nonzero()[0]
     rows["advantages"] = rows["advantages"].clone()
     rows["returns"] = rows["returns"].clone()
     rows["advantages"][silent] += 100.0
-    _, others = agent._compute_loss(dict(rows))
+    _, others = agent.compute_loss(dict(rows))
     for name in ("actor_loss", "actor_clip_frac", "b_loss", "entropy", "amp_diversity_loss"):
         assert torch.equal(values[name], others[name]), name
     rows["returns"][silent] += 100.0
-    assert agent._compute_loss(dict(rows))[1]["critic_loss"] > 10 * values["critic_loss"]
+    assert agent.compute_loss(dict(rows))[1]["critic_loss"] > 10 * values["critic_loss"]
     # means over the rows that explored
     result = agent.model(
         {
@@ -293,13 +293,10 @@ def test_a_minibatch_in_which_nobody_explored(make, roll_out):
 def test_advantages_by_the_moments_of_those_that_explored(make, roll_out):
     agent = make(f"+{CONFIG}.enable_eps_greedy=True")
     batch = roll_out(agent)
-    agent.set_train()
-    agent._before_update(batch)
-    agent.prepare_dataset(batch)
+    advantages = make_training_set(agent, batch)["advantages"]
     raw = (batch["returns"] - batch["values"])[:, 0].double().numpy()
     chosen = raw[batch["rand_action_mask"].numpy() == 1]
     expected = (raw - chosen.mean()) / (chosen.std(ddof=1) + 1e-8)
-    advantages = agent.dataset.values_dict["advantages"]
     np.testing.assert_allclose(advantages.numpy(), expected, rtol=1e-3, atol=1e-4)
 
 
@@ -345,7 +342,7 @@ def test_a_player_acts_as_the_agent_under_each_kind_of_latent(make, make_runner,
         assert player.result.num_episodes == 8
     action = player.get_action(obs, is_deterministic=True)
     under = rows[torch.arange(8) % 3]
-    expected = agent._evaluate_policy({"obs": obs}, {"amp_latents": under})["mus"].clamp(-1, 1)
+    expected = mean_actions(agent, obs, under).clamp(-1, 1)
     torch.testing.assert_close(action, expected, rtol=1e-4, atol=1e-5)
 
 
@@ -372,9 +369,9 @@ def test_a_latent_that_is_no_file(make_runner):
         runner.create_player()
 
 
-def test_a_latent_for_a_policy_that_hears_none(make_runner):
+def test_a_latent_for_a_policy_that_has_none(make_runner):
     runner = make_runner(f"+{CONFIG}.player={{latent:random}}")
-    with pytest.raises(ConfigError, match="latent=random: this policy hears no skill latents"):
+    with pytest.raises(ConfigError, match="latent=random: this policy has no skill latents"):
         runner.create_player()
 
 

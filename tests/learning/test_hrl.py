@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from tests.learning.conftest import mean_actions
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 
 STEPS = 3
@@ -77,7 +78,7 @@ def test_the_low_level_acts_as_the_policy_that_was_trained(agent, llc):
     obs = 3.0 * torch.randn(8, 105, generator=torch.Generator().manual_seed(0))
     action = torch.randn(8, LATENT_DIM, generator=torch.Generator().manual_seed(1))
     latents = action / action.norm(dim=-1, keepdim=True)
-    expected = trained._evaluate_policy({"obs": obs}, {"amp_latents": latents})["mus"]
+    expected = mean_actions(trained, obs, latents)
     found = agent._compute_llc_action({"obs": obs}, action)
     torch.testing.assert_close(found, expected.clamp(-1, 1), rtol=1e-4, atol=1e-5)
     amp_obs = torch.randn(8, 210, generator=torch.Generator().manual_seed(2))
@@ -168,12 +169,7 @@ def test_style_rewards_are_those_of_the_steps_that_counted(stepped):
     style = torch.stack([agent.llc.style_reward(amp_obs) for amp_obs in env.amp_obs])
     style[1:, 1] = 0.0
     style[2:, 2] = 0.0
-    torch.testing.assert_close(agent._disc_rewards, style.sum(0) / 3)
-    agent._record_step(0, {})
-    task = torch.ones(4, 8, 1)
-    total = agent._total_rewards(task)
-    expected = 0.9 + 0.1 * agent._disc_rewards
-    torch.testing.assert_close(total[0], expected)
+    torch.testing.assert_close(agent.style_rewards, style.sum(0) / 3)
 
 
 def test_one_latent_for_all_steps_and_the_newest_observation(stepped):

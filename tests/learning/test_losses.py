@@ -166,3 +166,12 @@ def test_moments_of_masked_rows():
     assert losses.normalize_masked(values, mask).tolist() == pytest.approx([-1.0, 0.0, 1.0, 8.0])
     for few in (torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 0.0])):
         assert torch.equal(losses.normalize_masked(values, few), values)
+
+
+def test_alignment_and_uniformity_by_hand():
+    x, y = torch.eye(2)
+    found = torch.stack((x, x, x))
+    others = torch.stack((x, y, -x))  # squared distances 0, 2, 4
+    expected = torch.tensor([1.0, math.exp(-4), math.exp(-8)])
+    torch.testing.assert_close(losses.uniformity_loss(found, others), expected)
+    torch.testing.assert_close(losses.alignment_loss(found, others), torch.tensor([0.0, 2.0, 4.0]))

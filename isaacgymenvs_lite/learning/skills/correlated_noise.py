@@ -1,6 +1,6 @@
-"""Exploration noise that lasts, so that what was tried can be told from what comes of it.
+"""Exploration noise that is correlated in time, so that an exploratory action has an effect.
 
-Independent noise on a latent asks for another skill six times a second, and none is carried out.
+Independent noise on a latent selects another skill six times a second, and none is carried out.
 Hollenstein et al. 2024, "Colored Noise in PPO" (arXiv 2312.11091), with a first-order
 autoregressive process in place of their coloured one.
 """
@@ -18,7 +18,7 @@ class CorrelatedNoise:
 
     Args:
         correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
-            probability of an action is still that of independent noise, as in the paper.
+            probability of an action still assumes independent noise, as in the paper.
     """
 
     def __init__(self, correlation: float) -> None:

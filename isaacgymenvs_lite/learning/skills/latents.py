@@ -1,6 +1,11 @@
-"""Skill latents: unit vectors, and when each environment gets a new one.
+"""Skill latents: unit vectors, when each environment gets a new one, and which one.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
+Random latents alone, as in ASE, make a policy find every skill by exploration, and it settles for
+the easiest: standing in many ways. With `ClipLatents` some episodes that start in a clip have the
+latent that the encoder finds in the clip, so that continuing the clip earns the encoder's reward at
+once. This is between ASE and CALM (Tessler et al. 2023, arXiv 2305.02195), which reads all latents
+from clips.
 """
 
 from __future__ import annotations
@@ -34,11 +39,11 @@ class LatentSchedule:
         latent_dim: numbers in a latent.
         steps_min: least number of steps that a latent is kept, at least 1.
         steps_max: above the largest number.
-        device: where the latents live.
+        device: of the latents.
         draw: n -> latents (n, latent_dim), unit vectors; None: random ones.
 
     Attributes:
-        latents: (N, latent_dim), those of now; replaced, never written into.
+        latents: (N, latent_dim), the current ones; replaced, never written into.
         change_at: (N,) control steps of the episodes after which the next ones follow.
 
     Raises:
@@ -77,7 +82,7 @@ class LatentSchedule:
         return self.change_at <= progress
 
     def advance(self, progress: Tensor) -> None:
-        """Renew the latents that are over after `progress` (N,) control steps of the episodes."""
+        """Replace the latents that end after `progress` (N,) control steps of the episodes."""
         env_ids = self.is_over(progress).nonzero().flatten()
         if len(env_ids) == 0:
             return
@@ -93,11 +98,76 @@ class LatentSchedule:
         return torch.randint(*self._steps, (n,), device=self._device)
 
 
+class ClipLatents:
+    """Draws latents: of a clip with probability `share`, random ones otherwise.
+
+    Args:
+        share: 0 to 1.
+        latent_dim: Z.
+        read: AMP observations (n, F) -> latents (n, Z), the encoder.
+        fetch: n -> AMP observations (n, F) of the clips.
+        sample: n -> random latents (n, Z); None: uniform on the sphere.
+    """
+
+    def __init__(
+        self,
+        share: float,
+        latent_dim: int,
+        read: Callable[[Tensor], Tensor],
+        fetch: Callable[[int], Tensor],
+        sample: Callable[[int], Tensor] | None = None,
+    ) -> None:
+        self._share = share
+        self._latent_dim = latent_dim
+        self._read = read
+        self._fetch = fetch
+        self._sample = sample
+
+    def draw(self, n: int, device: str | torch.device = "cpu") -> Tensor:
+        """Return n latents (n, Z), read at random moments of the clips or random."""
+        latents, chosen = self.random(n, device)
+        if len(chosen) > 0:
+            latents[chosen] = self._read(self._fetch(len(chosen)))
+        return latents
+
+    def for_starts(self, amp_obs: Tensor) -> Tensor:
+        """Return latents (n, Z) for episodes that start with AMP observations (n, F)."""
+        latents, chosen = self.random(len(amp_obs), amp_obs.device)
+        if len(chosen) > 0:
+            latents[chosen] = self._read(amp_obs[chosen])
+        return latents
+
+    def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
+        """Return random latents (n, Z), and the rows (k,) to replace by latents of clips."""
+        sample = self._sample or (lambda k: sample_latents(k, self._latent_dim, device))
+        latents = sample(n).to(device)
+        if self._share == 0.0:  # draws no random numbers
+            return latents, torch.empty(0, dtype=torch.int64, device=device)
+        chosen = torch.rand(n, device=device) < self._share
+        return latents, chosen.nonzero().flatten()
+
+
+def sample_similar_rows(latents: Tensor, found: Tensor, sharpness: float) -> Tensor:
+    """Draw for each of m latents a similar row of the clips: (m,) indices into `found`.
+
+    The nearer, the likelier: by exp(sharpness * z . q), the density of von Mises and Fisher.
+
+    Args:
+        latents: (m, Z) unit vectors z.
+        found: (n, Z) unit vectors q that the encoder found in n rows of the clips.
+        sharpness: with 0 all rows are equally likely.
+    """
+    scores = sharpness * latents @ found.t()
+    # The largest of scores with Gumbel noise is a draw by their exponentials.
+    noise = torch.empty_like(scores).exponential_().log_()
+    return (scores - noise).argmax(dim=-1)
+
+
 class EvaluationLatents:
     """The latents of a task that is played or evaluated; call it before each policy step.
 
     Args:
-        schedule: when and what; its latents must not be used otherwise.
+        schedule: used by nothing else.
         interpolate: move from latent to latent along the sphere instead of jumping.
     """
 
@@ -117,7 +187,7 @@ class EvaluationLatents:
         schedule.advance(progress)
         if not self._interpolate:
             return schedule.latents
-        # An episode starts at its first latent, and every later way where the last one ended.
+        # An episode starts at its first latent, every later arc where the last one ended.
         start = torch.where(is_new.unsqueeze(-1), schedule.latents, target)
         self._before = torch.where(changes.unsqueeze(-1), start, self._before)
         self._since = torch.where(changes, progress.to(self._since.dtype), self._since)
@@ -135,6 +205,6 @@ def interpolate_on_sphere(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
     """
     cosine = (start * end).sum(dim=-1, keepdim=True).clamp(-1.0, 1.0)
     angle, share = cosine.acos(), share.unsqueeze(-1)
-    way = torch.sin((1.0 - share) * angle) * start + torch.sin(share * angle) * end
-    # Where both are the same, sin(angle) is 0 and either will do.
-    return torch.where(angle < 1e-4, start, F.normalize(way, dim=-1))
+    point = torch.sin((1.0 - share) * angle) * start + torch.sin(share * angle) * end
+    # Where both are the same, sin(angle) is 0 and the point is either of them.
+    return torch.where(angle < 1e-4, start, F.normalize(point, dim=-1))

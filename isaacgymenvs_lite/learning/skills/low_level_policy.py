@@ -1,6 +1,6 @@
 """The frozen low-level controller of a hierarchy: latents in, actions out.
 
-The agent that trains a high-level policy and the player that plays one share it.
+The agent that trains a high-level policy and the player share it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.env_interface import HierarchyEnv
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_amp_params
+from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_agent_params
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
@@ -43,12 +44,12 @@ _RL_DEVICES = ("cpu", "cuda:0")
 
 @dataclass(frozen=True)
 class LowLevelSizes:
-    """What the task tells a low-level controller.
+    """Sizes that a low-level controller has in a task.
 
     Attributes:
         num_obs: numbers in an observation, the task's features included.
-        num_task_obs: of these, the last ones, which describe the task.
-        amp_obs: of the AMP observation.
+        num_task_obs: how many of these, the last ones, describe the task.
+        amp_obs: shape of an AMP observation.
         action_space: of the task.
     """
 
@@ -58,17 +59,8 @@ class LowLevelSizes:
     action_space: gymnasium.spaces.Box
 
     @classmethod
-    def from_task(cls, env: Any) -> LowLevelSizes:
-        """Return those of a task (`VecTask`).
-
-        Raises:
-            ConfigError: it has no AMP observations.
-        """
-        if not hasattr(env, "amp_observation_space"):
-            raise ConfigError(
-                "train.params.algo: a hierarchy needs a task with reference motions"
-                " (amp_observation_space), such as task=HumanoidAMP"
-            )
+    def from_task(cls, env: HierarchyEnv) -> LowLevelSizes:
+        """Return the sizes in a task."""
         return cls(
             num_obs=env.observation_space.shape[0],
             num_task_obs=env.get_task_obs_size(),
@@ -81,18 +73,18 @@ class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
 
     Args:
-        llc_config: the train file that it was trained with; see `load_train_file`. What a packed
-            policy says of its networks and latents comes before it.
+        llc_config: the train file that it was trained with; see `load_train_file`. The networks and
+            latents that a packed policy describes itself replace the file's.
         llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
-        device: where it computes.
+        device: of networks and results.
 
     Attributes:
         latent_dim: numbers in a latent.
         params: the GenAMP keys of the train file.
         discriminator: its style reward.
         encoder: reads latents in motion.
-        reference: what a checkpoint of the high level says of it; see `llc_reference`.
+        reference: identifies it in a checkpoint of the high level; see `llc_reference`.
 
     Raises:
         ConfigError: the train file is not of a GenAMP policy.
@@ -116,10 +108,10 @@ class LowLevelPolicy:
                 f" {network.get('name')}); expected the train file of a low-level controller, with"
                 f" network: name: {' or '.join(_NETWORKS)} and config: latent_dim"
             )
-        self.params = read_amp_params(train_params["config"], GenAMPParams)
+        self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes
-        self._num_judged = disc_obs_size(sizes.amp_obs, self.params)
+        self._disc_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = self._build_model(network, train_params["config"])
         # In the precision that it was trained in.
@@ -127,7 +119,7 @@ class LowLevelPolicy:
         parallelize(self.model, self._device, precision)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
-            self._num_judged,
+            self._disc_obs_size,
             self.params,
             GenAMPAgent.default_disc_reward,
             self._device,
@@ -151,7 +143,7 @@ class LowLevelPolicy:
                 "value_size": 1,
                 "normalize_value": config.get("normalize_value", False),
                 "normalize_input": config["normalize_input"],
-                "amp_input_shape": (self._num_judged,),
+                "amp_input_shape": (self._disc_obs_size,),
                 "amp_latent_shape": (self.latent_dim,),
             }
         )
@@ -170,7 +162,7 @@ class LowLevelPolicy:
             module.load_state_dict(fitted[key])
 
     def _check_sizes(self, weights: dict[str, Tensor], checkpoint: str, llc_config: str) -> None:
-        """Explain the usual misfits in the user's words."""
+        """Check the sizes that differ between tasks, with a message for each."""
         own = self.model.state_dict()
         for key, what, source in (
             ("a2c_network.critic_mlp._mlp.0.weight", "observation and latent", "the task has"),
@@ -226,7 +218,7 @@ class LowLevelPolicy:
         """Return a policy from raw observations (n, O) to actions (n, A), one step at a time.
 
         Args:
-            choose: observations (n, O) -> latents (n, Z), unit vectors; asked every `steps` steps.
+            choose: observations (n, O) -> latents (n, Z), unit vectors; called every `steps` steps.
             steps: control steps under one latent.
             act: observations and what `choose` returned -> actions (n, A); None: `actions`.
         """
@@ -246,8 +238,8 @@ class LowLevelPolicy:
 
         Args:
             amp_obs: raw.
-            latents: (n, Z), unit vectors that the motion shall express, for a conditional
-                discriminator; None: those that the encoder reads in it.
+            latents: (n, Z), unit vectors, for a conditional discriminator: the skills to compare
+                the motion with; None: those that the encoder reads in it.
         """
         if not self.model.a2c_network.disc_is_conditional:
             return self.discriminator.reward(amp_obs)
@@ -278,8 +270,8 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
 def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
     """Return the section `params` that a checkpoint was trained with.
 
-    A packed policy says itself what it needs. Networks of a train file may depend on where it
-    learned: of its variants the one whose layers are those of the checkpoint.
+    A packed policy describes itself. The networks of a train file may depend on the device of its
+    training: the variant with the layers of the checkpoint is returned.
     """
     variants = [
         with_packed_settings(load_train_file(llc_config, rl_device=device)["params"], state)

@@ -1,14 +1,14 @@
-"""Which clips the skills of a played policy show, and whether the encoder knows them."""
+"""Measures which clips the skills of a policy show, and whether the encoder recognises them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import ClipWindowsEnv
 from isaacgymenvs_lite.evaluation.skill_coverage import ClipMatcher, ClipShares
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
 
@@ -18,13 +18,13 @@ _STRIDE = 10
 
 @dataclass(frozen=True)
 class SkillResult:
-    """What the skills of a policy are.
+    """The skills of a policy.
 
     Attributes:
-        clips: of which clips the motion reminds.
-        encoder_reward: mean reward of the encoder for the latents that made the motion.
-        shuffled_reward: the same for the latents of other environments and times: what the encoder
-            pays to motion that says nothing about its latent.
+        clips: which clips the motion resembles.
+        encoder_reward: mean reward of the encoder for the latents that the policy acted under.
+        shuffled_reward: the same for the latents of other environments and times: the encoder's
+            reward for motion that does not depend on its latent.
     """
 
     clips: ClipShares
@@ -40,23 +40,23 @@ class SkillResult:
 
 
 class SkillProbe:
-    """Collects windows of motion, and the latents that made them, while a policy is played.
+    """Collects windows of motion, and their latents, while a policy is played.
 
     Args:
-        env: a task with reference motions (`HumanoidAMP`).
+        env: the task.
         encoder: of the policy.
     """
 
-    def __init__(self, env: Any, encoder: SkillEncoder) -> None:
+    def __init__(self, env: ClipWindowsEnv, encoder: SkillEncoder) -> None:
         self._env = env
         self._encoder = encoder
-        self._history_steps = env.env_cfg.num_amp_obs_steps
+        self._history_steps = env.num_amp_obs_steps
         self._windows: list[Tensor] = []
         self._latents: list[Tensor] = []
         self._steps = 0
 
     def step(self, latents: Tensor, amp_obs: Tensor) -> None:
-        """Hear of a control step, before resets.
+        """Store a control step, before resets.
 
         Args:
             latents: (N, Z) that the policy acted under.
@@ -65,13 +65,13 @@ class SkillProbe:
         self._steps += 1
         if self._steps % _STRIDE:
             return
-        # What lies before the start of an episode was not made by the policy.
+        # Frames from before the start of an episode are not the policy's.
         own = self._env.progress_buf >= self._history_steps
         self._windows.append(amp_obs[own.to(amp_obs.device)])
         self._latents.append(latents[own.to(latents.device)])
 
     def result(self) -> SkillResult | None:
-        """Return what was seen; None if no episode was long enough for a window."""
+        """Return the skills; None if no episode was long enough for a window."""
         if not any(len(windows) for windows in self._windows):
             return None
         windows, latents = torch.cat(self._windows), torch.cat(self._latents)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.amp_config import AMPParams, read_amp_params
+from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     DiscriminatorTrainer,
@@ -370,7 +370,7 @@ def test_all_kinds_of_rows_are_evaluated_with_the_gradient_at_the_demonstrations
 )
 def test_impossible_values_are_named_with_their_choices(changes, words):
     with pytest.raises(ConfigError) as caught:
-        read_amp_params({**PARAMS, **changes})
+        read_agent_params({**PARAMS, **changes}, AMPParams)
     message = str(caught.value)
     assert "\n" not in message
     assert all(word in message for word in ["train.params.config", *words]), message
@@ -379,12 +379,12 @@ def test_impossible_values_are_named_with_their_choices(changes, words):
 @pytest.mark.parametrize("key", ["disc_coef", "amp_minibatch_size", "task_reward_w"])
 def test_a_missing_key_is_named(key):
     with pytest.raises(ConfigError, match=rf"train\.params\.config\.{key}"):
-        read_amp_params({k: v for k, v in PARAMS.items() if k != key})
+        read_agent_params({k: v for k, v in PARAMS.items() if k != key}, AMPParams)
 
 
 def test_defaults_and_foreign_keys():
     given = {k: v for k, v in PARAMS.items() if k != "normalize_amp_input"}
-    params = read_amp_params({**given, "gamma": 0.99})
+    params = read_agent_params({**given, "gamma": 0.99}, AMPParams)
     assert params.normalize_amp_input is True
     assert params.disc_reward is None
     assert params.disc_loss == "bce"
@@ -393,15 +393,15 @@ def test_defaults_and_foreign_keys():
 def test_how_much_is_seen_of_an_amp_observation():
     shape = AMPObsShape(size=1250, num_steps=10)
     for steps, size in ((None, 1250), (10, 1250), (2, 250), (1, 125)):
-        params = read_amp_params({**PARAMS, "amp_obs_steps": steps})
+        params = read_agent_params({**PARAMS, "amp_obs_steps": steps}, AMPParams)
         assert disc_obs_size(shape, params) == size
     with pytest.raises(ConfigError, match=r"amp_obs_steps=11: .* 10 control steps .*at most"):
-        disc_obs_size(shape, read_amp_params({**PARAMS, "amp_obs_steps": 11}))
+        disc_obs_size(shape, read_agent_params({**PARAMS, "amp_obs_steps": 11}, AMPParams))
 
 
 def test_what_is_not_seen_has_no_effect():
     network = Smooth(torch.randn(4, 3), torch.randn(4))
-    params = read_amp_params({**PARAMS, "normalize_amp_input": True})
+    params = read_agent_params({**PARAMS, "normalize_amp_input": True}, AMPParams)
     discriminator = DiscriminatorTrainer(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
     whole = torch.randn(5, 2, 6)
     expected = discriminator.reward(whole[..., :3].clone())

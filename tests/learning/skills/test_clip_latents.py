@@ -6,12 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.skills.clip_latents import (
-    ClipLatents,
-    alignment_loss,
-    sample_similar_rows,
-    uniformity_loss,
-)
+from isaacgymenvs_lite.learning.skills.latents import ClipLatents, sample_similar_rows
 
 DIM = 4
 
@@ -45,7 +40,7 @@ def test_share_of_the_latents_that_are_of_clips(share):
 
 def test_an_episode_has_the_latent_of_its_own_start():
     starts = fetch(500)
-    latents = clip_latents(0.5).of_starts(starts)
+    latents = clip_latents(0.5).for_starts(starts)
     own = of_clips(latents)
     assert 200 < own.sum() < 300
     torch.testing.assert_close(latents[own], read(starts)[own])
@@ -56,15 +51,6 @@ def test_without_a_share_the_random_numbers_are_those_of_random_latents():
     torch.manual_seed(0)
     expected = torch.nn.functional.normalize(torch.randn(5, DIM), dim=-1)
     assert torch.equal(drawn, expected)
-
-
-def test_losses_by_hand():
-    x, y = torch.eye(2)
-    found = torch.stack((x, x, x))
-    others = torch.stack((x, y, -x))  # squared distances 0, 2, 4
-    expected = torch.tensor([1.0, math.exp(-4), math.exp(-8)])
-    torch.testing.assert_close(uniformity_loss(found, others), expected)
-    torch.testing.assert_close(alignment_loss(found, others), torch.tensor([0.0, 2.0, 4.0]))
 
 
 def test_neighbours_are_drawn_by_the_density_of_von_mises_and_fisher():

@@ -30,7 +30,7 @@ class Encoder:
 @pytest.fixture
 def env() -> SimpleNamespace:
     return SimpleNamespace(
-        env_cfg=SimpleNamespace(num_amp_obs_steps=HISTORY),
+        num_amp_obs_steps=HISTORY,
         motion_lib=Library(),
         progress_buf=torch.tensor([HISTORY, HISTORY - 1, 50]),
         windows_of_clips=lambda: [torch.tensor([[0.0, 0.0]]), torch.tensor([[9.0, 0.0]])],

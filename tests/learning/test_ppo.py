@@ -11,7 +11,7 @@ import torch
 from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
-from isaacgymenvs_lite.learning.ppo_continuous import PPOAgent
+from isaacgymenvs_lite.learning.ppo import PPOAgent
 from isaacgymenvs_lite.registration import build_runner, register_env
 from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask

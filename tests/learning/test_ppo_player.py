@@ -1,4 +1,4 @@
-"""rl_games' PPO on a humanoid that starts episodes when it is asked to."""
+"""rl_games' PPO and its player on a humanoid that resets its episodes on request."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_it_plays_whole_episodes(player) -> None:
     assert player.result.reward == pytest.approx(11.0)
 
 
-def test_mean_actions_unless_asked_otherwise(player) -> None:
+def test_mean_actions_by_default(player) -> None:
     obs = player.env.reset()
     assert (player.act(obs) == player.act(obs)).all()
     player.is_deterministic = False

@@ -12,8 +12,7 @@ from rl_games.algos_torch.model_builder import ModelBuilder
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
-from isaacgymenvs_lite.learning.flat_config import complete_params
-from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent
+from isaacgymenvs_lite.learning.hrl_continuous import HRLAgent, complete_params
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 from tests.learning.test_gen_amp import LATENT_DIM
 from tests.learning.test_hrl import llc  # noqa: F401  a fixture

@@ -1,15 +1,19 @@
-"""rl_games' own PPO with what makes learning on a CPU fast here."""
+"""rl_games' own PPO: its agent with the fast networks of this project on a CPU, and its player."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import torch
+from rl_games.algos_torch.players import PpoPlayerContinuous
+from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
+from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 
 
@@ -34,8 +38,9 @@ class PPOAgent(PPOSafeguards):
         on_cpu = device.type == "cpu"
         # rl_games' switch means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
-        asked = config.get("torch_compile")
-        config["torch_compile"] = torch_compile_setting(asked, device.type, can_compile=True)
+        config["torch_compile"] = torch_compile_setting(
+            config.get("torch_compile"), device.type, can_compile=True
+        )
         super().__init__(base_name, params)
         if self.normalize_advantage:
             self._check_batch_size()
@@ -54,8 +59,24 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        What is left beside the sliced networks is too small to be shared by torch's own threads.
+        The work beside the sliced networks is too small to be split by torch's own threads.
         """
         if self._sliced:
             torch.set_num_threads(1)
         return super().env_reset()
+
+
+class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):
+    """The player of `a2c_continuous`, also of recurrent policies."""
+
+    def __init__(self, params: dict[str, Any]) -> None:
+        super().__init__(params)
+        self.batch_size = self.env.num_envs * self.num_agents
+        self.init_rnn()
+
+    def on_step(self, dones: Tensor, infos: dict[str, Any]) -> None:
+        """Reset the recurrent state where episodes ended, dones (N,)."""
+        if self.is_rnn:
+            ended = dones.nonzero().flatten()
+            for state in self.states:  # (layers, N, units)
+                state[:, ended] = 0.0
