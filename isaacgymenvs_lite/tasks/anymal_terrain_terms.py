@@ -1,6 +1,6 @@
-"""What AnymalTerrain observes and pays, as functions of named quantities. As IsaacGymEnvs.
+"""Observations and rewards of AnymalTerrain, as functions of named quantities. As IsaacGymEnvs.
 
-Quantities of N environments stand last: (3, N), (12, N).
+The last dimension is that of N environments: (3, N), (12, N).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
 )
 from isaacgymenvs_lite.tasks.terrain.height_scan import NUM_POINTS
 
-# The base stands so high above its feet, about; heights are observed from there (m).
+# About the height of the base above its feet; heights are observed relative to it (m).
 _STANDING_M = 0.5
 _WANTED_HEIGHT_M = 0.52
 _WANTED_AIR_TIME_S = 0.5
-# Commands slower than this (m/s) are no reason to lift the feet.
+# Below this commanded speed (m/s) no air time is rewarded.
 _WALKING_M_S = 0.1
 _STUMBLE_SIDE_N, _STUMBLE_UP_N = 5.0, 1.0
 TERM_NAMES = (
@@ -110,7 +110,7 @@ def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[
 
 
 class WalkStep(NamedTuple):
-    """What a step is paid for.
+    """The quantities that the reward of a step depends on.
 
     Attributes:
         motion: of the base, in its frame.
@@ -146,7 +146,7 @@ def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: f
 
     Args:
         step: see `WalkStep`.
-        cfg: what the terms are worth per second.
+        cfg: the weights of the terms per second.
         dt: time of a control step (s).
     """
     motion = step.motion

@@ -8,6 +8,7 @@ import pytest
 import torch
 from rl_games.common import env_configurations
 
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 
@@ -16,7 +17,7 @@ class StubTask:
 
     num_agents = 2
     num_states = 0
-    resets_on_request = False
+    reset_mode = ResetMode.AFTER_PHYSICS
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -97,7 +98,7 @@ def test_calls_pass_through_unchanged(make_env):
 
 
 class StubRequestTask(StubTask):
-    resets_on_request = True
+    reset_mode = ResetMode.ON_REQUEST
 
 
 def test_who_never_asks_gets_resets_within_the_step(make_env):

@@ -1,4 +1,4 @@
-"""Rewards as terms by name, whose sum is paid."""
+"""Rewards as terms by name, whose sum is the reward."""
 
 from __future__ import annotations
 

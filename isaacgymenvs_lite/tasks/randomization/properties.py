@@ -184,7 +184,7 @@ def make_property(
     """Return the robot's property, None if MuJoCo has no counterpart.
 
     Args:
-        simulation: whose environments shall differ.
+        simulation: its environments are made to differ.
         layout: of its model.
         group: as `settings.PROPERTIES`.
         attribute: of the group.

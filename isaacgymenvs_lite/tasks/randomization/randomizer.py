@@ -29,7 +29,7 @@ class DomainRandomizer:
 
     Args:
         params: the section `task.task.randomization_params`.
-        simulation: whose models shall differ.
+        simulation: its models are made to differ.
         layout: of its model.
         actors: names of the task's actors, the robot's first.
 
@@ -84,7 +84,7 @@ class DomainRandomizer:
         return self._observation_noise(observations)
 
     def on_reset(self, env_ids: Tensor, steps_since_draw: Tensor, frame: int) -> None:
-        """Draw anew what is due.
+        """Draw new values of what is due.
 
         Args:
             env_ids: (n,) environments that start a new episode.

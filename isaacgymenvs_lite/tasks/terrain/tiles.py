@@ -1,7 +1,7 @@
 """Square pieces of ground, each kind one pure function.
 
 Height samples are int16, in units of 0.005 m, on a grid of 0.1 m whose first axis is x. The kinds
-are those of IsaacGymEnvs' AnymalTerrain, remade from their descriptions.
+follow IsaacGymEnvs' AnymalTerrain, remade from their descriptions.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def discrete_obstacles(
         rng: draws places, sides and heights.
         max_height_m: the heights are this, half of it, and minus those.
         sides_m: shortest and longest side of a rectangle.
-        count: rectangles; later ones stand on the ground of earlier ones.
+        count: rectangles; later ones replace earlier ones.
         platform_m: side of the free square.
     """
     top = units_of(max_height_m)

@@ -94,7 +94,7 @@ class HeadingSettings(GoalSettings):
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
     """The goal changes before so many control steps."""
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
-    """Draw direction and facing, each by itself; False: along +x."""
+    """Draw direction and facing, independently; False: along +x."""
 
 
 class Heading(TimedGoal):

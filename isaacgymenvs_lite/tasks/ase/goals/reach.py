@@ -52,11 +52,11 @@ class ReachSettings(GoalSettings):
     tar_height_max: float = setting(2.0, key="tarHeightMax")
     """m."""
     reach_body_name: str = setting("", key="reachBodyName")
-    """The body whose origin shall be there; '': the sword (the tip of its blade), or the right
+    """The body whose origin is to reach it; '': the sword (the tip of its blade), or the right
     hand of a character that has none."""
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
-    """This project's: tell the point relative to the root in the plane. ASE tells it in the
-    world, where a character that has walked away from the origin cannot know where the point is."""
+    """This project's: observe the point relative to the root in the plane. ASE observes it in the
+    world, so that a character away from the origin cannot tell where the point is."""
 
 
 class Reach(TimedGoal):

@@ -133,7 +133,7 @@ class Strike(Goal):
             if name not in names:
                 raise ConfigError(unknown("body in task.env.strikeBodyNames:", name, names))
         ids = [names.index(name) for name in wanted or _STRIKE_BODIES if name in names]
-        self._strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
+        self.strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
         self._target = simulation.object_names.index(TARGET_NAME)
 
     def reset(self, env_ids: Tensor) -> None:
@@ -171,5 +171,5 @@ class Strike(Goal):
         return compute_strike_failures(
             self._simulation.object_contact_forces[:, self._target],
             self._simulation.contact_forces,
-            torch.cat((contact_body_ids, self._strike_body_ids)),
+            torch.cat((contact_body_ids, self.strike_body_ids)),
         )
