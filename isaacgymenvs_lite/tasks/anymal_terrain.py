@@ -174,7 +174,7 @@ class AnymalTerrain(VelocityTrackingTask):
         sim = self.simulation
         forces = sim.contact_forces.permute(2, 1, 0)
         self._base_in_contact = forces[:, 0].square().sum(0) > CONTACT_THRESHOLD_N**2
-        self._knee_in_contact = self.in_contact(self._knee_ids)
+        self._knees_in_contact = self.in_contact(self._knee_ids)
         self._foot_forces = forces.index_select(1, self._foot_ids)
         self.air_time_s, self._air_time_beyond_s = compute_air_time(
             self.air_time_s, self._foot_forces[2] > CONTACT_THRESHOLD_N, self._air_time_dt
@@ -241,7 +241,7 @@ class AnymalTerrain(VelocityTrackingTask):
             torques=self._torques,
             actions=self.actions.t(),
             last_actions=self.last_actions.t(),
-            knee_touches=self._knee_in_contact,
+            knees_in_contact=self._knees_in_contact,
             foot_forces=self._foot_forces,
             air_time_beyond_s=self._air_time_beyond_s,
         )
@@ -253,10 +253,10 @@ class AnymalTerrain(VelocityTrackingTask):
         }
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the base touches something, or a knee if `allowKneeContacts` is False."""
+        """Return (N,) bool: the base is in contact, or a knee if `allowKneeContacts` is False."""
         if self.env_cfg.learn.allow_knee_contacts:
             return self._base_in_contact
-        return self._base_in_contact | self._knee_in_contact.any(0)
+        return self._base_in_contact | self._knees_in_contact.any(0)
 
     def infos(self) -> dict[str, Any]:
         """Return the means of the episodes that ended; see the class docstring."""
@@ -265,7 +265,7 @@ class AnymalTerrain(VelocityTrackingTask):
     # --- reset ------------------------------------------------------------------------------
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Reset base and joints on the robot's tile, resample commands and clear what is remembered."""
+        """Reset base and joints on the robot's tile, resample commands, clear sums and timers."""
         self._conclude(env_ids)
         root = self._start_root + torch.zeros(len(env_ids), 1, device=self.device)
         root[:, :3] += self.curriculum.origins(env_ids)
@@ -282,7 +282,7 @@ class AnymalTerrain(VelocityTrackingTask):
         self._steer()
 
     def _conclude(self, env_ids: Tensor) -> None:
-        """Log the rewards of episodes that ended in this step, and move their robots to other levels."""
+        """Log the rewards of episodes that ended in this step, and update their robots' levels."""
         ended = (self.done_buf != Done.RUNNING) & (self.progress_buf > 0)
         # A diverged robot is no longer at the place that it reached.
         ended &= ~self.simulation.failed

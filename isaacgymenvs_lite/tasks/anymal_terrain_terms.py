@@ -122,7 +122,7 @@ class WalkStep(NamedTuple):
         torques: (12, N) Nm.
         actions: (12, N).
         last_actions: (12, N) of the step before.
-        knee_touches: (K, N) bool.
+        knees_in_contact: (K, N) bool.
         foot_forces: (3, F, N) in world axes (N).
         air_time_beyond_s: (N,) see `compute_air_time`.
     """
@@ -136,7 +136,7 @@ class WalkStep(NamedTuple):
     torques: Tensor
     actions: Tensor
     last_actions: Tensor
-    knee_touches: Tensor
+    knees_in_contact: Tensor
     foot_forces: Tensor
     air_time_beyond_s: Tensor
 
@@ -164,7 +164,7 @@ def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: f
         "joint_acc": (_squares(step.last_dof_vel - step.dof_vel), cfg.joint_acc_reward),
         "base_height": ((step.base_height - _WANTED_HEIGHT_M).square(), cfg.base_height_reward),
         "air_time": (step.air_time_beyond_s * walks, cfg.air_time_reward),
-        "collision": (step.knee_touches.sum(0), cfg.knee_collision_reward),
+        "collision": (step.knees_in_contact.sum(0), cfg.knee_collision_reward),
         "stumble": (stumbles.sum(0), cfg.stumble_reward),
         "action_rate": (_squares(step.last_actions - step.actions), cfg.action_rate_reward),
         "hip": (step.dof_offset[_HIPS].abs().sum(0), cfg.hip_reward),

@@ -3,9 +3,9 @@
 Quirks kept, because policies and curves depend on them: one full action moves a thrust
 from nothing to its maximum, and the thrusts are not observed.
 
-The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. They are stable because
-they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a
-damping of 5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
+The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. They are stable
+because they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a damping of
+5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
 """
 
 from __future__ import annotations

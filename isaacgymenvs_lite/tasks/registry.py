@@ -22,8 +22,9 @@ def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
 
     Args:
         name: as in the task file.
-        task: a class, or a function that makes a `VecTask` of the keyword arguments `cfg, rl_device,
-            sim_device, graphics_device_id, headless, virtual_screen_capture, force_render`.
+        task: a class, or a function that makes a `VecTask` of the keyword arguments `cfg`,
+            `rl_device`, `sim_device`, `graphics_device_id`, `headless`, `virtual_screen_capture`,
+            `force_render`.
         replace: take the place of a task of this name.
 
     Raises:

@@ -35,8 +35,8 @@ class Transition:
         rewards: (N,) float32.
         terminated: (N,) bool, ended by a failure.
         truncated: (N,) bool, ended by the time limit and nothing else.
-        per_env: infos of the task with a row for each environment, (N, ...) each, at the step's end:
-            `amp_obs` of an ended episode is its last.
+        per_env: infos with a row for each environment, (N, ...), at the step's end: `amp_obs` of
+            an ended episode is its last.
         scalars: infos about all of them, by name: `episode/rew_torque`.
         episodes: those that ended.
     """
@@ -152,7 +152,7 @@ class AutoresetTask:
     def _stepping(self) -> Iterator[None]:
         """Use the environment's random numbers; make tensors that may be written to later.
 
-        rsl_rl steps in inference mode: tensors that a task keeps could not be changed outside of it.
+        rsl_rl steps in inference mode, outside of which such tensors could not be changed.
         """
         with self._random, torch.inference_mode(False), torch.no_grad():
             yield

@@ -70,6 +70,17 @@ def test_the_class_is_a_vec_task(make_task) -> None:
     assert task.num_envs == task.simulation.num_envs == NUM_ENVS
 
 
+def test_a_control_step_counts_the_time_that_it_simulates(make_task, task_name: str) -> None:
+    task = make_task()
+    assert task.sim_dt_s == pytest.approx(task.cfg["sim"]["dt"])
+    # A playback of clips steps the physics once only, and overwrites the result.
+    calls = 1 if task_name != "HumanoidViewMotion" else task.control_freq_inv
+    assert task.control_dt_s == pytest.approx(calls * task.simulation.dt)
+    # `dt` is IsaacGymEnvs': of a control step in some tasks, of a simulator call in others.
+    counts_control_steps = task_name == "AnymalTerrain" or task_name not in CLASSIC
+    assert task.dt == (task.control_dt_s if counts_control_steps else task.sim_dt_s)
+
+
 def test_the_default_file_composes_with_its_train_file(task_name: str) -> None:
     cfg = compose([f"task={task_name}"])
     assert cfg.task.name == task_name

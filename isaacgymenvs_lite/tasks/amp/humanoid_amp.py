@@ -47,7 +47,8 @@ class HumanoidAMP(HumanoidAMPBase):
     """The humanoid with a motion library, AMP observations and resets into the reference motion.
 
     The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
-    `reset_done` before each policy step, so that `step` returns the terminal observation, and reads `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
+    `reset_done` before each policy step, so that `step` returns the terminal observation, and reads
+    `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
 
     Args:
         cfg: cfg/task/HumanoidAMP.yaml as plain dictionaries; the rest as `VecTask`.

@@ -26,7 +26,7 @@ class PrefetchedSampler:
         self.clear()
 
     def clear(self) -> None:
-        """Drop the rows that are left: the next ones are drawn from the generator's current state."""
+        """Drop the rows that are left; the next ones depend on the generator's current state."""
         self._rows: Rows = ()
         self._left = 0
 

@@ -200,8 +200,8 @@ class VecTask(Env):
         sim_dt_s: time of one simulator call, `task.sim.dt` (s).
         control_dt_s: time that a control step counts (s).
         dt: as IsaacGymEnvs' task of this name defines it (s): `sim_dt_s`, but `control_dt_s` in
-            AnymalTerrain and the AMP and ASE humanoids. Code of this package reads one of the other
-            two; what a step really simulates is `simulation.dt`.
+            AnymalTerrain and the AMP and ASE humanoids. The tasks themselves read one of the other
+            two; the time that a step simulates is `simulation.dt`.
         keeps_final_observations: whether a `SAME_STEP` task also observes the ends of episodes; see
             `final_observations`.
     """

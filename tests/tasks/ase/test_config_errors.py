@@ -157,7 +157,7 @@ def test_values_out_of_range(message, settings, expected: str) -> None:
     assert found == f"task.env.{key}: got {value!r}, expected {expected}"
 
 
-def test_keys_of_getup_are_accepted_and_not_read_elsewhere(make_ase, caplog) -> None:
+def test_keys_of_getup_are_accepted_and_not_read_elsewhere(make_ase, hold_pose, caplog) -> None:
     getup = {"recoverySteps": 60, "recoveryEpisodeProb": 1.0, "fallInitProb": 1.0}
     task = make_ase(2, stateInit="Default", **getup)
     assert not any("nothing reads" in message for message in caplog.messages)
@@ -165,11 +165,12 @@ def test_keys_of_getup_are_accepted_and_not_read_elsewhere(make_ase, caplog) -> 
     assert standing[:, 0].tolist() == pytest.approx([0.89] * 2)  # nobody starts on the ground
     sim = task.simulation
     root_states = sim.root_states.clone()
-    root_states[:, 2] = 0.1
+    root_states[:, 2] = 0.085
     root_states[:, 3:7] = torch.tensor([0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     sim.write_state(torch.arange(2), root_states, sim.dof_pos.clone(), sim.dof_vel.clone())
+    actions = hold_pose(task)
     for _ in range(2):
-        *_, dones, infos = task.step(task.zero_actions())
+        *_, dones, infos = task.step(actions)
     assert dones.tolist() == infos["terminate"].tolist() == [1, 1]  # no time to get up
     # Nobody goes on from where it lies.
     torch.testing.assert_close(task.reset_done()[0]["obs"], standing)

@@ -74,7 +74,7 @@ class Goal:
         self._prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Draw goals for new episodes of `env_ids` (n,), whose characters are in their start states."""
+        """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
 
     def before_step(self, progress: Tensor) -> None:
         """Store the state before a control step.
