@@ -213,7 +213,7 @@ class HumanoidAMPBase(MjcfTask):
     def infos(self) -> dict[str, Any]:
         """Return `terminate` (N,), 1 where the character fell, and the diverged simulations."""
         return {
-            "terminate": (self.done_buf == Done.FAILED).to(self.rl_device, torch.int64),
+            "terminate": (self.done_buf == Done.FAILED).long().to(self.rl_device),
             "diverged_simulations": self.simulation.num_failures,
         }
 
