@@ -199,7 +199,7 @@ class HumanoidAMPBase(MjcfTask):
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool, who fell; see `compute_humanoid_falls`."""
+        """Return (N,) bool: the character fell; see `compute_humanoid_falls`."""
         if not self.env_cfg.enable_early_termination:
             return torch.zeros_like(self.timeout_buf)
         return compute_humanoid_falls(

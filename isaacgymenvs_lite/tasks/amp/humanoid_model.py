@@ -51,8 +51,8 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 def _keep_servo_errors(model: mujoco.MjModel) -> None:
     """Make the drives' force kp (target - q) for any target.
 
-    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, and takes for a
-    servo what has gain = -bias exactly. float32's pi is above pi: a full action would turn the
+    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, which it
+    recognises by gain = -bias exactly. float32's pi is above pi: a full action would turn the
     joint backwards. With a bias that is one unit in the last place off nothing is wrapped.
     """
     model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)

@@ -35,8 +35,8 @@ _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
 class HumanoidASE(HumanoidAMP):
     """HumanoidAMP with the conventions of the ASE release, and a goal.
 
-    Beside the defaults of cfg/task/HumanoidASE.yaml these differ from HumanoidAMP: the policy
-    observes all bodies, and at the end what its goal is; the AMP observation encodes hinges as
+    Apart from the defaults of cfg/task/HumanoidASE.yaml it differs from HumanoidAMP so: the policy
+    observes all bodies, and then its goal; the AMP observation encodes hinges as
     rotations; drives are stiffer; targets of ball joints reach 1.2 times their limits; the head
     counts as fallen at 0.3 m. The humanoid with sword and shield (31 degrees of freedom) is
     another asset.

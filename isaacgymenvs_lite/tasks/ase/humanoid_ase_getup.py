@@ -89,9 +89,9 @@ class HumanoidASEGetup(HumanoidASE):
         lying_ids, others = env_ids[lies], env_ids[~recovers & ~lies]
         super().reset_state(others)
         self._lay_down(lying_ids)
-        self.goal.reset(torch.cat((self._going_on_ids, lying_ids)))
-        self.recovery_steps_left.index_fill_(0, others, 0)
         down = torch.cat((self._going_on_ids, lying_ids))
+        self.goal.reset(down)
+        self.recovery_steps_left.index_fill_(0, others, 0)
         self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
 
     def _drawn(self, env_ids: Tensor, probability: float) -> Tensor:

@@ -34,7 +34,7 @@ class HumanoidViewMotion(HumanoidASE):
             geom.contype = geom.conaffinity = 0
 
     def allocate_buffers(self) -> None:
-        """Add what is played in each environment, (N,)."""
+        """Add the clip that each environment plays, (N,)."""
         super().allocate_buffers()
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self._motion_lib.num_motions()

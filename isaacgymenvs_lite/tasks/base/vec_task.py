@@ -46,8 +46,8 @@ class ResetMode(enum.Enum):
     BEFORE_PHYSICS = enum.auto()
     """In the next step, before the physics. `step` returns the last observation of an episode."""
     AFTER_PHYSICS = enum.auto()
-    """In the next step, after the physics: its action has no effect there, and what it returns is
-    the first observation. The step before returned the last one, as in IsaacGymEnvs."""
+    """In the next step, after the physics: its action has no effect, and it returns the first
+    observation. The step before returned the last one, as in IsaacGymEnvs."""
     SAME_STEP = enum.auto()
     """In the step that ended the episode, after its reward and before its observation."""
     ON_REQUEST = enum.auto()
@@ -298,7 +298,7 @@ class VecTask(Env):
         raise self._undefined("reset_state")
 
     def infos(self) -> dict[str, Any]:
-        """Return what `step` returns as infos beside `time_outs`; nothing by default."""
+        """Return further infos of a step, besides `time_outs`; none by default."""
         return {}
 
     @property

@@ -58,7 +58,7 @@ class ControlConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LearnConfig:
-    """`task.env.learn`: rewards per second, and factors on what is observed."""
+    """`task.env.learn`: rewards per second, and factors on observations."""
 
     lin_vel_xy_reward: float = setting(1.0, key="linearVelocityXYRewardScale")
     """Of following the commanded velocity."""

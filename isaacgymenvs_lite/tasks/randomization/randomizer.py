@@ -1,8 +1,8 @@
-"""Domain randomisation: when what is drawn, and for whom, as IsaacGymEnvs.
+"""DomainRandomizer: draws noise and physical parameters at the times that IsaacGymEnvs does.
 
-Fixed in comparison (as named in docs/migration.md): what a draw starts from is kept for each
-property and environment; a `setup_only` attribute keeps only itself from being drawn again; draws
-outside the buckets go to the nearest one.
+Fixed in comparison (as named in docs/migration.md): each property and environment keeps the
+original value that draws start from; `setup_only` concerns its own attribute alone; draws outside
+the buckets go to the nearest one.
 """
 
 from __future__ import annotations

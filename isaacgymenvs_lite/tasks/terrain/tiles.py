@@ -49,7 +49,7 @@ def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
         1.0 - np.abs(np.arange(n) / c - 1.0) for n, c in zip(size, center, strict=True)
     )
     peak = units_of(slope * size[0] / 2 * HORIZONTAL_M)
-    # Rounded, so that what is whole but for the last bit stays whole.
+    # Rounded, so that a whole number with an error in the last bit stays whole.
     heights = (peak * tent_x[:, None] * tent_y).round(6).astype(np.int16)
     half = samples_of(platform_m) // 2
     corner = heights[center[0] - half, center[1] - half]
@@ -65,7 +65,7 @@ def pyramid_stairs(
         size: samples in x and y.
         step_width_m: of a ring.
         step_height_m: from one ring to the next; the outermost is at height 0.
-        platform_m: rings are added while what is left in the middle is wider than this.
+        platform_m: rings are added while the middle is wider than this.
     """
     width, platform = samples_of(step_width_m), samples_of(platform_m)
     rise = units_of(step_height_m)

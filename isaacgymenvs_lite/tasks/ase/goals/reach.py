@@ -16,7 +16,7 @@ from isaacgymenvs_lite.tasks.ase.goals.planar import in_heading_frame
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 
 _DISTANCE_SCALE = 4.0
-# The bodies to reach with that nobody named, the first that the character has.
+# The body to reach with by default: the first of these that the character has.
 _BODIES = ("sword", "right_hand")
 
 
@@ -40,7 +40,7 @@ class ReachSettings(GoalSettings):
     """Keys of `task.env` for the goal `reach`."""
 
     tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """Read by nothing; ASE's files have it."""
+    """No effect; ASE's files have it."""
     change_steps_min: int = setting(50, key="tarChangeStepsMin", minimum=1)
     """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(100, key="tarChangeStepsMax", minimum=2)
@@ -67,7 +67,7 @@ class Reach(TimedGoal):
     settings: ReachSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; until goals are drawn they are the origin."""
+        """As the base; before goals are drawn they are the origin."""
         cfg = self.settings
         check_range(
             "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True

@@ -110,7 +110,7 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
-    """Bodies that may hit the box; []: sword, right hand and lower arm, as far as there are."""
+    """Bodies that may hit the box; []: sword, right hand and lower arm, if it has them."""
 
 
 class Strike(Goal):
@@ -137,7 +137,7 @@ class Strike(Goal):
         self._target = simulation.object_names.index(TARGET_NAME)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Put the boxes upright somewhere about the characters."""
+        """Put the boxes upright at random places around the characters."""
         n, device = len(env_ids), env_ids.device
         near = torch.rand(n, device=device) < _NEAR_PROB
         furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
