@@ -186,7 +186,7 @@ def test_the_terms_sum_to_the_reward(make_task) -> None:
 
 
 def test_an_asymmetric_critic_is_given_the_observation(make_task) -> None:
-    task = make_task("+task.env.asymmetric_observations=True")
+    task = make_task("++task.env.asymmetric_observations=True")
     task.reset()
     assert task.state_space.shape == (task.num_obs,)
     for observations, *_ in _random_steps(task, 3):
