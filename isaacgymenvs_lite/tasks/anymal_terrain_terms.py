@@ -1,6 +1,6 @@
 """Observations and rewards of AnymalTerrain, as functions of named quantities. As IsaacGymEnvs.
 
-The last dimension is that of N environments: (3, N), (12, N).
+The last dimension is N, the environments: (3, N), (12, N).
 """
 
 from __future__ import annotations
