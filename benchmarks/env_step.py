@@ -25,6 +25,7 @@ from mujoco.batch import Batch
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 _STEPS_PER_ROUND = 10
 # The exploration noise of AMP's policy, exp(-2.9), and a policy of the classic tasks at its start.
@@ -58,7 +59,7 @@ def main() -> None:
         env_s = raw_s = 0.0
         for _ in range(_STEPS_PER_ROUND):
             actions = noise * torch.randn(args.num_envs, env.num_actions)
-            if env.resets_on_request:
+            if env.reset_mode is ResetMode.ON_REQUEST:
                 start = time.perf_counter()
                 env.reset_done()
                 env_s += time.perf_counter() - start

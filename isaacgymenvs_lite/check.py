@@ -272,10 +272,9 @@ def _title(path: Path, kind: str, cfg: DictConfig, guessed: bool) -> str:
 
 def _task_lines(cfg: DictConfig, task: Any) -> list[str]:
     states = f", {task.num_states} privileged observations" if task.num_states else ""
-    step_s = task.dt if task.resets_on_request else task.dt * task.control_freq_inv
     return [
         f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
-        f" {task.max_episode_length} control steps of {step_s:g} s at most,"
+        f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
         f" {int(cfg.task.env.numEnvs):,} environments"
     ]
 

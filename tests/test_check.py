@@ -44,6 +44,15 @@ def test_a_task_file_in_words() -> None:
     assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
 
 
+@pytest.mark.parametrize(
+    ("task", "step_s"), [("Ant", "0.0332"), ("AnymalTerrain", "0.04"), ("HumanoidAMP", "0.0332")]
+)
+def test_the_time_of_a_control_step_is_what_is_simulated(task: str, step_s: str) -> None:
+    # AnymalTerrain's has 4 calls of 5 ms (its key `decimation`) before this key doubles it.
+    line = describe(task, ["task.env.controlFrequencyInv=2"])[1]
+    assert f"control steps of {step_s} s at most" in line
+
+
 def test_keys_that_nothing_reads_are_named(tmp_path: Path) -> None:
     file = tmp_path / "AntMine.yaml"
     file.write_text("defaults: [AntPPO, _self_]\nparams: {config: {lr_threshold: 1, zebra: 2}}\n")

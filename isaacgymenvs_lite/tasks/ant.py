@@ -1,6 +1,6 @@
-"""Ant: four legs that shall run along +x. As IsaacGymEnvs.
+"""Ant: four legs that learn to run along +x. As IsaacGymEnvs.
 
-Quirks that are kept because policies and curves depend on them: yaw and roll jump between 0 and
+Quirks kept, because policies and curves depend on them: yaw and roll jump between 0 and
 2 pi; `angle_to_target` (see `locomotion`); the cost of joints at their limits counts upper limits
 only; the cost of energy uses the scaled joint velocity.
 """
@@ -105,11 +105,11 @@ class Ant(LocomotionTask):
     """
 
     settings_class = LocomotionConfig
-    own_asset = "mjcf/ant.xml"
+    default_asset = "mjcf/ant.xml"
     published_assets = ("mjcf/nv_ant.xml",)
     actor_name = "ant"
-    num_features = 60
-    num_controls = 8
+    num_observations = 60
+    num_actions = 8
     foot_names = ("front_left_foot", "front_right_foot", "left_back_foot", "right_back_foot")
     torques_nm = (15.0,) * 8
 
@@ -118,7 +118,7 @@ class Ant(LocomotionTask):
         joints = {"dof_pos": 8, "dof_vel": 8, "foot_wrenches": 24, "last_actions": 8}
         return self.torso_groups() | joints
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_ant_observations`."""
         sim = self.simulation
         return compute_ant_observations(

@@ -1,6 +1,6 @@
 """Anymal: ANYmal C on flat ground follows commanded velocities. As IsaacGymEnvs.
 
-Quirks that are kept because policies and curves depend on them: joint angles at the start are the
+Quirks kept, because policies and curves depend on them: joint angles at the start are the
 default ones times random factors; commands stay for an episode; gravity in the observation is
 rotated the wrong way unless the key `projectedGravityAsPublished` is False.
 Not kept: after a fall IsaacGymEnvs ends the new episode at once, as it reads the forces of the fall
@@ -90,8 +90,8 @@ def compute_anymal_reward(
         motion: of the base, in its frame.
         commands: (3, N) m/s and rad/s.
         torques: (12, N) of the joints (Nm).
-        cfg: what the terms are worth per second.
-        dt: time of a control step (s).
+        cfg: the weights of the terms per second.
+        dt: time that a reward counts (s), `task.sim.dt` as in IsaacGymEnvs.
     """
     along, turning = compute_tracking_rewards(commands, motion)
     terms = {
@@ -110,26 +110,27 @@ class Anymal(VelocityTrackingTask):
     """
 
     settings_class = AnymalConfig
-    own_asset = "mjcf/anymal.xml"
+    default_asset = "mjcf/anymal.xml"
     published_assets = ("urdf/anymal_c/urdf/anymal.urdf",)
     actor_name = "anymal"
-    num_features = 48
-    num_controls = 12
+    num_observations = 48
+    num_actions = 12
 
-    def _episode_length(self) -> int:
+    def episode_length(self) -> int:
+        """Return the control steps of `episodeLength_s`."""
         return int(self.env_cfg.learn.episode_length_s / self.sim_cfg.dt + 0.5)
 
     def create_sim(self) -> None:
-        """Note the bodies whose touch ends an episode."""
+        """Make the simulations, and look up the bodies whose contacts end an episode."""
         super().create_sim()
         base = torch.zeros(1, dtype=torch.int64, device=self.device)
         self._untouchable_ids = torch.cat((base, self._knee_ids))
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_anymal_observations`."""
-        return self.own_groups() | {"last_actions": self.num_actions}
+        return self.proprioception_groups() | {"last_actions": self.num_actions}
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_anymal_observations`."""
         sim = self.simulation
         motion = self.base_motion()
@@ -151,15 +152,15 @@ class Anymal(VelocityTrackingTask):
             self._command_planes,
             self._torques,
             self.env_cfg.learn,
-            self.dt,
+            self.sim_dt_s,
         )
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the base or a knee is touched."""
-        return self.touches(self._untouchable_ids).any(0)
+        """Return (N,) bool: the base or a knee is in contact."""
+        return self.in_contact(self._untouchable_ids).any(0)
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Above the ground, near the default joint angles, with new commands."""
+        """Reset base and joints, and resample commands."""
         root = self._start_root.repeat(len(env_ids), 1)
         self.simulation.write_state(env_ids, root, *self.draw_start_joints(env_ids))
         self._command_planes.index_copy_(1, env_ids, self.draw_commands(env_ids))

@@ -1,19 +1,21 @@
 """AnymalTerrain: ANYmal C walks over rough ground that gets harder as it gets better.
 
-As IsaacGymEnvs, of which these quirks are kept: joint positions are observed as they are, not from
-the default angles; who masters the last level begins again at the first; the heading is commanded
-to zero where the velocity is.
-Not kept, unless a key says so: a fifth simulator call in a control step of four
-(`control.extraSimulatorCall`); a control step counting a quarter of its time where feet are in the
-air (`learn.airTimeAsPublished`); robots going back a level because of what others were commanded
-(`terrain.demotionAsPublished`). Not kept: time-outs that are never told; the first observation of
-an episode in which velocities, gravity, heading and actions are those of the last one; pushes
-although `learn.pushRobots` is False; vertical walls, which are slopes over 0.1 m of a height field;
-a limit of the joints' speed (20 rad/s).
+As IsaacGymEnvs, with these quirks: joint positions are observed as they are, not relative to the
+default angles; a robot that masters the last level starts again at the first; the heading command
+is zero where the velocity command is.
+Kept only if a key is set: a fifth simulator call in a control step of four
+(`control.extraSimulatorCall`); a control step that counts a quarter of its time for feet in the air
+(`learn.airTimeAsPublished`); robots that go back a level because of other robots' commands
+(`terrain.demotionAsPublished`). Not kept: missing time-outs; a first observation of an episode with
+velocities, gravity, heading and actions of the last one; pushes although `learn.pushRobots` is
+False; vertical walls, which are slopes over 0.1 m of a height field here; a limit of the joints'
+speed (20 rad/s).
+`env.controlFrequencyInv` multiplies the control step. In IsaacGymEnvs it adds simulator calls after
+the last torque, which no time scale counts.
 
 The PD controller of the joints is a drive of the model. With Euler's method its torque, limited to
-80 Nm, is that of the positions and velocities at the beginning of a simulator call, as in
-IsaacGymEnvs, which computes it in Python as often.
+80 Nm, depends on the positions and velocities at the start of a simulator call. IsaacGymEnvs
+computes the same in Python before each call.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
 )
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     CONTACT_THRESHOLD_N,
     VelocityTrackingTask,
@@ -54,7 +57,7 @@ log = logging.getLogger(__name__)
 _START_OFFSET_M = 0.5
 _PUSH_M_S = 1.0
 _FRICTION_BUCKETS = 100
-# Slower commands are none.
+# Slower commands count as zero.
 _LEAST_COMMAND_M_S = 0.25
 _YAW_RATE_PER_RAD = 0.5  # 1/s
 _MAX_YAW_RATE_RAD_S = 1.0
@@ -71,7 +74,6 @@ class AnymalTerrain(VelocityTrackingTask):
     Attributes:
         terrain: the ground.
         curriculum: on which tile each robot walks.
-        dt: time of a control step (s).
         commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and the heading
             (rad) that the yaw rate leads to.
 
@@ -80,22 +82,25 @@ class AnymalTerrain(VelocityTrackingTask):
     """
 
     settings_class = AnymalTerrainConfig
-    own_asset = "mjcf/anymal_minimal.xml"
+    default_asset = "mjcf/anymal_minimal.xml"
     published_assets = ("urdf/anymal_c/urdf/anymal_minimal.urdf",)
     actor_name = "anymal"
-    num_features = 188
-    num_controls = 12
+    num_observations = 188
+    num_actions = 12
     num_commands = 4
-    resets_in_same_step = True
+    reset_mode = ResetMode.SAME_STEP
 
     # --- construction -----------------------------------------------------------------------
 
-    def _control_dt(self) -> float:
+    @property
+    def control_dt_s(self) -> float:
+        """Time that a control step counts in s."""
         control = self.env_cfg.control
         return self.sim_cfg.dt * control.decimation * self.env_cfg.control_freq_inv
 
-    def _episode_length(self) -> int:
-        return int(self.env_cfg.learn.episode_length_s / self._control_dt() + 0.5)
+    def episode_length(self) -> int:
+        """Return the control steps of `episodeLength_s`."""
+        return int(self.env_cfg.learn.episode_length_s / self.control_dt_s + 0.5)
 
     def simulator_calls(self) -> int:
         """Return the simulator calls of `sim.dt` in a control step."""
@@ -105,14 +110,15 @@ class AnymalTerrain(VelocityTrackingTask):
     def _friction(self) -> float:
         return self.env_cfg.terrain.dynamic_friction
 
-    def _build_model(self) -> mujoco.MjModel:
-        # From torch's generator, so that the seed of a run is the ground's, too.
+    def build_model(self) -> mujoco.MjModel:
+        """Make the ground, then return the compiled model with it."""
+        # Drawn from torch's generator, which the seed of a run sets.
         rng = np.random.default_rng(int(torch.randint(2**31, ()).item()))
         self.terrain = make_terrain(self.env_cfg.terrain, rng)
-        return super()._build_model()
+        return super().build_model()
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
-        """Give the drives their gains, and the robot the ground to walk on."""
+        """Give the drives their gains, and add the ground."""
         super().change_spec(spec)
         if self.env_cfg.terrain.terrain_type == "plane":
             return
@@ -121,17 +127,17 @@ class AnymalTerrain(VelocityTrackingTask):
         add_height_field(spec, self.terrain)
 
     def create_sim(self) -> None:
-        """Make the simulations, what the robots see of the ground, and where they walk."""
+        """Make the simulations, the height scan and the curriculum."""
         super().create_sim()
-        self.dt = self._control_dt()
+        self.dt = self.control_dt_s
         learn = self.env_cfg.learn
         self._scan = HeightScan(self.terrain, self.device)
         self.curriculum = Curriculum(self.env_cfg.terrain, self.terrain, self.num_envs, self.device)
         if learn.randomize_friction:
             self._draw_friction(*learn.friction_range)
         self._noise_widths = noise_widths(learn).to(self.device)
-        self._air_time_dt = self.sim_cfg.dt if learn.air_time_as_published else self.dt
-        self._push_interval = int(learn.push_interval_s / self.dt + 0.5)
+        self._air_time_dt = self.sim_cfg.dt if learn.air_time_as_published else self.control_dt_s
+        self.push_interval = int(learn.push_interval_s / self.control_dt_s + 0.5)
 
     def _draw_friction(self, low: float, high: float) -> None:
         """Give the robots one of a hundred coefficients of friction, in turn."""
@@ -145,12 +151,12 @@ class AnymalTerrain(VelocityTrackingTask):
             friction.write(np.arange(self.num_envs), np.repeat(values[:, None], shapes, axis=1))
 
     def allocate_buffers(self) -> None:
-        """Add what is remembered from step to step."""
+        """Add what the task remembers from step to step."""
         super().allocate_buffers()
         n, device = self.num_envs, self.device
         self.last_actions = torch.zeros_like(self.actions)
         self._last_dof_vel = torch.zeros(len(self.default_dof_pos), n, device=device)
-        self._air_time_s = torch.zeros(len(self._foot_ids), n, device=device)
+        self.air_time_s = torch.zeros(len(self._foot_ids), n, device=device)
         self._reward_sums = torch.zeros(len(TERM_NAMES), n, device=device)
         self._episode: dict[str, Tensor] = {}
 
@@ -162,19 +168,19 @@ class AnymalTerrain(VelocityTrackingTask):
         self._last_dof_vel.copy_(self.simulation.dof_vel.t())
         super().pre_physics_step(actions)
 
-    def advance(self) -> None:
-        """Note what touches what; push the robots when it is time; steer."""
-        super().advance()
+    def update_state(self) -> None:
+        """Read the contacts, push the robots when it is due, and update the yaw commands."""
+        super().update_state()
         sim = self.simulation
         forces = sim.contact_forces.permute(2, 1, 0)
-        self._base_touches = forces[:, 0].square().sum(0) > CONTACT_THRESHOLD_N**2
-        self._knee_touches = self.touches(self._knee_ids)
+        self._base_in_contact = forces[:, 0].square().sum(0) > CONTACT_THRESHOLD_N**2
+        self._knees_in_contact = self.in_contact(self._knee_ids)
         self._foot_forces = forces.index_select(1, self._foot_ids)
-        self._air_time_s, self._air_time_beyond_s = compute_air_time(
-            self._air_time_s, self._foot_forces[2] > CONTACT_THRESHOLD_N, self._air_time_dt
+        self.air_time_s, self._air_time_beyond_s = compute_air_time(
+            self.air_time_s, self._foot_forces[2] > CONTACT_THRESHOLD_N, self._air_time_dt
         )
         self._episode = {}
-        if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self._push_interval == 0:
+        if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
             # After the forces were read, which a new state is without.
             self._push()
         self._steer()
@@ -196,11 +202,11 @@ class AnymalTerrain(VelocityTrackingTask):
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_anymal_terrain_observations`."""
-        own, last = self.own_groups(), {"last_actions": self.num_actions}
+        own, last = self.proprioception_groups(), {"last_actions": self.num_actions}
         heights = self.num_obs - sum(own.values()) - self.num_actions
         return own | {"ground_heights": heights} | last
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_anymal_terrain_observations`."""
         sim = self.simulation
         root = sim.root_states
@@ -215,7 +221,7 @@ class AnymalTerrain(VelocityTrackingTask):
             self.env_cfg.learn,
         )
 
-    def measured(self, observations: Tensor) -> Tensor:
+    def add_sensor_noise(self, observations: Tensor) -> Tensor:
         """Return observations (n, 188) with noise."""
         if not self.env_cfg.learn.add_noise:
             return observations
@@ -223,8 +229,8 @@ class AnymalTerrain(VelocityTrackingTask):
         return noise.mul_(self._noise_widths).add_(observations)
 
     def compute_reward_terms(self) -> Terms:
-        """See `compute_anymal_terrain_reward`; their sum is not negative but for a fall's."""
-        sim, learn = self.simulation, self.env_cfg.learn
+        """See `compute_anymal_terrain_reward`; without the fall's term the sum is not negative."""
+        sim, learn, step_s = self.simulation, self.env_cfg.learn, self.control_dt_s
         step = WalkStep(
             motion=self.base_motion(),
             commands=self._command_planes,
@@ -235,22 +241,22 @@ class AnymalTerrain(VelocityTrackingTask):
             torques=self._torques,
             actions=self.actions.t(),
             last_actions=self.last_actions.t(),
-            knee_touches=self._knee_touches,
+            knees_in_contact=self._knees_in_contact,
             foot_forces=self._foot_forces,
             air_time_beyond_s=self._air_time_beyond_s,
         )
-        terms = compute_anymal_terrain_reward(step, learn, self.dt)
+        terms = compute_anymal_terrain_reward(step, learn, step_s)
         self._reward_sums += torch.stack([terms[name] for name in TERM_NAMES])
         return {
             **clip_negative_total(terms),
-            "terminal": self.failures() * (learn.terminal_reward * self.dt),
+            "terminal": (self.done_buf == Done.FAILED) * (learn.terminal_reward * step_s),
         }
 
     def compute_failures(self) -> Tensor:
-        """Return (N,) bool: the base, or if that is forbidden a knee, touches something."""
+        """Return (N,) bool: the base is in contact, or a knee if `allowKneeContacts` is False."""
         if self.env_cfg.learn.allow_knee_contacts:
-            return self._base_touches
-        return self._base_touches | self._knee_touches.any(0)
+            return self._base_in_contact
+        return self._base_in_contact | self._knees_in_contact.any(0)
 
     def infos(self) -> dict[str, Any]:
         """Return the means of the episodes that ended; see the class docstring."""
@@ -259,7 +265,7 @@ class AnymalTerrain(VelocityTrackingTask):
     # --- reset ------------------------------------------------------------------------------
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """On its tile, near the default joint angles, with new commands and without memory."""
+        """Reset base and joints on the robot's tile, resample commands, clear sums and timers."""
         self._conclude(env_ids)
         root = self._start_root + torch.zeros(len(env_ids), 1, device=self.device)
         root[:, :3] += self.curriculum.origins(env_ids)
@@ -270,15 +276,15 @@ class AnymalTerrain(VelocityTrackingTask):
         commands = torch.stack((along, aside, torch.zeros_like(along), heading))
         self._command_planes.index_copy_(1, env_ids, commands)
         self.actions.index_fill_(0, env_ids, 0.0)
-        self._air_time_s.index_fill_(1, env_ids, 0.0)
+        self.air_time_s.index_fill_(1, env_ids, 0.0)
         self._reward_sums.index_fill_(1, env_ids, 0.0)
         self._motion = None
         self._steer()
 
     def _conclude(self, env_ids: Tensor) -> None:
-        """Tell what episodes were paid that ended by themselves, and move their robots."""
-        ended = (self._done_buf != 0) & (self.progress_buf > 0)
-        # A diverged robot is no longer where it got to.
+        """Log the rewards of episodes that ended in this step, and update their robots' levels."""
+        ended = (self.done_buf != Done.RUNNING) & (self.progress_buf > 0)
+        # A diverged robot is no longer at the place that it reached.
         ended &= ~self.simulation.failed
         env_ids = env_ids[ended[env_ids]]
         if len(env_ids) == 0:
@@ -295,11 +301,11 @@ class AnymalTerrain(VelocityTrackingTask):
     # --- checkpoints ------------------------------------------------------------------------
 
     def get_env_state(self) -> dict[str, Tensor]:
-        """Return the levels (N,) of the robots, for a training that goes on."""
+        """Return the levels (N,) of the robots, for a training that is resumed."""
         return {"terrain_levels": self.curriculum.levels.clone()}
 
     def set_env_state(self, env_state: Any) -> None:
-        """Take back what `get_env_state` gave; from other numbers of robots nothing is taken."""
+        """Restore the levels, unless they belong to another ground or number of robots."""
         levels = env_state.get("terrain_levels") if isinstance(env_state, dict) else None
         if levels is None:
             return

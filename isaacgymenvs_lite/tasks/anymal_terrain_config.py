@@ -16,7 +16,7 @@ from isaacgymenvs_lite.tasks.terrain.grid import TerrainConfig
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainLearnConfig(LearnConfig):
-    """`task.env.learn` of AnymalTerrain; rewards are per second but for that of a fall."""
+    """`task.env.learn` of AnymalTerrain; rewards are per second, except for a fall's."""
 
     torque_reward: float = setting(-0.00002, key="torqueRewardScale")
     """Of the squared torques (Nm)."""

@@ -1,6 +1,6 @@
-"""What AnymalTerrain observes and pays, as functions of named quantities. As IsaacGymEnvs.
+"""Observations and rewards of AnymalTerrain, as functions of named quantities. As IsaacGymEnvs.
 
-Quantities of N environments stand last: (3, N), (12, N).
+The last dimension is N, the environments: (3, N), (12, N).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from isaacgymenvs_lite.tasks.base.velocity_tracking import (
 )
 from isaacgymenvs_lite.tasks.terrain.height_scan import NUM_POINTS
 
-# The base stands so high above its feet, about; heights are observed from there (m).
+# About the height of the base above its feet; heights are observed relative to it (m).
 _STANDING_M = 0.5
 _WANTED_HEIGHT_M = 0.52
 _WANTED_AIR_TIME_S = 0.5
-# Commands slower than this (m/s) are no reason to lift the feet.
+# Below this commanded speed (m/s) no air time is rewarded.
 _WALKING_M_S = 0.1
 _STUMBLE_SIDE_N, _STUMBLE_UP_N = 5.0, 1.0
 TERM_NAMES = (
@@ -110,7 +110,7 @@ def compute_air_time(air_time_s: Tensor, on_ground: Tensor, dt: float) -> tuple[
 
 
 class WalkStep(NamedTuple):
-    """What a step is paid for.
+    """The quantities that the reward of a step depends on.
 
     Attributes:
         motion: of the base, in its frame.
@@ -122,7 +122,7 @@ class WalkStep(NamedTuple):
         torques: (12, N) Nm.
         actions: (12, N).
         last_actions: (12, N) of the step before.
-        knee_touches: (K, N) bool.
+        knees_in_contact: (K, N) bool.
         foot_forces: (3, F, N) in world axes (N).
         air_time_beyond_s: (N,) see `compute_air_time`.
     """
@@ -136,7 +136,7 @@ class WalkStep(NamedTuple):
     torques: Tensor
     actions: Tensor
     last_actions: Tensor
-    knee_touches: Tensor
+    knees_in_contact: Tensor
     foot_forces: Tensor
     air_time_beyond_s: Tensor
 
@@ -146,7 +146,7 @@ def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: f
 
     Args:
         step: see `WalkStep`.
-        cfg: what the terms are worth per second.
+        cfg: the weights of the terms per second.
         dt: time of a control step (s).
     """
     motion = step.motion
@@ -164,7 +164,7 @@ def compute_anymal_terrain_reward(step: WalkStep, cfg: TerrainLearnConfig, dt: f
         "joint_acc": (_squares(step.last_dof_vel - step.dof_vel), cfg.joint_acc_reward),
         "base_height": ((step.base_height - _WANTED_HEIGHT_M).square(), cfg.base_height_reward),
         "air_time": (step.air_time_beyond_s * walks, cfg.air_time_reward),
-        "collision": (step.knee_touches.sum(0), cfg.knee_collision_reward),
+        "collision": (step.knees_in_contact.sum(0), cfg.knee_collision_reward),
         "stumble": (stumbles.sum(0), cfg.stumble_reward),
         "action_rate": (_squares(step.last_actions - step.actions), cfg.action_rate_reward),
         "hip": (step.dof_offset[_HIPS].abs().sum(0), cfg.hip_reward),

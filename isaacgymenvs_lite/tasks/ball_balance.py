@@ -1,11 +1,11 @@
 """BallBalance: a tray on three legs keeps a ball that falls onto it. As IsaacGymEnvs.
 
-Quirks that are kept because policies depend on them: the three sensors are observed component by
+Quirks kept, because policies depend on them: the three sensors are observed component by
 component, not one after the other; of the force only the x component is observed.
 
 What differs from the original: Isaac's force sensors have no twin in MuJoCo. The three sensors
-here report the contact force and torque on the tray, in its frame and about three points of it;
-what legs and joints do to the tray is no part of it. The feet are pinned to the ground and do not
+here report the contact force and torque on the tray, in its frame and about three points of it,
+without the forces of legs and joints. The feet are pinned to the ground and do not
 collide with it. The ball has no angular damping.
 """
 
@@ -21,9 +21,11 @@ from torch import Tensor
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig, FreshStartTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches, torques_about
 
 _DRIVEN_JOINTS = ("lower_leg_joint0", "lower_leg_joint1", "lower_leg_joint2")
@@ -42,9 +44,11 @@ _START_FALL_M_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class BallBalanceConfig(FreshStartConfig):
+class BallBalanceConfig(TaskConfig):
     """`task.env` of BallBalance."""
 
+    episode_length: int = setting(500, key="maxEpisodeLength", minimum=2)
+    """Control steps of an episode."""
     action_speed_scale: float = setting(20.0, key="actionSpeedScale", minimum=0)
     """Speed (rad/s) at which a full action moves the target of a joint."""
 
@@ -77,8 +81,8 @@ def compute_bbot_observations(
 def compute_bbot_reward(ball_pos: Tensor, ball_vel: Tensor) -> Terms:
     """Return the terms (N,) of the reward 1 / (1 + distance) / (1 + speed).
 
-    `near` is what a ball at rest would earn there, 0.7 m above the ground on the axis being the
-    best place; `speed` is what its motion takes of it.
+    `near` is the reward of a ball at rest, largest on the axis 0.7 m above the ground; `speed` is
+    the share that its motion costs.
 
     Args:
         ball_pos: (N, 3) m.
@@ -111,7 +115,7 @@ def draw_ball_states(env_ids: Tensor) -> Tensor:
     return states
 
 
-class BallBalance(FreshStartTask):
+class BallBalance(MjcfTask):
     """N trays with balls: 24 observations, 3 actions. Keys: `BallBalanceConfig`.
 
     Actions are the speeds of the position targets of the lower legs' joints.
@@ -124,25 +128,27 @@ class BallBalance(FreshStartTask):
     """
 
     settings_class = BallBalanceConfig
-    own_asset = "mjcf/ball_balance.xml"
+    default_asset = "mjcf/ball_balance.xml"
     actor_name = "bbot"
-    num_features = 24
-    num_controls = 3
+    num_observations = 24
+    num_actions = 3
+    reset_mode = ResetMode.BEFORE_PHYSICS
+    zero_action_at_reset = True
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
         """Make the drives stiff enough for a chain that is closed through the ground."""
         integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
 
     def create_sim(self) -> None:
-        """Make the simulations, and what is known of joints, tray and sensors."""
+        """Make the simulations, and look up joints, tray and sensors."""
         super().create_sim()
         device = self.device
         driven = [self.simulation.dof_names.index(name) for name in _DRIVEN_JOINTS]
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
         self._driven = torch.tensor(driven, device=device)
         self._lower, self._upper = limits[driven].unbind(-1)
-        self._initial_root = torch.zeros(13, device=device)
-        self._initial_root[2], self._initial_root[6] = float(self._model.qpos0[2]), 1.0
+        self.initial_root = torch.zeros(13, device=device)
+        self.initial_root[2], self.initial_root[6] = float(self._model.qpos0[2]), 1.0
         self._ball = self.simulation.object_names.index("ball")
         angles = torch.tensor(_SENSOR_ANGLES_RAD, device=device)
         directions = (angles.cos(), angles.sin(), torch.zeros_like(angles))
@@ -155,7 +161,7 @@ class BallBalance(FreshStartTask):
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return the position targets (N, 3) in rad, moved by the actions."""
-        self.targets += actions * (self.env_cfg.action_speed_scale * self.dt)
+        self.targets += actions * (self.env_cfg.action_speed_scale * self.sim_dt_s)
         return self.targets.clamp_(self._lower, self._upper)
 
     def observation_groups(self) -> dict[str, int]:
@@ -163,7 +169,7 @@ class BallBalance(FreshStartTask):
         state = dict.fromkeys(("dof_pos", "dof_vel", "ball_pos", "ball_vel", "sensor_force_x"), 3)
         return state | {"sensor_torques": 9}
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_bbot_observations`."""
         sim = self.simulation
         ball = self._ball_states()
@@ -197,7 +203,7 @@ class BallBalance(FreshStartTask):
         """Legs and tray as in the model; see `draw_ball_states` for the ball."""
         n = len(env_ids)
         zeros = torch.zeros(n, len(self.simulation.dof_names), device=self.device)
-        self.simulation.write_state(env_ids, self._initial_root.repeat(n, 1), zeros, zeros)
+        self.simulation.write_state(env_ids, self.initial_root.repeat(n, 1), zeros, zeros)
         ball = torch.tensor([self._ball], device=self.device)
         self.simulation.write_object_states(env_ids, ball, draw_ball_states(env_ids)[:, None])
         self.targets.index_fill_(0, env_ids, 0.0)

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
-from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, replace_where
+from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 
 _EPISODE_LENGTH = 500
 _MAX_ANGLE_RAD = math.pi / 2.0
@@ -25,7 +26,7 @@ _START_VEL = 0.25  # m/s and rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
-class CartpoleConfig(ClassicConfig):
+class CartpoleConfig(TaskConfig):
     """`task.env` of Cartpole."""
 
     reset_dist: float = setting(3.0, key="resetDist", above=0)
@@ -67,7 +68,7 @@ def compute_cartpole_failures(pole_angle: Tensor, cart_pos: Tensor, reset_dist: 
     return (cart_pos.abs() > reset_dist) | (pole_angle.abs() > _MAX_ANGLE_RAD)
 
 
-class Cartpole(ClassicTask):
+class Cartpole(MjcfTask):
     """N cart-poles: 4 observations, 1 action. Keys: `CartpoleConfig`.
 
     Raises:
@@ -75,13 +76,14 @@ class Cartpole(ClassicTask):
     """
 
     settings_class = CartpoleConfig
-    own_asset = "mjcf/cartpole.xml"
+    default_asset = "mjcf/cartpole.xml"
     published_assets = ("urdf/cartpole.urdf",)
     actor_name = "cartpole"
-    num_features = 4
-    num_controls = 1
+    num_observations = 4
+    num_actions = 1
 
-    def _episode_length(self) -> int:
+    def episode_length(self) -> int:
+        """Return the control steps of an episode."""
         return _EPISODE_LENGTH
 
     def observation_groups(self) -> dict[str, int]:
@@ -97,7 +99,7 @@ class Cartpole(ClassicTask):
         """Return the force on the cart (N, 1) in N."""
         return actions * self.env_cfg.max_effort
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_cartpole_observations`."""
         pos, vel = self.simulation.dof_pos, self.simulation.dof_vel
         return compute_cartpole_observations(pos[:, 0], vel[:, 0], pos[:, 1], vel[:, 1])

@@ -1,6 +1,6 @@
-"""Humanoid: a body of 21 hinges that shall run along +x. As IsaacGymEnvs.
+"""Humanoid: a body of 21 hinges that learns to run along +x. As IsaacGymEnvs.
 
-Quirks that are kept because policies and curves depend on them: `angle_to_target` (see
+Quirks kept, because policies and curves depend on them: `angle_to_target` (see
 `locomotion`); the cost of energy uses the scaled joint velocity. MuJoCo has no counterpart of the
 body's angular damping (0.01 1/s) and largest angular velocity (100 rad/s).
 """
@@ -29,13 +29,13 @@ _LEG_NM = (45.0, 45.0, 135.0, 90.0, 22.5, 22.5)  # hip x, z, y; knee; ankle y, x
 _ARM_NM = (67.5, 67.5, 45.0)  # shoulder 1, 2; elbow
 
 _ALIVE_REWARD = 2.0
-# From this share of its range on a joint counts as at its limit.
+# Beyond this share of its range a joint counts as at its limit.
 _AT_LIMIT = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidConfig(LocomotionConfig):
-    """`task.env` of Humanoid: the keys of `LocomotionConfig` with its own values."""
+    """`task.env` of Humanoid: the keys of `LocomotionConfig` with other defaults."""
 
     actions_cost: float = setting(0.01, key="actionsCost")
     """Of the squared actions."""
@@ -120,7 +120,7 @@ def compute_humanoid_reward(
         motor_effort_ratio: (21,) torque of a full action as a share of the strongest joint's.
         cfg: weights and costs.
     """
-    # 0 where a joint comes to count as at its limit, 1 at the limit.
+    # 0 at 98% of the range, 1 at the limit.
     at_limit = ((dof_pos_share.abs() - _AT_LIMIT) / (1.0 - _AT_LIMIT)).clamp(min=0.0)
     power = (actions * dof_vel_scaled).abs()
     terms = {
@@ -142,16 +142,16 @@ class Humanoid(LocomotionTask):
     """
 
     settings_class = HumanoidConfig
-    own_asset = "mjcf/humanoid.xml"
+    default_asset = "mjcf/humanoid.xml"
     published_assets = ("mjcf/nv_humanoid.xml",)
     actor_name = "humanoid"
-    num_features = 108
-    num_controls = 21
+    num_observations = 108
+    num_actions = 21
     foot_names = ("right_foot", "left_foot")
     torques_nm = (*_ABDOMEN_NM, *_LEG_NM, *_LEG_NM, *_ARM_NM, *_ARM_NM)
 
     def create_sim(self) -> None:
-        """Make the simulations, which measure the torques of the joints from now on."""
+        """Make the simulations, which measure the torques of the joints."""
         super().create_sim()
         self.motor_effort_ratio = self.motor_efforts / self.motor_efforts.max()
         # The backend measures these torques from when they are first read.
@@ -162,7 +162,7 @@ class Humanoid(LocomotionTask):
         joints = dict.fromkeys(("dof_pos", "dof_vel", "dof_forces"), 21)
         return self.torso_groups() | joints | {"foot_wrenches": 12, "last_actions": 21}
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_humanoid_observations`."""
         sim = self.simulation
         return compute_humanoid_observations(

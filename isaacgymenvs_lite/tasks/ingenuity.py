@@ -1,11 +1,11 @@
 """Ingenuity: a helicopter on Mars flies to targets with two rotors. As IsaacGymEnvs.
 
-Quirks that are kept because policies and curves depend on them: rotors can pull down as well as
+Quirks kept, because policies and curves depend on them: rotors can pull down as well as
 push up; a new target may be farther away than the distance at which an episode ends, so that some
 episodes end with their first step, or with the step in which the target changes.
 
-What differs from the original: gravity is that of the task file, which says -3.721 m/s^2 (there
-the file's value is not read); the rotors are part of the chassis and do not turn, and there is no
+What differs from the original: gravity is the task file's -3.721 m/s^2 (there the
+file's value is not read); the rotors are part of the chassis and do not turn, and there is no
 marker at the target.
 """
 
@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
 from isaacgymenvs_lite.tasks.base.hover import (
     HOME_M,
+    HoverConfig,
     HoverTask,
     compute_hover_reward,
     draw_start_states,
@@ -38,10 +38,10 @@ _TARGET_HEIGHT_M = (1.0, 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class IngenuityConfig(FreshStartConfig):
+class IngenuityConfig(HoverConfig):
     """`task.env` of Ingenuity."""
 
-    max_episode_length: int = setting(2000, key="maxEpisodeLength", minimum=2)
+    episode_length: int = setting(2000, key="maxEpisodeLength", minimum=2)
     """Control steps of an episode."""
 
 
@@ -84,10 +84,10 @@ class Ingenuity(HoverTask):
     """
 
     settings_class = IngenuityConfig
-    own_asset = "mjcf/ingenuity.xml"
+    default_asset = "mjcf/ingenuity.xml"
     actor_name = "ingenuity"
-    num_features = 13
-    num_controls = 6
+    num_observations = 13
+    num_actions = 6
     max_distance_m = 8.0
     min_height_m = 0.5
 
@@ -108,7 +108,7 @@ class Ingenuity(HoverTask):
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """See `compute_ingenuity_forces`."""
-        return compute_ingenuity_forces(actions, self.dt)
+        return compute_ingenuity_forces(actions, self.sim_dt_s)
 
     def to_target(self) -> Tensor:
         """Return the ways (N, 3) to the targets (m)."""

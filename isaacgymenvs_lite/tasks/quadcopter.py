@@ -1,11 +1,11 @@
 """Quadcopter: four rotors on two hinges each; hover 1 m above the ground. As IsaacGymEnvs.
 
-Quirks that are kept because policies and curves depend on them: one full action moves a thrust
+Quirks kept, because policies and curves depend on them: one full action moves a thrust
 from nothing to its maximum, and the thrusts are not observed.
 
-The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. What keeps them
-stable is that they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a
-damping of 5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
+The drives of the rotors' hinges have a stiffness of 1000 Nm/rad and no damping. They are stable
+because they are integrated implicitly, which here is an armature of 0.025 kg m^2 and a damping of
+5 Nm s/rad in steps of 0.005 s (see `drives`): a hinge is at its target after one step.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 from isaacgymenvs_lite.tasks.base.drives import integrate_drives_implicitly
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartConfig
 from isaacgymenvs_lite.tasks.base.hover import (
     HOME_M,
+    HoverConfig,
     HoverTask,
     compute_hover_reward,
     draw_start_states,
@@ -38,7 +38,7 @@ _START_ANGLE_RAD = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuadcopterConfig(FreshStartConfig):
+class QuadcopterConfig(HoverConfig):
     """`task.env` of Quadcopter."""
 
 
@@ -50,7 +50,7 @@ def compute_quadcopter_reward(to_target: Tensor, root_rot: Tensor, spin: Tensor)
 class Quadcopter(HoverTask):
     """N quadcopters: 21 observations, 12 actions. Keys: `QuadcopterConfig`.
 
-    Observations: those of `compute_flight_observations`, then the 8 hinges' positions (rad).
+    Observations: see `compute_flight_observations`, then the 8 hinges' positions (rad).
     Actions: speeds of the 8 hinges' position targets, then of the 4 thrusts.
 
     Attributes:
@@ -62,10 +62,10 @@ class Quadcopter(HoverTask):
     """
 
     settings_class = QuadcopterConfig
-    own_asset = "mjcf/quadcopter.xml"
+    default_asset = "mjcf/quadcopter.xml"
     actor_name = "quadcopter"
-    num_features = 21
-    num_controls = _NUM_HINGES + _NUM_ROTORS
+    num_observations = 21
+    num_actions = _NUM_HINGES + _NUM_ROTORS
     max_distance_m = 3.0
     min_height_m = 0.3
 
@@ -74,7 +74,7 @@ class Quadcopter(HoverTask):
         integrate_drives_implicitly(spec, self.sim_cfg.dt / self.sim_cfg.substeps)
 
     def create_sim(self) -> None:
-        """Make the simulations, and what is known of the hinges."""
+        """Make the simulations, and look up the limits of the hinges."""
         super().create_sim()
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float()
         self._lower, self._upper = limits.to(self.device).unbind(-1)
@@ -88,9 +88,9 @@ class Quadcopter(HoverTask):
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """Return position targets (rad) and thrusts (N), (N, 12), moved by the actions."""
-        self.targets += actions[:, :_NUM_HINGES] * (_HINGE_SPEED_RAD_S * self.dt)
+        self.targets += actions[:, :_NUM_HINGES] * (_HINGE_SPEED_RAD_S * self.sim_dt_s)
         self.targets.clamp_(self._lower, self._upper)
-        self.thrusts += actions[:, _NUM_HINGES:] * (_THRUST_SPEED_N_S * self.dt)
+        self.thrusts += actions[:, _NUM_HINGES:] * (_THRUST_SPEED_N_S * self.sim_dt_s)
         self.thrusts.clamp_(0.0, _MAX_THRUST_N)
         return torch.cat((self.targets, self.thrusts), dim=-1)
 
@@ -102,9 +102,9 @@ class Quadcopter(HoverTask):
         """See the class docstring."""
         return super().observation_groups() | {"dof_pos": _NUM_HINGES}
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See the class docstring."""
-        return torch.cat((super().observe(), self.simulation.dof_pos), dim=-1)
+        return torch.cat((super().compute_obs(), self.simulation.dof_pos), dim=-1)
 
     def compute_reward_terms(self) -> Terms:
         """See `compute_quadcopter_reward`."""

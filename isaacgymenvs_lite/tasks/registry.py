@@ -1,4 +1,4 @@
-"""Tasks by name: those of this package, those that a program adds, those of installed packages."""
+"""Tasks by name: of this package, added by a program, or offered by installed packages."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ isaacgym_task_map: dict[str, TaskMaker] = {}
 
 
 def register_task(name: str, task: TaskMaker, *, replace: bool = False) -> None:
-    """Make `name: <name>` of a task file mean a task of one's own.
+    """Add a task that task files can name, `name: <name>`.
 
     Args:
         name: as in the task file.
-        task: a class, or whatever makes a `VecTask` of its keyword arguments `cfg, rl_device,
-            sim_device, graphics_device_id, headless, virtual_screen_capture, force_render`.
+        task: a class, or a function that makes a `VecTask` of the keyword arguments `cfg`,
+            `rl_device`, `sim_device`, `graphics_device_id`, `headless`, `virtual_screen_capture`,
+            `force_render`.
         replace: take the place of a task of this name.
 
     Raises:
@@ -47,7 +48,7 @@ def is_task(name: str) -> bool:
 
 
 def find_task(name: str) -> TaskMaker:
-    """Return what makes the task; entry points are imported when they are asked for.
+    """Return what makes the task; an entry point is imported at its first use.
 
     Raises:
         ConfigError: there is no such task, or the package that offers it cannot be imported.

@@ -1,9 +1,8 @@
-"""What all adapters build on: a task whose episodes follow each other without a gap.
+"""AutoresetTask: one reset convention for all tasks, which the adapters to other libraries use.
 
-Some tasks start a new episode when they are asked to, others by themselves in the next step, others
-within the step that ended the last one (`VecTask.resets_on_request`, `ClassicTask`). Here all of
-them do it within the step, the last observation of an episode is kept beside the first of the next,
-and a fall is told from a time limit. The adapters give this the form of their library.
+Tasks start the next episode at different times (`ResetMode`). Here all of them start it within the
+step that ended the one before. A step returns the last observation of an episode beside the first
+of the next, and separates failures from time limits.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ Observations = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Transition:
-    """What a step of N environments gave; nothing of it is written to later.
+    """The results of a step of N environments; their tensors are not written to later.
 
     Attributes:
-        observations: of the episodes that run now, the first ones where one ended.
+        observations: of the running episodes, the first ones where an episode ended.
         final_observations: of the step's end, before episodes started; only the rows of ended
             episodes count. None if none ended.
         rewards: (N,) float32.
         terminated: (N,) bool, ended by a failure.
         truncated: (N,) bool, ended by the time limit and nothing else.
-        per_env: what else the task told of each environment, (N, ...) each, of the step's end:
-            `amp_obs` of an ended episode is its last.
-        scalars: what it told of all together, by name: `episode/rew_torque`.
+        per_env: infos with a row for each environment, (N, ...), at the step's end: `amp_obs` of
+            an ended episode is its last.
+        scalars: infos about all of them, by name: `episode/rew_torque`.
         episodes: those that ended.
     """
 
@@ -62,12 +61,12 @@ class AutoresetTask:
 
     Args:
         task: what `isaacgymenvs_lite.make` returns.
-        adapter: whose name errors give.
-        random: what the task draws from.
+        adapter: its name, for errors.
+        random: the random numbers of the task.
 
     Attributes:
         task: the task.
-        last_step: what the last step gave; None before the first.
+        last_step: the results of the last step; None before the first.
         num_steps: control steps made so far.
 
     Raises:
@@ -91,7 +90,7 @@ class AutoresetTask:
         """Start a new episode in every environment and return the first observations.
 
         Args:
-            seed: what the task draws from now on depends on it alone; None changes nothing.
+            seed: determines all later random numbers of the task; None changes nothing.
         """
         if seed is not None:
             self._random.seed(seed)
@@ -100,7 +99,7 @@ class AutoresetTask:
             return self.task.reset()
 
     def reset_some(self, mask: Tensor, seed: int | None = None) -> Observations:
-        """Start new episodes where `mask` (N,) bool says so; observations of all."""
+        """Start new episodes where `mask` (N,) bool is True; return the observations of all."""
         if seed is not None:
             self._random.seed(seed)
         self._statistics.restart(mask.to(self.task.rl_device))
@@ -151,16 +150,16 @@ class AutoresetTask:
 
     @contextmanager
     def _stepping(self) -> Iterator[None]:
-        """Draw from the environment's numbers; make tensors that may be written to later.
+        """Use the environment's random numbers; make tensors that may be written to later.
 
-        rsl_rl steps in inference mode: what a task keeps from then could not be changed outside.
+        rsl_rl steps in inference mode, outside of which such tensors could not be changed.
         """
         with self._random, torch.inference_mode(False), torch.no_grad():
             yield
 
 
 def checked_task(env: Any, adapter: str) -> VecTask:
-    """Return `env` if it is a task that nobody wrapped.
+    """Return `env` if it is a task without a wrapper.
 
     Raises:
         WrapperError: it is something else.
@@ -184,7 +183,7 @@ def checked_task(env: Any, adapter: str) -> VecTask:
 def _sorted_infos(
     infos: Mapping[str, Any], num_envs: int
 ) -> tuple[dict[str, Tensor], dict[str, float]]:
-    """Tell what concerns each environment from what concerns all of them; no `time_outs`."""
+    """Split infos into those with a row for each environment and scalars; without `time_outs`."""
     per_env: dict[str, Tensor] = {}
     scalars: dict[str, float] = {}
     for name, value in infos.items():

@@ -8,38 +8,42 @@ from rl_games.common import env_configurations
 from rl_games.common.ivecenv import IVecEnv
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode, VecTask
 from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_threads
 
 
 class RLGPUEnv(IVecEnv):
-    """Hands rl_games the task that the registered creator makes.
+    """Gives rl_games the task that the registered creator makes.
 
-    Agents of the AMP family ask for resets (`reset_done`) before they act. Others, rl_games' own,
-    never do: for them an episode that ended starts anew within `step`, which then returns the first
-    observation of the next one.
+    Agents of two kinds step an `ON_REQUEST` task. Those of the AMP family, a fork's own too, call
+    `reset_done` before each action and need the last observation of an episode from `step`.
+    rl_games' own never call it and need the first observation of the next one. So the task starts
+    as `SAME_STEP`, and the first call of `reset_done` chooses `ON_REQUEST` for good. Other tasks
+    reset as they do without rl_games.
 
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
-        num_actors: rl_games' number of environments; the task's own counts.
+        num_actors: rl_games' number of environments; not read, the task has its own.
         kwargs: for the creator.
 
     Attributes:
         env: the task.
+        reset_mode: when the next episode starts, from the agent's point of view; see above.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
-        del num_actors
         creator = env_configurations.configurations[config_name]["env_creator"]
         with trainer_sets_threads():  # rl_games has the key torch_threads
             self.env: VecTask = creator(**kwargs)
         release_torch_threads(self.env)  # of a task that was made before
-        self._is_asked_for_resets = False
+        self.reset_mode = self.env.reset_mode
+        if self.reset_mode is ResetMode.ON_REQUEST:
+            self.reset_mode = ResetMode.SAME_STEP
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Advance by one control step; see `VecTask.step` and the class docstring."""
         obs, rewards, dones, infos = self.env.step(actions)
-        if self.env.resets_on_request and not self._is_asked_for_resets:
+        if self.env.reset_mode is ResetMode.ON_REQUEST and self.reset_mode is ResetMode.SAME_STEP:
             obs, _ = self.env.reset_done()
         return obs, rewards, dones, infos
 
@@ -48,12 +52,12 @@ class RLGPUEnv(IVecEnv):
         return self.env.reset()
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
-        """See `VecTask.reset_done`."""
-        self._is_asked_for_resets = True
+        """See `VecTask.reset_done` and the class docstring."""
+        self.reset_mode = self.env.reset_mode
         return self.env.reset_done()
 
     def get_number_of_agents(self) -> int:
-        """Agents per environment."""
+        """Return the agents per environment."""
         return self.env.num_agents
 
     def get_env_info(self) -> dict[str, Any]:
@@ -71,15 +75,15 @@ class RLGPUEnv(IVecEnv):
         return info
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
-        """Tell the task how far the training is."""
+        """Pass on how many environment steps the training has made."""
         self.env.set_train_info(env_frames, *args, **kwargs)
 
     def get_env_state(self) -> Any:
-        """State of the task for the checkpoint."""
+        """Return the task's state for the checkpoint."""
         return self.env.get_env_state()
 
     def set_env_state(self, env_state: Any) -> None:
-        """Take a checkpoint's state of the task back."""
+        """Restore the task's state from a checkpoint."""
         self.env.set_env_state(env_state)
 
     def close(self) -> None:

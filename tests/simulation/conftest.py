@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
-from isaacgymenvs_lite.tasks.base.task_config import read_sim_config
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 
 MakeSimulation = Callable[..., CpuBatchSimulation]
 RandomState = Callable[[int, int], tuple[Tensor, Tensor, Tensor]]
@@ -54,7 +52,9 @@ def made_up_model() -> mujoco.MjModel:
 @pytest.fixture(scope="session")
 def humanoid_model() -> mujoco.MjModel:
     """The AMP humanoid with the published keys; do not change it."""
-    return build_model(read_env_config({}), read_sim_config({}))
+    task = HumanoidAMPBase({"env": {"numEnvs": 1}, "sim": {"dt": 0.0166}}, "cpu", "cpu", -1, True)
+    task.close()
+    return task.simulation.model
 
 
 @pytest.fixture

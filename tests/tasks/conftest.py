@@ -135,7 +135,8 @@ def hold_pose() -> Callable[[HumanoidAMPBase], Tensor]:
     """
 
     def actions(task: HumanoidAMPBase) -> Tensor:
-        wanted = (task.simulation.dof_pos - task._action_offset) / task._action_scale
+        _, offset, scale = task.action_scaling()
+        wanted = (task.simulation.dof_pos - offset) / scale
         return wanted.clamp(-1.0, 1.0)
 
     return actions

@@ -138,7 +138,7 @@ def test_the_model_is_that_of_the_tables(ant: Ant) -> None:
 
 def stand(ant: Ant) -> None:
     n = ant.num_envs
-    root = ant._initial_root.repeat(n, 1)
+    root = ant.initial_root.repeat(n, 1)
     pos = ant.initial_dof_pos.repeat(n, 1)
     ant.simulation.write_state(torch.arange(n), root, pos, torch.zeros_like(pos))
 
@@ -173,7 +173,7 @@ def test_progress_is_the_speed_along_x_and_nothing_after_a_reset(ant: Ant) -> No
     # One step of float32 at 60,000 is 0.004.
     assert ant.reward_terms["progress"].abs().max() < 0.01
     n = ant.num_envs
-    root = ant._initial_root.repeat(n, 1)
+    root = ant.initial_root.repeat(n, 1)
     root[:, 2], root[:, 7] = 5.0, 3.0
     ant.simulation.write_state(
         torch.arange(n), root, ant.initial_dof_pos.repeat(n, 1), torch.zeros(n, 8)
@@ -215,4 +215,4 @@ def test_starts_are_spread_and_within_the_limits(make_task) -> None:
     assert (pos - ant.initial_dof_pos).abs().max() <= 0.2 + 1e-6
     assert pos[:, 0].std().item() == pytest.approx(0.4 / math.sqrt(12.0), rel=0.1)
     assert vel.abs().max() <= 0.1
-    torch.testing.assert_close(ant.simulation.root_states, ant._initial_root.repeat(500, 1))
+    torch.testing.assert_close(ant.simulation.root_states, ant.initial_root.repeat(500, 1))

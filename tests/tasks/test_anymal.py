@@ -13,6 +13,7 @@ from isaacgymenvs_lite.tasks.anymal import (
     compute_anymal_reward,
     rotate_down,
 )
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     BaseMotion,
     LearnConfig,
@@ -99,8 +100,8 @@ def test_the_key_tells_which_gravity_is_observed(make_task, key: str, gravity_x:
     root[:, 3:7] = torch.tensor([0.0, math.sin(math.pi / 12), 0.0, math.cos(math.pi / 12)])
     sim = task.simulation
     sim.write_state(torch.arange(4), root, sim.dof_pos.clone(), sim.dof_vel.clone())
-    task.advance()
-    assert task.observe()[:, 6].tolist() == pytest.approx([gravity_x] * 4, abs=1e-5)
+    task.update_state()
+    assert task.compute_obs()[:, 6].tolist() == pytest.approx([gravity_x] * 4, abs=1e-5)
 
 
 def test_episodes_start_at_scaled_default_angles_with_commands(make_task) -> None:
@@ -197,7 +198,7 @@ def test_a_foot_on_the_ground_is_no_fall(make_task) -> None:
     for _ in range(12):
         task.step(task.zero_actions())
     assert (task.simulation.contact_forces[:, 3::3].norm(dim=-1) > 1.0).any(dim=1).all()
-    assert not task.failures().any()
+    assert not (task.done_buf == Done.FAILED).any()
 
 
 def test_episodes_last_50_seconds(make_task) -> None:

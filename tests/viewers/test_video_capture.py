@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.viewers import video_writer
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
 from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
@@ -25,7 +26,7 @@ def play(env, capture: VideoCapture, num_steps: int) -> None:
     generator = torch.Generator().manual_seed(1)
     env.reset()
     for _ in range(num_steps):
-        if env.resets_on_request:
+        if env.reset_mode is ResetMode.ON_REQUEST:
             env.reset_done()
         env.step(2.0 * torch.rand(env.num_envs, env.num_actions, generator=generator) - 1.0)
     capture.close()

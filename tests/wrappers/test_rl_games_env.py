@@ -8,15 +8,16 @@ import pytest
 import torch
 from rl_games.common import env_configurations
 
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 
 class StubTask:
-    """Answers with what it was asked."""
+    """Records the calls and returns fixed tensors."""
 
     num_agents = 2
     num_states = 0
-    resets_on_request = False
+    reset_mode = ResetMode.AFTER_PHYSICS
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -97,19 +98,21 @@ def test_calls_pass_through_unchanged(make_env):
 
 
 class StubRequestTask(StubTask):
-    resets_on_request = True
+    reset_mode = ResetMode.ON_REQUEST
 
 
-def test_who_never_asks_gets_resets_within_the_step(make_env):
+def test_agents_that_never_call_reset_done_get_resets_within_the_step(make_env):
     env = make_env(StubRequestTask)
     obs, *_ = env.step(torch.ones(2, 3))
     assert [name for name, _ in env.env.calls] == ["step", "reset_done"]
     assert torch.equal(obs["obs"], torch.zeros(2, 5))  # the next episode's
 
 
-def test_who_asks_for_resets_sees_how_episodes_end(make_env):
+def test_the_first_reset_done_chooses_resets_on_request(make_env):
     env = make_env(StubRequestTask)
+    assert env.reset_mode is ResetMode.SAME_STEP
     env.reset_done()
+    assert env.reset_mode is ResetMode.ON_REQUEST
     obs, *_ = env.step(torch.ones(2, 3))
     assert [name for name, _ in env.env.calls] == ["reset_done", "step"]
     assert torch.equal(obs["obs"], torch.full((2, 3), 2.0))

@@ -46,9 +46,9 @@ def build_amp_observations(
 class HumanoidAMP(HumanoidAMPBase):
     """The humanoid with a motion library, AMP observations and resets into the reference motion.
 
-    The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent asks for
-    resets with `reset_done` before each policy step, so that `step` returns the terminal
-    observation, and reads `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
+    The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
+    `reset_done` before each policy step, so that `step` returns the terminal observation, and reads
+    `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
 
     Args:
         cfg: cfg/task/HumanoidAMP.yaml as plain dictionaries; the rest as `VecTask`.
@@ -67,7 +67,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._motion_lib = MotionLib(
             self.env_cfg.motion_file,
             self.num_actions,
-            self._key_body_ids.tolist(),
+            self.key_body_ids.tolist(),
             self.device,
             repair_repeated_frames=self.env_cfg.repair_repeated_frames,
         )
@@ -102,19 +102,22 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _num_amp_obs_per_step(self) -> int:
         offsets = self._layout.dof_offsets
-        return num_humanoid_obs(offsets, len(self._key_body_names()), self.amp_obs_as_ase)
+        return num_humanoid_obs(offsets, len(self.key_body_names()), self.amp_obs_as_ase)
 
     def _amp_features(self, state: CharacterState) -> Tensor:
-        """AMP observations of one step of states as `_features_source` returns them."""
+        """AMP observations of one step of states as `_character_states` returns them."""
         return build_amp_observations(*state, self.env_cfg.local_root_obs, self.amp_obs_as_ase)
 
-    def _amp_features_now(self, env_ids: Tensor | None) -> Tensor:
-        """The same of the state of now of all environments or `env_ids` (n,), just observed."""
+    def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
+        """Return one step of the AMP observation of all environments or `env_ids` (n,).
+
+        To be called after `compute_observations`.
+        """
         # One step of the AMP observation is the policy observation of the same state.
         return self.obs_buf if env_ids is None else self.obs_buf.index_select(0, env_ids)
 
     def amp_obs_of(self, env_ids: Tensor) -> Tensor:
-        """Return the AMP observations (n, F) of now of environments (n,), new episodes included."""
+        """Return the AMP observations (n, F) of environments (n,), also after a reset."""
         rows = self._amp_obs_buf.index_select(0, env_ids.to(self.device))
         return rows.flatten(1).to(self.rl_device)
 
@@ -129,7 +132,7 @@ class HumanoidAMP(HumanoidAMPBase):
         history = self._amp_obs_buf
         for step in range(history.shape[1] - 1, 0, -1):
             history[:, step] = history[:, step - 1]
-        history[:, 0] = self._amp_features_now(None)
+        history[:, 0] = self.current_amp_features()
         self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
 
     # --- demonstrations ----------------------------------------------------------------------
@@ -138,7 +141,7 @@ class HumanoidAMP(HumanoidAMPBase):
         """Sample AMP observations of the reference motions.
 
         Clips are drawn by weight; the last instant is drawn so that the whole history lies inside
-        the clip, as in ASE (IsaacGymEnvs let it extrapolate before the start).
+        the clip, as in ASE (IsaacGymEnvs extrapolates before the start).
 
         Args:
             num_samples: n, any number.
@@ -170,7 +173,7 @@ class HumanoidAMP(HumanoidAMPBase):
     @property
     def _history_s(self) -> float:
         """Time in s from the oldest to the newest control step of an AMP observation."""
-        return self.dt * (self.env_cfg.num_amp_obs_steps - 1)
+        return self.control_dt_s * (self.env_cfg.num_amp_obs_steps - 1)
 
     def _draw_windows(self, n: int) -> tuple[Tensor, Tensor]:
         """Draw motions (n,) by weight, and the last instants (n,) s of windows inside them."""
@@ -191,8 +194,8 @@ class HumanoidAMP(HumanoidAMPBase):
         windows = []
         for motion_id in range(self._motion_lib.num_motions()):
             left_s = float(self._motion_lib.get_motion_length([motion_id])) - self._history_s
-            count = 1 + max(0, int(left_s / self.dt))
-            times = self._history_s + self.dt * torch.arange(count, device=self.device)
+            count = 1 + max(0, int(left_s / self.control_dt_s))
+            times = self._history_s + self.control_dt_s * torch.arange(count, device=self.device)
             ids = torch.full((count,), motion_id, device=self.device)
             windows.append(self._windows_at(ids, times))
         return windows
@@ -208,7 +211,7 @@ class HumanoidAMP(HumanoidAMPBase):
         Root states (..., 13), DOF positions and velocities (..., D), key bodies (..., K, 3).
         """
         ids = motion_ids.repeat(len(steps))
-        at_s = (times - self.dt * steps.unsqueeze(1)).flatten()
+        at_s = (times - self.control_dt_s * steps.unsqueeze(1)).flatten()
         root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, key_pos = (
             self._motion_lib.get_motion_state(ids, at_s)
         )
@@ -217,8 +220,8 @@ class HumanoidAMP(HumanoidAMPBase):
 
     # --- reset -------------------------------------------------------------------------------
 
-    def _reset_actors(self, env_ids: Tensor) -> None:
-        """Start each environment as `stateInit` says: default pose or a moment of a clip."""
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Start each environment as `stateInit` names: default pose or a time of a clip."""
         mode = self.env_cfg.state_init
         reference_ids, default_ids = env_ids, env_ids[:0]
         if mode == "Default":
@@ -231,7 +234,7 @@ class HumanoidAMP(HumanoidAMPBase):
             self._write_default_pose(default_ids)
 
     def reset(self) -> dict[str, Tensor]:
-        """As the base; the starts depend on the generator's state from here on."""
+        """As the base; starts that were drawn before are dropped, for the seed's sake."""
         self._starts.clear()
         return super().reset()
 
@@ -253,22 +256,22 @@ class HumanoidAMP(HumanoidAMPBase):
         return root[:n], dof_pos[:n], dof_vel[:n], history
 
     def _reset_to_reference(self, env_ids: Tensor) -> None:
-        """Put environments into the state of a sampled clip, and remember what came before it."""
+        """Put environments into states of sampled clips, and keep the steps before it."""
         self._reference_env_ids = env_ids
         if len(env_ids) == 0:
             return
-        root_states, dof_pos, dof_vel, self._reference_history = self._starts.take(len(env_ids))
+        root_states, dof_pos, dof_vel, self._reference_history = self._starts.next(len(env_ids))
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
-    @torch.inference_mode()
-    def _observe_new_episodes(self, env_ids: Tensor) -> None:
-        """As the base, and fill the AMP history with what would have come before."""
-        super()._observe_new_episodes(env_ids)
+    def reset_idx(self, env_ids: Tensor) -> None:
+        """As the base, and fill the AMP history with the steps before the start."""
+        super().reset_idx(env_ids)
         self._start_histories(env_ids)
 
+    @torch.inference_mode()
     def _start_histories(self, env_ids: Tensor) -> None:
-        now = self._amp_features_now(env_ids)
-        # Until a reference says otherwise the character has been standing still.
+        now = self.current_amp_features(env_ids)
+        # Without a reference motion: as if the character had been standing still.
         standing = now.unsqueeze(1).expand(-1, self.env_cfg.num_amp_obs_steps, -1)
         self._amp_obs_buf.index_copy_(0, env_ids, standing)
         if len(self._reference_env_ids) > 0:

@@ -1,4 +1,4 @@
-"""HumanoidAMPBase: the simulated humanoid of AMP without a notion of reference motion."""
+"""HumanoidAMPBase: the simulated humanoid of AMP, without reference motions."""
 
 from __future__ import annotations
 
@@ -10,17 +10,11 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.simulation.backend import make_simulation
-from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import (
-    OWN_ASSET,
-    HumanoidAMPConfig,
-    read_env_config,
-)
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, dof_limits
-from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import OWN_ASSET, HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_model import dof_limits, set_actuators
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
+    compute_humanoid_falls,
     compute_humanoid_observations,
     compute_humanoid_reset,
     compute_humanoid_reward,
@@ -28,8 +22,9 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     num_humanoid_obs,
     pd_action_offset_scale,
 )
-from isaacgymenvs_lite.tasks.base.task_config import SimConfig, read_sim_config
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling, Done, ResetMode
 
 __all__ = [
     "DOF_BODY_IDS",
@@ -46,7 +41,7 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 
-# What IsaacGymEnvs says of its humanoid, for scripts; a task here asks its model.
+# Constants of IsaacGymEnvs' humanoid, for scripts; a task here reads its model.
 DOF_BODY_IDS = [1, 2, 3, 4, 6, 7, 9, 10, 11, 12, 13, 14]
 DOF_OFFSETS = [0, 3, 6, 9, 10, 13, 14, 17, 18, 21, 24, 25, 28]
 NUM_OBS = 105
@@ -58,80 +53,55 @@ CharacterState = tuple[Tensor, Tensor, Tensor, Tensor]
 """Root states (..., 13), DOF positions and velocities (..., D), key body positions (..., K, 3)."""
 
 
-# On tensors of a few kB the bookkeeping of autograd is a tenth of an operation, and nothing here is
-# ever differentiated: hence inference_mode where results are copied into buffers.
+# On tensors of a few kB the bookkeeping of autograd takes a tenth of an operation's time, and
+# nothing here is ever differentiated: hence inference_mode where results are copied into buffers.
 
 
-class HumanoidAMPBase(VecTask):
+class HumanoidAMPBase(MjcfTask):
     """N humanoids driven by PD targets (or torques); 105 observations, 28 actions.
 
     Differs from IsaacGymEnvs (each named in docs/amp.md): falls count contact forces in any
-    direction; the observation after a reset is that of the new state; the default pose is the
+    direction; the observation after a reset describes the new state; the default pose is the
     zero pose (the original's crosses the arms in front of the chest).
 
     Raises:
         ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
-    def __init__(
-        self,
-        cfg: dict[str, Any],
-        rl_device: str,
-        sim_device: str,
-        graphics_device_id: int,
-        headless: bool,
-        virtual_screen_capture: bool = False,
-        force_render: bool = False,
-    ) -> None:
-        self.sim_cfg: SimConfig = read_sim_config(cfg["sim"])
-        self.env_cfg: Any = self._read_env_config(cfg["env"])
-        # Sizes are the model's, and the base class wants them first.
-        self._model = self._build_model()
-        self._layout = ModelLayout.from_model(self._model)
-        cfg["env"]["numObservations"] = self._obs_size()
-        cfg["env"]["numActions"] = self._layout.num_dofs
-        cfg["env"].setdefault("clipActions", self.env_cfg.clip_actions)
-        cfg["env"].setdefault("controlFrequencyInv", self.env_cfg.control_freq_inv)
-        super().__init__(
-            cfg,
-            rl_device,
-            sim_device,
-            graphics_device_id,
-            headless,
-            virtual_screen_capture,
-            force_render,
-        )
-        self.max_episode_length = self.env_cfg.episode_length
-        # Control period: history, demonstrations and velocities of the task count in it.
-        self.dt = self.env_cfg.control_freq_inv * self.sim_cfg.dt
-
-    resets_on_request = True
+    settings_class = HumanoidAMPConfig
+    default_asset = OWN_ASSET
     actor_name = "humanoid"
-
-    # --- what a kind of humanoid says of itself ---------------------------------------------
-
+    reset_mode = ResetMode.ON_REQUEST
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
+    """Degrees of freedom of the models that the task can simulate."""
 
-    def _read_env_config(self, env: dict[str, Any]) -> HumanoidAMPConfig:
-        return read_env_config(env)
+    # --- construction -----------------------------------------------------------------------
 
-    def _build_model(self) -> mujoco.MjModel:
-        return build_model(self.env_cfg, self.sim_cfg)
+    def build_model(self) -> mujoco.MjModel:
+        """Return the compiled model, with the kind of actuator that the keys name."""
+        model = super().build_model()
+        set_actuators(model, self.env_cfg)
+        return model
 
-    def _obs_size(self) -> int:
-        return num_humanoid_obs(self._layout.dof_offsets, len(self._key_body_names()))
-
-    def _key_body_names(self) -> tuple[str, ...]:
+    def key_body_names(self) -> tuple[str, ...]:
+        """Return the bodies whose positions are observed."""
         return KEY_BODY_NAMES
+
+    def set_sizes(self) -> None:
+        """Set the sizes of observations and actions, which depend on the model."""
+        self.num_observations = num_humanoid_obs(
+            self._layout.dof_offsets, len(self.key_body_names())
+        )
+        self.num_actions = self._layout.num_dofs
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_humanoid_observations`."""
-        num_dofs, num_keys = self._layout.num_dofs, len(self._key_body_names())
+        num_dofs, num_keys = self._layout.num_dofs, len(self.key_body_names())
         root = {"root_height": 1, "root_rot_tan_norm": 6, "root_lin_vel": 3, "root_ang_vel": 3}
         joints = self.num_obs - sum(root.values()) - num_dofs - 3 * num_keys
         return root | {"dof_pos": joints, "dof_vel": num_dofs, "key_body_pos": 3 * num_keys}
 
-    def action_scaling(self) -> ActionScaling:
+    def action_scaling(self) -> ActionScaling | None:
         """Return targets of the drives in rad, or torques in Nm without `pdControl`."""
         unit = "rad" if self.env_cfg.pd_control else "Nm"
         return ActionScaling(unit, self._action_offset, self._action_scale)
@@ -140,28 +110,21 @@ class HumanoidAMPBase(VecTask):
         """Return offset and scale (D,) of PD targets for joint limits (D,), rad."""
         return pd_action_offset_scale(lower, upper, self._layout.dof_offsets)
 
-    # --- construction -----------------------------------------------------------------------
-
     def create_sim(self) -> None:
-        """Make the N simulations of the model."""
+        """Make the N simulations of the model, and look up its bodies and limits."""
         self._check_asset()
-        physx = self.cfg["sim"].get("physx") or {}
-        self.simulation = make_simulation(
-            self._model,
-            self.num_envs,
-            substeps=self.sim_cfg.substeps * self.env_cfg.control_freq_inv,
-            num_threads=int(physx.get("num_threads", 0)),
-        )
-        self._contact_body_ids = self._body_ids("contactBodies", self.env_cfg.contact_bodies)
-        self._key_body_ids = self._body_ids("keyBodies", self._key_body_names())
-        self._termination_heights_m = self._termination_heights()
+        super().create_sim()
+        self.dt = self.control_dt_s
+        self.contact_body_ids = self._body_ids("contactBodies", self.env_cfg.contact_bodies)
+        self.key_body_ids = self._body_ids("keyBodies", self.key_body_names())
+        self.termination_heights_m = self._termination_heights()
         self._build_action_scaling()
 
     def _check_asset(self) -> None:
         num_dofs, num_actuators = self._layout.num_dofs, self._model.nu
         if num_dofs not in self.num_dofs_of_assets or num_actuators != num_dofs:
             expected = " or ".join(str(n) for n in self.num_dofs_of_assets)
-            name = self.env_cfg.asset.asset_file_name or OWN_ASSET
+            name = self.env_cfg.asset.asset_file_name or self.default_asset
             raise ConfigError(
                 f"task.env.asset.assetFileName='{name}' has"
                 f" {num_dofs} degrees of freedom and {num_actuators} actuators;"
@@ -173,11 +136,11 @@ class HumanoidAMPBase(VecTask):
         return self.env_cfg.termination_height
 
     def _body_ids(self, key: str, names: tuple[str, ...]) -> Tensor:
-        known = self.simulation.body_names
+        bodies = self.simulation.body_names
         for name in names:
-            if name not in known:
-                raise ConfigError(unknown(f"body in task.env.{key}:", name, known))
-        ids = [known.index(name) for name in names]
+            if name not in bodies:
+                raise ConfigError(unknown(f"body in task.env.{key}:", name, bodies))
+        ids = [bodies.index(name) for name in names]
         return torch.tensor(ids, dtype=torch.int64, device=self.device)
 
     def _build_action_scaling(self) -> None:
@@ -192,53 +155,33 @@ class HumanoidAMPBase(VecTask):
         offset, scale = self._pd_offset_scale(limits[:, 0], limits[:, 1])
         self._action_offset, self._action_scale = offset.to(self.device), scale.to(self.device)
 
-    def allocate_buffers(self) -> None:
-        """Add the buffer of falls; it starts at 1, as in IsaacGymEnvs."""
-        super().allocate_buffers()
-        self._terminate_buf = torch.ones_like(self.reset_buf)
+    # --- a step ------------------------------------------------------------------------------
 
-    # --- step ------------------------------------------------------------------------------
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return PD targets offset + scale * action (rad), or torques (Nm), (N, D)."""
+        return torch.addcmul(self._action_offset, self._action_scale, actions)
 
-    def pre_physics_step(self, actions: Tensor) -> None:
-        """Set PD targets offset + scale * action (rad), or torques (Nm)."""
-        self._set_targets(actions)
+    @torch.inference_mode()
+    def compute_obs(self) -> Tensor:
+        """See `compute_humanoid_observations`."""
+        return self._observe(None)
 
-    def _set_targets(self, actions: Tensor) -> None:
-        controls = torch.addcmul(self._action_offset, self._action_scale, actions)
-        self.simulation.set_controls(controls)
-
-    def post_physics_step(self) -> None:
-        """Count the step; observe; reward; end episodes at falls and at the time limit."""
-        self.progress_buf += 1
-        self.randomize_buf += 1
-        self.compute_observations()
-        self.rew_buf.copy_(self._task_reward())
-        self.compute_reset()
-        self.extras["terminate"] = self._for_trainer(self._terminate_buf)
-
-    def _task_reward(self) -> Tensor:
-        return compute_humanoid_reward(self.obs_buf)
+    @torch.inference_mode()
+    def compute_obs_of(self, env_ids: Tensor) -> Tensor:
+        """Return the observations of environments (n,) only, which start an episode."""
+        return self._observe(env_ids)
 
     def _observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the observations of all environments, or of `env_ids` (n,)."""
         return compute_humanoid_observations(
-            *self._features_source(env_ids), self.env_cfg.local_root_obs
+            *self._character_states(env_ids), self.env_cfg.local_root_obs
         )
 
-    @torch.inference_mode()
-    def compute_observations(self, env_ids: Tensor | None = None) -> None:
-        """Write the observation of all environments, or of `env_ids` (n,), into `obs_buf`."""
-        features = self._observe(env_ids)
-        if env_ids is None:
-            self.obs_buf.copy_(features)
-        else:
-            self.obs_buf.index_copy_(0, env_ids, features)
-
-    def _features_source(self, env_ids: Tensor | None) -> CharacterState:
-        """Root states, DOF positions and velocities, key body positions of (n,) or all."""
+    def _character_states(self, env_ids: Tensor | None) -> CharacterState:
+        """Return the states of all characters, or of `env_ids` (n,)."""
         sim = self.simulation
         # By components first: planes stay planes (see `SimulationBackend`).
-        key_body_pos = sim.body_pos.permute(2, 1, 0).index_select(1, self._key_body_ids)
+        key_body_pos = sim.body_pos.permute(2, 1, 0).index_select(1, self.key_body_ids)
         states = (sim.root_states, sim.dof_pos, sim.dof_vel, key_body_pos.permute(2, 1, 0))
         if env_ids is None:
             return states
@@ -250,53 +193,33 @@ class HumanoidAMPBase(VecTask):
             key_body_pos.index_select(0, env_ids),
         )
 
+    def compute_reward_terms(self) -> Terms:
+        """Return a constant; the style reward is the agent's."""
+        return {"task": compute_humanoid_reward(self.obs_buf)}
+
     @torch.inference_mode()
-    def compute_reset(self) -> None:
-        """Write `reset_buf` and the falls; a diverged simulation ends its episode as a fall."""
-        self.reset_buf[:], self._terminate_buf[:] = compute_humanoid_reset(
-            self.reset_buf,
+    def compute_failures(self) -> Tensor:
+        """Return (N,) bool: the character fell; see `compute_humanoid_falls`."""
+        if not self.env_cfg.enable_early_termination:
+            return torch.zeros_like(self.timeout_buf)
+        return compute_humanoid_falls(
             self.progress_buf,
             self.simulation.contact_forces,
-            self._contact_body_ids,
+            self.contact_body_ids,
             self.simulation.body_pos,
-            self.max_episode_length,
-            self.env_cfg.enable_early_termination,
-            self._termination_heights_m,
+            self.termination_heights_m,
         )
-        failed = self.simulation.failed
-        self.reset_buf.masked_fill_(failed, 1)
-        self._terminate_buf.masked_fill_(failed, 1)
-        self.report_diverged()
 
-    def report_diverged(self) -> None:
-        """Tell it in the infos, too."""
-        self.extras["diverged_simulations"] = self.simulation.num_failures
-        super().report_diverged()
+    def infos(self) -> dict[str, Any]:
+        """Return `terminate` (N,), 1 where the character fell, and the diverged simulations."""
+        return {
+            "terminate": (self.done_buf == Done.FAILED).long().to(self.rl_device),
+            "diverged_simulations": self.simulation.num_failures,
+        }
 
-    def failures(self) -> Tensor:
-        """Return (N,) bool: the last step ended the episode by a fall."""
-        return self._terminate_buf != 0
+    # --- resets ------------------------------------------------------------------------------
 
-    # --- reset -----------------------------------------------------------------------------
-
-    def reset(self) -> dict[str, Tensor]:
-        """Start a new episode in every environment and return its first observations."""
-        self.reset_idx(torch.arange(self.num_envs, device=self.device))
-        return self._observations()
-
-    def reset_idx(self, env_ids: Tensor) -> None:
-        """Start new episodes in environments `env_ids` (n,)."""
-        self.randomize(env_ids)
-        self._reset_actors(env_ids)
-        for counter in (self.progress_buf, self.reset_buf, self._terminate_buf):
-            counter.index_fill_(0, env_ids, 0)
-        self._observe_new_episodes(env_ids)
-
-    def _observe_new_episodes(self, env_ids: Tensor) -> None:
-        """Write the first observations of `env_ids` (n,)."""
-        self.compute_observations(env_ids)
-
-    def _reset_actors(self, env_ids: Tensor) -> None:
+    def reset_state(self, env_ids: Tensor) -> None:
         """Put the humanoids into the default pose."""
         self._write_default_pose(env_ids)
 

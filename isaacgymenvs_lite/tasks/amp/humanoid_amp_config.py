@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-from isaacgymenvs_lite.schema import read_section, setting
-from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS, AssetConfig, PlaneConfig
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
 
 OWN_ASSET = "mjcf/amp_humanoid.xml"
 
 
-@dataclass(frozen=True)
-class HumanoidAMPConfig:
+@dataclass(frozen=True, kw_only=True)
+class HumanoidAMPConfig(TaskConfig):
     """`task.env` of HumanoidAMP; keys and meanings as IsaacGymEnvs unless said."""
 
     episode_length: int = setting(300, key="episodeLength", minimum=2)
@@ -41,22 +40,10 @@ class HumanoidAMPConfig:
     """End episodes at falls."""
     motion_file: str = setting("walk.npz")
     """Clip or dataset: a path, a name in assets/amp/motions, or `deepmimic:<name>`."""
-    clip_actions: float = setting(1.0, key="clipActions", above=0)
-    """Actions are clamped to this magnitude."""
     repair_repeated_frames: bool = setting(True, key="repairRepeatedFrames")
     """This project's: drop the repeats of a clip that stores every frame twice, whose joint
     velocities would alternate between zero and twice the truth."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
     """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
-    The originals do not limit them; docs/results.md says what the limits cost."""
+    The originals do not limit them; docs/results.md has the cost of the limits."""
     asset: AssetConfig = field(default_factory=lambda: AssetConfig(OWN_ASSET))
-    plane: PlaneConfig = field(default_factory=PlaneConfig)
-
-
-def read_env_config(env: dict[str, Any]) -> HumanoidAMPConfig:
-    """Check `task.env`.
-
-    Raises:
-        ConfigError: an unknown, ill-typed or impossible value.
-    """
-    return read_section(HumanoidAMPConfig, env, "task.env", ignored=UNREAD_ENV_KEYS)

@@ -1,17 +1,14 @@
-"""From the MJCF of the humanoid and the task's keys to the model that is simulated."""
+"""Actuators and joint limits of the humanoid's model."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import OWN_ASSET, HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model, hinge_limits
-from isaacgymenvs_lite.tasks.base.task_config import SimConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.base.assets import hinge_limits
 
 
 def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
@@ -27,30 +24,14 @@ def dof_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.flo
     return limits
 
 
-def build_model(
-    env: HumanoidAMPConfig,
-    sim: SimConfig,
-    change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
-) -> mujoco.MjModel:
-    """Compile the MJCF with the task's time step, gravity, friction and kind of actuator.
-
-    Args:
-        env: `task.env`.
-        sim: `task.sim`.
-        change: what a task adds to the file, or changes in it, before it is compiled.
-
-    Raises:
-        ConfigError: the file is missing or MuJoCo refuses it.
-    """
-    path = asset_path(env.asset, OWN_ASSET)
-    model = compile_model(path, sim, env.plane.dynamic_friction, change)
+def set_actuators(model: mujoco.MjModel, env: HumanoidAMPConfig) -> None:
+    """Give a compiled model the kind of actuator and the limits of efforts that the keys name."""
     if not env.pd_control:
         _make_torque_actuators(model)
-        return model
+        return
     _keep_servo_errors(model)
     if not env.enforce_effort_limits:
         model.actuator_forcelimited[:] = 0
-    return model
 
 
 def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
@@ -70,9 +51,9 @@ def copy_drives(source: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 def _keep_servo_errors(model: mujoco.MjModel) -> None:
     """Make the drives' force kp (target - q) for any target.
 
-    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, and knows a
-    servo by gain = -bias exactly. float32's pi is above pi: a full action would turn the joint
-    backwards. One unit in the last place of the bias is enough to be no servo.
+    MuJoCo 4 wraps the error of a position servo on a ball joint into +-pi per axis, which it
+    recognises by gain = -bias exactly. float32's pi is above pi: a full action would turn the
+    joint backwards. With a bias that is one unit in the last place off nothing is wrapped.
     """
     model.actuator_biasprm[:, 1] = np.nextafter(model.actuator_biasprm[:, 1], 0.0)
 
@@ -80,7 +61,7 @@ def _keep_servo_errors(model: mujoco.MjModel) -> None:
 def _make_torque_actuators(model: mujoco.MjModel) -> None:
     """Replace position servos by motors: the control is the torque in Nm.
 
-    `powerScale` may ask for more than the efforts, so that they do not limit.
+    The efforts are no limit, as `powerScale` may exceed them.
     """
     model.actuator_gainprm[:, 0] = 1.0
     model.actuator_biastype[:] = int(mujoco.mjtBias.mjBIAS_NONE)

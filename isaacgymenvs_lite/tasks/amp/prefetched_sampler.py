@@ -1,4 +1,4 @@
-"""Random rows that are drawn in blocks and handed out a few at a time."""
+"""Random rows that are drawn in blocks and returned a few at a time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Rows = tuple[Tensor, ...]
 class PrefetchedSampler:
     """A store of independent random rows.
 
-    For the few environments that a step resets, a call costs more than a row: drawing a thousand
+    For the few environments that a step resets, the call itself is the cost: drawing a thousand
     starts takes as long as drawing fifty ten times.
 
     Args:
@@ -26,11 +26,11 @@ class PrefetchedSampler:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what is left: the next rows depend on the generator's state from now on."""
+        """Drop the rows that are left; the next ones depend on the generator's current state."""
         self._rows: Rows = ()
         self._left = 0
 
-    def take(self, n: int) -> Rows:
+    def next(self, n: int) -> Rows:
         """Return n rows that were not returned before.
 
         What is left of a block that is too small is dropped: rows are independent of each other.

@@ -8,7 +8,7 @@ import mujoco
 
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
-# 1/s, of linear and angular velocities, as the originals ask PhysX for.
+# 1/s, of linear and angular velocities, as the originals' PhysX settings.
 _DAMPING = 0.01
 _RGBA = (0.72, 0.36, 0.30, 1.0)
 _FRICTION = (1.0, 0.05, 0.05)  # as the characters'
@@ -25,7 +25,7 @@ def add_box(
     """Add a box that moves freely, with a sensor for the net contact force on it.
 
     Args:
-        spec: the model that is being made.
+        spec: the model, before it is compiled.
         name: of its body.
         size_m: its edges.
         density: kg/m^3.

@@ -14,7 +14,7 @@ from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model, copy_drives
+from isaacgymenvs_lite.tasks.amp.humanoid_model import copy_drives
 from isaacgymenvs_lite.tasks.ase.boxes import damp_boxes
 from isaacgymenvs_lite.tasks.ase.goals import GOALS, Goal
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import HumanoidASEConfig, read_ase_config
@@ -23,10 +23,11 @@ from isaacgymenvs_lite.tasks.base.all_body_observations import (
     compute_all_body_observations,
 )
 from isaacgymenvs_lite.tasks.base.humanoid_observations import pd_action_offset_scale
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
-# The file whose drives are ASE's; `amp_humanoid.xml` has those of IsaacGymEnvs.
+# The file with ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
-# Heights (m) below which these bodies count as down already.
+# These bodies count as fallen below larger heights (m).
 _HIGH_BODIES = {"head": 0.3}
 _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
 
@@ -34,14 +35,14 @@ _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
 class HumanoidASE(HumanoidAMP):
     """HumanoidAMP with the conventions of the ASE release, and a goal.
 
-    Beside the defaults of cfg/task/HumanoidASE.yaml these differ from HumanoidAMP: the policy
-    observes all bodies, and at the end what its goal is; the AMP observation encodes hinges as
+    Apart from the defaults of cfg/task/HumanoidASE.yaml it differs from HumanoidAMP so: the policy
+    observes all bodies, and then its goal; the AMP observation encodes hinges as
     rotations; drives are stiffer; targets of ball joints reach 1.2 times their limits; the head
     counts as fallen at 0.3 m. The humanoid with sword and shield (31 degrees of freedom) is
     another asset.
 
     Attributes:
-        goal: what the character is asked to do.
+        goal: what the character is rewarded for.
 
     Raises:
         ConfigError: a key or value that cannot be used.
@@ -50,7 +51,7 @@ class HumanoidASE(HumanoidAMP):
 
     amp_obs_as_ase = True
     num_dofs_of_assets = (28, 31)
-    config_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
+    settings_class: ClassVar[type[HumanoidASEConfig]] = HumanoidASEConfig
     goal_name: ClassVar[str] = ""
     """The goal of a task that has a fixed one."""
 
@@ -58,8 +59,13 @@ class HumanoidASE(HumanoidAMP):
 
     # --- what kind of humanoid ---------------------------------------------------------------
 
-    def _read_env_config(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        config = read_ase_config(env, self.config_class)
+    def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
+        """Check `task.env`, and make the goal that it names.
+
+        Raises:
+            ConfigError: a value that cannot be used, or a goal other than the task's own.
+        """
+        config = read_ase_config(env, self.settings_class)
         if self.goal_name and env.get("goal", self.goal_name) != self.goal_name:
             raise ConfigError(
                 f"task.env.goal={config.goal}: {type(self).__name__} has the goal"
@@ -68,21 +74,25 @@ class HumanoidASE(HumanoidAMP):
         self.goal: Goal = GOALS[self.goal_name or config.goal](env)
         return config
 
-    def _build_model(self) -> mujoco.MjModel:
-        model = build_model(self.env_cfg, self.sim_cfg, self._change_model)
+    def build_model(self) -> mujoco.MjModel:
+        """As the base; free boxes lose their velocities slowly."""
+        model = super().build_model()
         damp_boxes(model, ModelLayout.from_model(model).object_names)
         return model
 
-    def _change_model(self, spec: mujoco.MjSpec) -> None:
-        """Give the character ASE's drives and add what belongs to the task."""
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Give the character ASE's drives and add the objects of the goal."""
         copy_drives(mujoco.MjSpec.from_file(str(assets_dir() / _ASSET_OF_DRIVES)), spec)
         self.goal.add_to_model(spec)
 
-    def _obs_size(self) -> int:
-        return all_body_obs_size(len(self._layout.body_names)) + self.get_task_obs_size()
+    def set_sizes(self) -> None:
+        """As the base; the policy observes all bodies, and the goal."""
+        super().set_sizes()
+        num_bodies = len(self._layout.body_names)
+        self.num_observations = all_body_obs_size(num_bodies) + self.get_task_obs_size()
 
     def observation_groups(self) -> dict[str, int]:
-        """See `compute_all_body_observations`; the goal's numbers stand last."""
+        """See `compute_all_body_observations`; the goal's numbers come last."""
         bodies = len(self._layout.body_names)
         vectors = {"body_lin_vel": 3 * bodies, "body_ang_vel": 3 * bodies}
         character = {"root_height": 1, "body_pos": 3 * (bodies - 1), "body_rot": 6 * bodies}
@@ -93,7 +103,8 @@ class HumanoidASE(HumanoidAMP):
         """Return how many of the last entries of an observation describe the goal."""
         return self.goal.num_task_obs
 
-    def _key_body_names(self) -> tuple[str, ...]:
+    def key_body_names(self) -> tuple[str, ...]:
+        """Return the bodies whose positions are in the AMP observation."""
         return self.env_cfg.key_bodies
 
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
@@ -107,14 +118,14 @@ class HumanoidASE(HumanoidAMP):
         return torch.tensor(heights, device=self.device)
 
     def allocate_buffers(self) -> None:
-        """As the base, and make the goal's."""
+        """As the base, and add the goal's."""
         super().allocate_buffers()
-        self.goal.attach(self.simulation, self.env_cfg.control_freq_inv * self.sim_cfg.dt)
+        self.goal.attach(self.simulation, self.control_dt_s)
 
     # --- step --------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base; goals whose time is over are drawn anew."""
+        """As the base; draw new goals where the time of the last ones is over."""
         super().pre_physics_step(actions)
         self.goal.before_step(self.progress_buf)
 
@@ -137,32 +148,33 @@ class HumanoidASE(HumanoidAMP):
             features[:, 0] = 0.0
         return features
 
-    def _amp_features_now(self, env_ids: Tensor | None) -> Tensor:
-        return self._amp_features(self._features_source(env_ids))
+    def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
+        """As the base, in ASE's encoding."""
+        return self._amp_features(self._character_states(env_ids))
 
-    def _task_reward(self) -> Tensor:
-        return self.goal.reward()
+    def compute_reward_terms(self) -> Terms:
+        """Return the goal's reward."""
+        return {"goal": self.goal.reward()}
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return what pictures of an environment show beside the character."""
+        """Return what pictures of an environment show in addition to the character."""
         return self.goal.markers(env_id)
 
     @torch.inference_mode()
-    def compute_reset(self) -> None:
-        """As the base; a goal that was missed for good ends the episode as a failure."""
-        super().compute_reset()
-        missed = self.goal.failures(self._contact_body_ids)
-        if missed is not None and self.env_cfg.enable_early_termination:
-            # Contact forces may be stale in the first step.
-            missed &= self.progress_buf > 1
-            self.reset_buf.masked_fill_(missed, 1)
-            self._terminate_buf.masked_fill_(missed, 1)
+    def compute_failures(self) -> Tensor:
+        """As the base, and where the goal was missed for good."""
+        fallen = super().compute_failures()
+        missed = self.goal.failures(self.contact_body_ids)
+        if missed is None or not self.env_cfg.enable_early_termination:
+            return fallen
+        # Contact forces may be stale in the first step.
+        return fallen | (missed & (self.progress_buf > 1))
 
     # --- reset -------------------------------------------------------------------------------
 
-    def _reset_actors(self, env_ids: Tensor) -> None:
-        super()._reset_actors(env_ids)
-        # Before the first observation: it shall show the goal of its own episode.
+    def reset_state(self, env_ids: Tensor) -> None:
+        """As the base, and draw goals, which the first observation contains."""
+        super().reset_state(env_ids)
         self.goal.reset(env_ids)
 
 

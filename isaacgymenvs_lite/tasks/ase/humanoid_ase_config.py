@@ -11,7 +11,7 @@ from isaacgymenvs_lite.tasks.ase.goals import GOAL_NAMES, goal_keys
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HumanoidASEConfig(HumanoidAMPConfig):
     """`task.env` of HumanoidASE; defaults as ASE's files for pre-training."""
 
@@ -27,16 +27,16 @@ class HumanoidASEConfig(HumanoidAMPConfig):
     key_bodies: tuple[str, ...] = setting(
         ("right_hand", "left_hand", "right_foot", "left_foot"), key="keyBodies", min_length=1
     )
-    """Bodies whose positions the AMP observation tells."""
+    """Bodies whose positions are in the AMP observation."""
     termination_height: float = setting(0.15, key="terminationHeight")
     """An episode ends when a touched character has a body below this height (m), or its head below
     0.3 m, or the arm with the shield below 0.32 m."""
     motion_file: str = setting("locomotion.yaml")
     goal: str = setting("none", choices=GOAL_NAMES)
-    """What the character is asked to do; its features are the last ones of the observation."""
+    """The goal of the character, which the last entries of the observation describe."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GetupConfig(HumanoidASEConfig):
     """`task.env` of HumanoidASEGetup."""
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import GetupConfig
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 _FALL_ACTION = 0.5
 # Time (s) after which a dropped character lies still.
@@ -16,31 +17,37 @@ _FALL_S = 2.5
 
 
 class HumanoidASEGetup(HumanoidASE):
-    """HumanoidASE in which some episodes begin on the ground.
+    """HumanoidASE in which some episodes start on the ground.
 
-    After some of the falls the character goes on from where it lies, and some other episodes start
-    from a fallen pose; for `recoverySteps` control steps neither falls nor the time limit end them.
+    After some falls the next episode goes on from where the character lies, and some others start
+    from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
+
+    Attributes:
+        fallen_root_states: (N, 13) of characters that lie on the ground at rest.
+        fallen_dof_pos: (N, D) rad, likewise.
+        recovery_steps_left: (N,) control steps that each character has left to get up.
     """
 
-    config_class = GetupConfig
+    settings_class = GetupConfig
     env_cfg: GetupConfig
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._fallen_root_states, self._fallen_dof_pos = self._let_fall()
-        # Some of the first episodes go on from here: as if all had been lying for a while.
-        self._amp_obs_buf.copy_(self._amp_features_now(None).unsqueeze(1))
+        self.fallen_root_states, self.fallen_dof_pos = self._let_fall()
+        # Some of the first episodes go on from here: as if all had fallen a while ago.
+        self.done_buf.fill_(Done.FAILED)
+        self._amp_obs_buf.copy_(self.current_amp_features().unsqueeze(1))
 
     def allocate_buffers(self) -> None:
-        """Add the control steps that each character has left to get up, (N,)."""
+        """Add the time that each character has left to get up."""
         super().allocate_buffers()
-        self._recovery_counter = torch.zeros_like(self.progress_buf)
+        self.recovery_steps_left = torch.zeros_like(self.progress_buf)
 
     @torch.inference_mode()
     def _let_fall(self) -> tuple[Tensor, Tensor]:
         """Drop all characters in random attitudes; root states (N, 13) and joints (N, D) at rest.
 
-        The characters stay lying there: their first episodes may begin so.
+        The characters stay there: their first episodes may start so.
         """
         n, sim = self.num_envs, self.simulation
         env_ids = torch.arange(n, device=self.device)
@@ -49,8 +56,9 @@ class HumanoidASEGetup(HumanoidASE):
         root_states[:, 3:7] = torch.nn.functional.normalize(torch.randn(n, 4, device=self.device))
         sim.write_state(env_ids, root_states, sim.dof_pos.clone(), sim.dof_vel.clone())
         actions = torch.empty(n, self.num_actions, device=self.device)
-        self._set_targets(actions.uniform_(-_FALL_ACTION, _FALL_ACTION))
-        for _ in range(round(_FALL_S / self.dt)):
+        actions.uniform_(-_FALL_ACTION, _FALL_ACTION)
+        sim.set_controls(self.compute_controls(actions))
+        for _ in range(round(_FALL_S / self.control_dt_s)):
             sim.step()
         root_states, dof_pos = sim.root_states.clone(), sim.dof_pos.clone()
         root_states[:, 7:] = 0.0
@@ -59,33 +67,32 @@ class HumanoidASEGetup(HumanoidASE):
     def pre_physics_step(self, actions: Tensor) -> None:
         """As the base, and count the time to get up."""
         super().pre_physics_step(actions)
-        self._recovery_counter.sub_(1).clamp_(min=0)
+        self.recovery_steps_left.sub_(1).clamp_(min=0)
 
-    def compute_reset(self) -> None:
-        """As the base, but for characters that have time left to get up."""
-        super().compute_reset()
-        getting_up = self._recovery_counter > 0
-        # A simulation that diverged has lost the pose that it was to get up from.
-        getting_up &= ~self.simulation.failed
-        self.reset_buf.masked_fill_(getting_up, 0)
-        self._terminate_buf.masked_fill_(getting_up, 0)
+    def compute_failures(self) -> Tensor:
+        """As the base, but characters that have time left to get up do not fail."""
+        return super().compute_failures() & (self.recovery_steps_left == 0)
 
-    def _reset_actors(self, env_ids: Tensor) -> None:
-        """Let some go on lying, lay some down, and start the others as HumanoidASE."""
+    def compute_time_outs(self) -> Tensor:
+        """As the base, but characters that have time left to get up may go on."""
+        return super().compute_time_outs() & (self.recovery_steps_left == 0)
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Leave some where they lie, lay some down, and start the others as HumanoidASE."""
         cfg = self.env_cfg
         # A diverged simulation counts as a fall, but has no pose to go on from.
-        lies_there = (self._terminate_buf == 1) & ~self.simulation.failed
+        lies_there = (self.done_buf == Done.FAILED) & ~self.simulation.failed
         fell = lies_there.index_select(0, env_ids)
         recovers = fell & self._drawn(env_ids, cfg.recovery_episode_prob)
         lies = ~recovers & self._drawn(env_ids, cfg.fall_init_prob)
         self._going_on_ids = env_ids[recovers]
         lying_ids, others = env_ids[lies], env_ids[~recovers & ~lies]
-        super()._reset_actors(others)
+        super().reset_state(others)
         self._lay_down(lying_ids)
-        self.goal.reset(torch.cat((self._going_on_ids, lying_ids)))
-        self._recovery_counter.index_fill_(0, others, 0)
         down = torch.cat((self._going_on_ids, lying_ids))
-        self._recovery_counter.index_fill_(0, down, cfg.recovery_steps)
+        self.goal.reset(down)
+        self.recovery_steps_left.index_fill_(0, others, 0)
+        self.recovery_steps_left.index_fill_(0, down, cfg.recovery_steps)
 
     def _drawn(self, env_ids: Tensor, probability: float) -> Tensor:
         return torch.rand(len(env_ids), device=self.device) < probability
@@ -94,11 +101,11 @@ class HumanoidASEGetup(HumanoidASE):
         if len(env_ids) == 0:
             return
         poses = torch.randint(self.num_envs, (len(env_ids),), device=self.device)
-        dof_pos = self._fallen_dof_pos.index_select(0, poses)
-        root_states = self._fallen_root_states.index_select(0, poses)
+        dof_pos = self.fallen_dof_pos.index_select(0, poses)
+        root_states = self.fallen_root_states.index_select(0, poses)
         self.simulation.write_state(env_ids, root_states, dof_pos, torch.zeros_like(dof_pos))
 
     def _start_histories(self, env_ids: Tensor) -> None:
-        """As the base; the motion of those who go on is continuous."""
-        starts_anew = ~torch.isin(env_ids, self._going_on_ids)
-        super()._start_histories(env_ids[starts_anew])
+        """As the base, except for characters that go on: their motion is continuous."""
+        starts_new = ~torch.isin(env_ids, self._going_on_ids)
+        super()._start_histories(env_ids[starts_new])

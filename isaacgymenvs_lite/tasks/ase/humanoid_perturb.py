@@ -49,12 +49,13 @@ def throw_steps() -> tuple[int, ...]:
 class HumanoidPerturb(HumanoidASE):
     """A test of robustness, not for training: episodes end at the time limit only.
 
-    Thirteen boxes, 1.6 kg and one of 12.5 kg, come from random sides at 30 to 40 m/s. The clock is
-    that of the first environment.
+    Thirteen boxes, 1.6 kg and one of 12.5 kg, come from random sides at 30 to 40 m/s. The first
+    environment is their clock.
     """
 
-    def _change_model(self, spec: mujoco.MjSpec) -> None:
-        super()._change_model(spec)
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """As the base, and add the boxes, out of the way."""
+        super().change_spec(spec)
         x, y, z = _PARKED_AT_M
         for i, ((edge, density), _) in enumerate(_THROWS):
             add_box(spec, f"box_{i}", (edge, edge, edge), density, (x + i, y, z))
@@ -67,13 +68,14 @@ class HumanoidPerturb(HumanoidASE):
         self._box_at_step = {step: names.index(f"box_{i}") for i, step in enumerate(throw_steps())}
 
     def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base, and throw the box whose time has come."""
+        """As the base, and throw the box that is due."""
         super().pre_physics_step(actions)
         clock = int(self.progress_buf[0]) % (throw_steps()[-1] + 1)
         if clock in self._box_at_step:
-            self._throw(self._box_at_step[clock])
+            self.throw(self._box_at_step[clock])
 
-    def _throw(self, box: int) -> None:
+    def throw(self, box: int) -> None:
+        """Throw a box, by its place in `simulation.object_names`, at all characters."""
         env_ids = torch.arange(self.num_envs, device=self.device)
         sim = self.simulation
         torso, root = sim.body_pos[:, self._aim_body], sim.root_states[:, :3]
@@ -90,10 +92,6 @@ class HumanoidPerturb(HumanoidASE):
             env_ids, torch.tensor([box], device=self.device), states.unsqueeze(1)
         )
 
-    def compute_reset(self) -> None:
-        """End episodes at the time limit, and where a simulation diverged."""
-        timed_out = self.progress_buf >= self.max_episode_length - 1
-        failed = self.simulation.failed
-        self.reset_buf.copy_(timed_out | failed)
-        self._terminate_buf.copy_(failed)
-        self.report_diverged()
+    def compute_failures(self) -> Tensor:
+        """Return (N,) False: nothing but a diverged simulation ends an episode early."""
+        return torch.zeros_like(self.timeout_buf)

@@ -19,23 +19,22 @@ class HumanoidViewMotion(HumanoidASE):
     Actions have no effect. A step is one control step of playback, and an episode one clip.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.dt = self._playback_dt
+    def read_settings(self, env: dict[str, Any]) -> HumanoidASEConfig:
+        """As the base; motors, whose controls are zero."""
+        return dataclasses.replace(super().read_settings(env), pd_control=False)
 
-    def _read_env_config(self, env: dict[str, Any]) -> HumanoidASEConfig:
-        config = super()._read_env_config(env)
-        self._playback_dt = config.control_freq_inv * self.sim_cfg.dt
-        # One simulator call a step: what it computes is overwritten.
-        return dataclasses.replace(config, control_freq_inv=1, pd_control=False)
+    def simulator_calls(self) -> int:
+        """Return 1: the result of the physics is overwritten."""
+        return 1
 
-    def _change_model(self, spec: mujoco.MjSpec) -> None:
-        super()._change_model(spec)
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """As the base; nothing touches anything."""
+        super().change_spec(spec)
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
 
     def allocate_buffers(self) -> None:
-        """Add what is played in each environment, (N,)."""
+        """Add the clip that each environment plays, (N,)."""
         super().allocate_buffers()
         clips = torch.arange(self.num_envs, device=self.device)
         self._motion_ids = clips % self._motion_lib.num_motions()
@@ -56,19 +55,22 @@ class HumanoidViewMotion(HumanoidASE):
 
     def _show(self, env_ids: Tensor, steps: Tensor) -> None:
         motion_ids = self._motion_ids.index_select(0, env_ids)
-        state = self._motion_lib.get_motion_state(motion_ids, steps * self._playback_dt)
+        state = self._motion_lib.get_motion_state(motion_ids, steps * self.control_dt_s)
         root_states = torch.zeros(len(env_ids), 13, device=self.device)
         root_states[:, :3], root_states[:, 3:7] = state.root_pos, state.root_rot
         at_rest = torch.zeros_like(state.dof_vel)
         self.simulation.write_state(env_ids, root_states, state.dof_pos, at_rest)
 
-    def compute_reset(self) -> None:
-        """End the episodes whose clips are over; none is a failure."""
-        lengths = self._motion_lib.get_motion_length(self._motion_ids)
-        self.reset_buf.copy_(self.progress_buf * self._playback_dt > lengths)
-        self._terminate_buf.zero_()
+    def compute_failures(self) -> Tensor:
+        """Return (N,) False: none is a failure."""
+        return torch.zeros_like(self.timeout_buf)
 
-    def _reset_actors(self, env_ids: Tensor) -> None:
+    def compute_time_outs(self) -> Tensor:
+        """Return (N,) bool: the clip is over."""
+        lengths = self._motion_lib.get_motion_length(self._motion_ids)
+        return self.progress_buf * self.control_dt_s > lengths
+
+    def reset_state(self, env_ids: Tensor) -> None:
         """Go on to the next clips; the first ones stay."""
         is_over = self.progress_buf.index_select(0, env_ids) > 0
         clips = self._motion_ids.index_select(0, env_ids) + is_over * self.num_envs

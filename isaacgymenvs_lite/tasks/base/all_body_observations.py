@@ -33,8 +33,8 @@ def compute_all_body_observations(
         body_rot: (N, B, 4) world rotations, xyzw.
         body_lin_vel: (N, B, 3) in world axes (m/s).
         body_ang_vel: (N, B, 3) in world axes (rad/s).
-        local_root_obs: the root's own rotation keeps its heading. The name says the opposite; ASE's
-            files and checkpoints rely on it.
+        local_root_obs: the root's own rotation keeps its heading. The name means the opposite;
+            ASE's files and checkpoints rely on it.
         root_height_obs: False gives 0 for the height.
 
     Returns:

@@ -1,4 +1,4 @@
-"""From the MJCF that a task's configuration names to the model that is simulated."""
+"""The MJCF file of a task and its compiled model."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def asset_path(
     Args:
         asset: the section.
         own: the task's own file, relative to assets/.
-        published: names that published task files give to their project's file; where there is
-            no such file, `own` stands for it.
-        key: where the name stands, for messages.
+        published: names that published task files give to their project's file; `own` replaces them
+            where there is no such file.
+        key: the name's key, for messages.
 
     Raises:
         ConfigError: there is no such file.
@@ -75,7 +75,7 @@ def compile_model(
         path: the file.
         sim: `task.sim`.
         dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
-        change: what a task adds to the file, or changes in it, before it is compiled.
+        change: changes the file's contents before they are compiled.
 
     Raises:
         ConfigError: MuJoCo refuses the file.

@@ -1,4 +1,4 @@
-"""Position drives as PhysX integrates them: stiff ones, in closed chains too.
+"""Position drives as PhysX integrates them, for stiff drives and closed chains.
 
 A drive of stiffness k and damping d acts on the state *after* a step of length h: with that state
 q' = q + h v' the momentum of its joint is

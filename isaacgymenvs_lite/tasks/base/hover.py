@@ -1,7 +1,7 @@
-"""What Quadcopter and Ingenuity share: a free body that shall hover at a target.
+"""What Quadcopter and Ingenuity share: a free body that learns to hover at a target.
 
-Formulas as IsaacGymEnvs, over named quantities of N environments; the spin that is paid for is
-that about the vertical of the world, not about the body's own axis. PhysX limits the angular
+Formulas as IsaacGymEnvs, over named quantities of N environments; the rewarded spin is about
+the vertical of the world, not about the body's axis. PhysX limits the angular
 velocity in every physics step; MuJoCo has no limit, here it holds at the end of a control step.
 """
 
@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.base.fresh_start import FreshStartTask
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 HOME_M = (0.0, 0.0, 1.0)
 """Where the body is in the model, and about where it starts."""
@@ -32,7 +36,7 @@ _ANGULAR_VELOCITY_SCALE = 1.0 / math.pi
 
 
 def compute_flight_observations(to_target: Tensor, root_states: Tensor) -> Tensor:
-    """Return (N, 13): way to the target, rotation xyzw, velocity, angular velocity, all scaled.
+    """Return (N, 13): vector to the target, rotation xyzw, velocity, angular velocity, all scaled.
 
     Args:
         to_target: (N, 3) m, in world axes.
@@ -93,14 +97,24 @@ def draw_start_states(env_ids: Tensor) -> Tensor:
     return states
 
 
-class HoverTask(FreshStartTask):
-    """N bodies that shall hover at a target."""
+@dataclass(frozen=True, kw_only=True)
+class HoverConfig(TaskConfig):
+    """Keys of `task.env` that Quadcopter and Ingenuity share."""
 
+    episode_length: int = setting(500, key="maxEpisodeLength", minimum=2)
+    """Control steps of an episode."""
+
+
+class HoverTask(MjcfTask):
+    """N bodies that learn to hover at a target."""
+
+    reset_mode = ResetMode.BEFORE_PHYSICS
+    zero_action_at_reset = True
     max_distance_m: ClassVar[float]
     min_height_m: ClassVar[float]
 
-    def advance(self) -> None:
-        """Slow down what turns too fast; faster bodies would gain energy from large time steps."""
+    def update_state(self) -> None:
+        """Limit the angular velocities; faster bodies would gain energy from large time steps."""
         sim = self.simulation
         turning = sim.root_states[:, 10:].square().sum(-1)
         env_ids = (turning > _MAX_ANGULAR_VELOCITY_RAD_S**2).nonzero().flatten()
@@ -115,13 +129,13 @@ class HoverTask(FreshStartTask):
 
     @abstractmethod
     def to_target(self) -> Tensor:
-        """Return the ways (N, 3) from the bodies to their targets (m)."""
+        """Return the vectors (N, 3) from the bodies to their targets (m)."""
 
     def observation_groups(self) -> dict[str, int]:
         """See `compute_flight_observations`."""
         return {"to_target": 3, "root_rot_xyzw": 4, "root_lin_vel": 3, "root_ang_vel": 3}
 
-    def observe(self) -> Tensor:
+    def compute_obs(self) -> Tensor:
         """See `compute_flight_observations`."""
         return compute_flight_observations(self.to_target(), self.simulation.root_states)
 

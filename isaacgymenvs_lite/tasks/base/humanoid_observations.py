@@ -1,6 +1,6 @@
 """Observations, termination and PD targets of the AMP humanoid as pure functions.
 
-The formulas are those of IsaacGymEnvs' HumanoidAMP; quantities are named, batched over N
+Formulas as IsaacGymEnvs' HumanoidAMP; quantities are named, batched over N
 environments, and can be checked without a simulator. B bodies, D degrees of freedom, K key bodies.
 """
 
@@ -39,8 +39,8 @@ def _dof_obs_layout(
     """Index tensors of `_dof_features`.
 
     DOFs of the ball joints (3 * balls,), first all their x; DOFs of the hinges; and the places of
-    the features: those of the ball joints and then those of the hinges before, component by
-    component, in joint order after.
+    the features: before, all ball joints and then all hinges, component by component; after, in
+    joint order.
     """
     offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
     groups = list(itertools.pairwise(offsets))
@@ -176,6 +176,37 @@ def compute_humanoid_reward(obs_buf: Tensor) -> Tensor:
     return torch.ones_like(obs_buf[:, 0])
 
 
+def compute_humanoid_falls(
+    progress_buf: Tensor,
+    contact_buf: Tensor,
+    contact_body_ids: Tensor,
+    rigid_body_pos: Tensor,
+    termination_height: float | Tensor,
+) -> Tensor:
+    """Return (N,) bool, which humanoids fell.
+
+    A fall is a body outside `contact_body_ids` that is touched and a (perhaps other) such body
+    whose origin is below `termination_height`, not in the first step of an episode (contact forces
+    may be stale there). IsaacGymEnvs compared signed force components; here, as in ASE, a force
+    in any direction counts.
+
+    Args:
+        progress_buf: (N,) int64 control steps since the reset, this one included.
+        contact_buf: (N, B, 3) net contact forces (N).
+        contact_body_ids: (C,) bodies that may touch the floor (feet).
+        rigid_body_pos: (N, B, 3) world positions of the body origins (m).
+        termination_height: m, one for all bodies or (B,).
+    """
+    # (B, N): extremes over the bodies run along memory, if the backend keeps planes.
+    force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
+    height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
+    touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
+    if isinstance(termination_height, Tensor):
+        height, termination_height = height - termination_height.unsqueeze(1), 0.0
+    low = height.amin(dim=0) < termination_height
+    return touched & low & (progress_buf > 1)
+
+
 def compute_humanoid_reset(
     reset_buf: Tensor,
     progress_buf: Tensor,
@@ -186,22 +217,17 @@ def compute_humanoid_reset(
     enable_early_termination: bool,
     termination_height: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Decide which episodes end, and which of them by a fall.
-
-    A fall is a body outside `contact_body_ids` that is touched and a (perhaps other) such body
-    whose origin is below `termination_height`, not in the first step of an episode (contact forces
-    may be stale there). IsaacGymEnvs compared signed force components; here, as in ASE, a force
-    in any direction counts.
+    """Return which episodes end, and which of them by a fall, with IsaacGymEnvs' arguments.
 
     Args:
         reset_buf: (N,) int64, for shape and dtype only.
-        progress_buf: (N,) int64 control steps since the reset, this one included.
-        contact_buf: (N, B, 3) net contact forces (N).
-        contact_body_ids: (C,) bodies that may touch the floor (feet).
-        rigid_body_pos: (N, B, 3) world positions of the body origins (m).
+        progress_buf: see `compute_humanoid_falls`.
+        contact_buf: likewise.
+        contact_body_ids: likewise.
+        rigid_body_pos: likewise.
         max_episode_length: control steps.
         enable_early_termination: end episodes at falls.
-        termination_height: m, one for all bodies or (B,).
+        termination_height: see `compute_humanoid_falls`.
 
     Returns:
         reset (N,) and terminated (N,), 0 or 1, dtype of `reset_buf`.
@@ -209,14 +235,9 @@ def compute_humanoid_reset(
     timed_out = progress_buf >= max_episode_length - 1
     if not enable_early_termination:
         return timed_out.to(reset_buf.dtype), torch.zeros_like(reset_buf)
-    # (B, N): extremes over the bodies run along memory, if the backend keeps planes.
-    force = contact_buf.permute(2, 1, 0).abs().amax(dim=0).index_fill_(0, contact_body_ids, 0.0)
-    height = rigid_body_pos[..., 2].t().index_fill(0, contact_body_ids, torch.inf)
-    touched = force.amax(dim=0) > _CONTACT_THRESHOLD_N
-    if isinstance(termination_height, Tensor):
-        height, termination_height = height - termination_height.unsqueeze(1), 0.0
-    low = height.amin(dim=0) < termination_height
-    fallen = touched & low & (progress_buf > 1)
+    fallen = compute_humanoid_falls(
+        progress_buf, contact_buf, contact_body_ids, rigid_body_pos, termination_height
+    )
     return (fallen | timed_out).to(reset_buf.dtype), fallen.to(reset_buf.dtype)
 
 

@@ -1,8 +1,8 @@
-"""What Ant and Humanoid share: a body that is driven by joint torques and shall run along +x.
+"""What Ant and Humanoid share: a body with joint torques that learns to run along +x.
 
 Formulas as IsaacGymEnvs (its torch_jit_utils and tasks), over named quantities of N environments.
-Quirks that are kept because policies and curves depend on them: `angle_to_target` takes the height
-of the target for its way to the side, so that it is nearly minus the yaw.
+Quirk kept, because policies and curves depend on it: `angle_to_target` uses the height of the
+target in place of its distance to the side, so that it is nearly minus the yaw.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.assets import hinge_limits
-from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches
 from isaacgymenvs_lite.utils.rotations import get_euler_xyz, rotate_components
 from isaacgymenvs_lite.utils.scaling import unscale
@@ -27,13 +28,13 @@ from isaacgymenvs_lite.utils.scaling import unscale
 _TARGET_X_M = 1000.0
 _START_POS_NOISE_RAD = 0.2
 _START_VEL_NOISE_RAD_S = 0.1
-# From here on heading and uprightness are paid in full.
+# From here on heading and uprightness are rewarded in full.
 _FULL_HEADING = 0.8
 _UPRIGHT = 0.93
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocomotionConfig(ClassicConfig):
+class LocomotionConfig(TaskConfig):
     """Keys of `task.env` that Ant and Humanoid share; their own defaults differ."""
 
     episode_length: int = setting(1000, key="episodeLength", minimum=2)
@@ -63,7 +64,7 @@ class LocomotionConfig(ClassicConfig):
 
 
 class TorsoState(NamedTuple):
-    """How the torso moves, (N,) or (3, N) each; velocities in its own axes."""
+    """Motion of the torso, (N,) or (3, N) each; velocities in its axes."""
 
     height: Tensor
     lin_vel: Tensor
@@ -102,7 +103,7 @@ def compute_torso_state(root_states: Tensor) -> TorsoState:
 def compute_potentials(root_pos: Tensor, dt: float) -> Tensor:
     """Return (N,) minus the distance over the ground to the target (1000, 0, 0) m, over dt (s).
 
-    What it grows by in a step is the speed towards the target (m/s).
+    Its increase in a step is the speed towards the target (m/s).
 
     Args:
         root_pos: (N, 3) m.
@@ -142,8 +143,8 @@ def running_terms(
     }
 
 
-class LocomotionTask(ClassicTask):
-    """N bodies with torque motors that shall run along +x."""
+class LocomotionTask(MjcfTask):
+    """N bodies with torque motors that learn to run along +x."""
 
     foot_names: ClassVar[tuple[str, ...]]
     """Bodies of the model with the sensors of `measure_wrenches`."""
@@ -151,7 +152,7 @@ class LocomotionTask(ClassicTask):
     """Of full actions, by joint."""
 
     def create_sim(self) -> None:
-        """Make the simulations, and what is known of the joints."""
+        """Make the simulations, and look up the limits of the joints."""
         super().create_sim()
         device = self.device
         limits = torch.from_numpy(hinge_limits(self._model, self._layout)).float().to(device)
@@ -159,18 +160,15 @@ class LocomotionTask(ClassicTask):
         # A joint starts at zero, or at the limit that is nearest to it.
         self.initial_dof_pos = limits.clamp(min=0.0)[:, 0] + limits.clamp(max=0.0)[:, 1]
         self.motor_efforts = torch.tensor(self.torques_nm, device=device)
-        self._initial_root = torch.zeros(13, device=device)
-        self._initial_root[:3] = torch.from_numpy(self._model.qpos0[:3])
-        self._initial_root[6] = 1.0
+        self.initial_root = torch.zeros(13, device=device)
+        self.initial_root[:3] = torch.from_numpy(self._model.qpos0[:3])
+        self.initial_root[6] = 1.0
 
     def allocate_buffers(self) -> None:
         """Add the potentials of this step and the one before."""
         super().allocate_buffers()
         self.potentials = torch.zeros(self.num_envs, device=self.device)
         self.prev_potentials = torch.zeros_like(self.potentials)
-
-    def _episode_length(self) -> int:
-        return self.env_cfg.episode_length
 
     def torso_groups(self) -> dict[str, int]:
         """Return the first part of `observation_groups`."""
@@ -187,10 +185,10 @@ class LocomotionTask(ClassicTask):
         """Return the joint torques (N, D) in Nm."""
         return actions * self.motor_efforts * self.env_cfg.power_scale
 
-    def advance(self) -> None:
+    def update_state(self) -> None:
         """See `compute_potentials`."""
         self.prev_potentials, self.potentials = self.potentials, self.prev_potentials
-        self.potentials.copy_(compute_potentials(self.simulation.root_states[:, :3], self.dt))
+        self.potentials.copy_(compute_potentials(self.simulation.root_states[:, :3], self.sim_dt_s))
         self._torso: TorsoState | None = None
 
     def torso_state(self) -> TorsoState:
@@ -227,10 +225,10 @@ class LocomotionTask(ClassicTask):
         )
         pos = pos.clamp(self.dof_limits_lower, self.dof_limits_upper)
         vel = uniform(env_ids, -_START_VEL_NOISE_RAD_S, _START_VEL_NOISE_RAD_S, size)
-        root = self._initial_root.repeat(len(env_ids), 1)
+        root = self.initial_root.repeat(len(env_ids), 1)
         self.simulation.write_state(env_ids, root, pos, vel)
-        # The way to the target starts here, so that no progress is paid for the reset.
-        self.potentials.index_copy_(0, env_ids, compute_potentials(root[:, :3], self.dt))
+        # The distance to the target is measured from here: a reset is no progress.
+        self.potentials.index_copy_(0, env_ids, compute_potentials(root[:, :3], self.sim_dt_s))
         self._torso = None
 
     def infos(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Rewards as terms by name, whose sum is paid."""
+"""Rewards as terms by name, whose sum is the reward."""
 
 from __future__ import annotations
 
@@ -17,4 +17,5 @@ def replace_where(terms: Terms, where: Tensor, name: str, value: float) -> Terms
 
 def total(terms: Terms) -> Tensor:
     """Return the sum (N,) of the terms (N,)."""
-    return torch.stack(tuple(terms.values())).sum(0)
+    values = tuple(terms.values())
+    return values[0] if len(values) == 1 else torch.stack(values).sum(0)

@@ -1,14 +1,14 @@
-"""What the configuration of every task has: `task.sim`, the plane, the asset, unread keys."""
+"""The keys that all tasks share: `task.sim`, and of `task.env` the plane, the asset and others."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from isaacgymenvs_lite.schema import read_section, setting
 
-# Without effect on a task: they belong to Isaac Gym's viewer, grid or cameras. Who films the task
-# reads `cameraFollow`.
+# Without effect on a task: keys of Isaac Gym's viewer, grid or cameras. Video recorders read
+# `cameraFollow`.
 _IGNORED = (
     "envSpacing",
     "cameraFollow",
@@ -50,6 +50,21 @@ class PlaneConfig:
     """Coefficient of sliding friction between floor and bodies."""
     restitution: float = setting(0.0, minimum=0)
     """No counterpart in MuJoCo."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """Keys of `task.env` that every task reads."""
+
+    clip_actions: float = setting(1.0, key="clipActions", above=0)
+    """Actions are clamped to this magnitude."""
+    control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1)
+    """Simulator calls of `sim.dt` in a control step."""
+    asymmetric_observations: bool = setting(False)
+    """This project's: the critic receives the observation without noise, as `states`; for train
+    files with a `central_value_config`."""
+    asset: AssetConfig = field(default_factory=AssetConfig)
+    plane: PlaneConfig = field(default_factory=PlaneConfig)
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,24 @@
-"""VecTask: the life cycle of a batched task, with the contract of IsaacGymEnvs' base class.
+"""VecTask: the life of N environments that step together, with the contract of IsaacGymEnvs.
 
-A task fills in `create_sim`, `pre_physics_step`, `post_physics_step` and `reset_idx`; the base
-owns the buffers, the spaces and the order of a step. What differs from IsaacGymEnvs:
+`VecTask` has the order of a control step and of a reset, once for all tasks. A task fills in what
+is its own: `compute_controls`, `compute_obs`, `compute_reward_terms`, `compute_failures`,
+`reset_state` and, if it needs them, the other methods of the same section. `MjcfTask` adds what
+most tasks share before the first step: checked keys and a model. A task of IsaacGymEnvs overrides
+`create_sim`, `pre_physics_step`, `post_physics_step` and `reset_idx` instead (`ResetMode.CUSTOM`).
+
+What differs from IsaacGymEnvs:
 
 - `time_outs` marks episodes that end at the time limit only: one that also *fails* in its last
   step is no time-out, so that trainers which bootstrap there do not value a fall.
 - `step` returns copies, so that a caller may keep them over the next step.
-- there is no process-wide simulation: tasks can be made side by side, and `close()` frees one.
+- There is no process-wide simulation: tasks can be made side by side, and `close()` frees one.
 """
 
 from __future__ import annotations
 
+import enum
 import logging
-from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -26,7 +31,7 @@ from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
-from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_threads
 
@@ -35,20 +40,73 @@ log = logging.getLogger(__name__)
 _PICTURE_SIZE = (640, 480)
 
 
-class Env(ABC):  # noqa: B024  a task is abstract through VecTask
-    """Sizes, clip limits, devices and spaces, read from the configuration.
+class ResetMode(enum.Enum):
+    """When a task starts the next episode of an environment whose episode ended."""
+
+    BEFORE_PHYSICS = enum.auto()
+    """In the next step, before the physics. `step` returns the last observation of an episode."""
+    AFTER_PHYSICS = enum.auto()
+    """In the next step, after the physics: its action has no effect, and it returns the first
+    observation. The step before returned the last one, as in IsaacGymEnvs."""
+    SAME_STEP = enum.auto()
+    """In the step that ended the episode, after its reward and before its observation."""
+    ON_REQUEST = enum.auto()
+    """When the agent calls `reset_done`. `step` returns the last observation of an episode."""
+    CUSTOM = enum.auto()
+    """In `pre_physics_step` or `post_physics_step` of the task, which overrides them and writes
+    `reset_buf`, as in IsaacGymEnvs."""
+
+
+class Done:
+    """How a step left an episode: the codes of `VecTask.done_buf`.
+
+    Plain numbers: an operation of torch with an `IntEnum` takes several times as long.
+    """
+
+    RUNNING: Final = 0
+    TIME_OUT: Final = 1
+    """It reached its time limit and did not fail."""
+    FAILED: Final = 2
+
+
+class ActionScaling(NamedTuple):
+    """What an action means to the actuators: their targets are `offset + scale * action`.
+
+    Attributes:
+        unit: of the targets: `rad` of position drives, `Nm` or `N` of motors.
+        offset: (A,).
+        scale: (A,).
+    """
+
+    unit: str
+    offset: Tensor
+    scale: Tensor
+
+
+class Env:
+    """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
     Args:
-        config: the task's configuration as plain dictionaries (cfg/task/<Task>.yaml composed);
-            a task has written `numObservations`, `numActions` (and `numStates`) into its `env`.
+        config: the task's configuration as plain dictionaries (cfg/task/<Task>.yaml composed). The
+            task has written `numObservations`, `numActions` (and `numStates`) into its `env`.
         rl_device: torch device of the tensors that `step` and `reset` return.
         sim_device: `cpu` or `cuda:<index>`, where the physics runs.
         graphics_device_id: index of the rendering device, -1 for none.
         headless: without a window.
 
+    Attributes:
+        num_envs: N.
+        num_observations: numbers in an observation; a task that derives from `MjcfTask` declares
+            it in its class.
+        num_actions: numbers in an action; likewise.
+        num_states: numbers in the observation of an asymmetric critic, 0 for none.
+
     Raises:
         ConfigError: a missing or impossible size.
     """
+
+    num_observations: int
+    num_actions: int
 
     def __init__(
         self,
@@ -101,28 +159,26 @@ class Env(ABC):  # noqa: B024  a task is abstract through VecTask
         return 0
 
     def observation_groups(self) -> dict[str, int]:
-        """Return what an observation consists of: name -> how many numbers, in their order.
+        """Return the parts of an observation in their order: name -> how many numbers.
 
-        Empty if the task does not say.
+        Empty if the task does not define it.
         """
         return {}
 
     def action_scaling(self) -> ActionScaling | None:
-        """Return what an action means to the actuators; None if that depends on more than it."""
+        """Return what an action means to the actuators; None if that depends on the state."""
         return None
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:
-        """Hear from the trainer how many environment steps were made so far."""
-        del args, kwargs
+        """Store how many environment steps the trainer has made so far."""
         self.total_train_env_frames = env_frames
 
     def get_env_state(self) -> Any:
-        """State that belongs into a checkpoint; None by default."""
+        """Return the state that a checkpoint stores; None by default."""
         return None
 
     def set_env_state(self, env_state: Any) -> None:
-        """Take back what `get_env_state` gave."""
-        del env_state
+        """Restore what `get_env_state` returned."""
 
 
 class VecTask(Env):
@@ -133,14 +189,24 @@ class VecTask(Env):
         obs_buf: (N, numObs) float32.
         states_buf: (N, numStates) float32, privileged observations of asymmetric critics.
         rew_buf: (N,) float32.
-        reset_buf: (N,) int64, 1 where an episode ended and none began since; starts at 1.
+        reward_terms: (N,) each, whose sum is `rew_buf`.
+        reset_buf: (N,) int64, 1 where an episode ended and the next one did not start yet, at
+            first everywhere. A 1 that is written makes the next reset start an episode.
+        done_buf: (N,) int64, how the last step left each episode, see `Done`. A reset within the
+            step leaves it as it is, `reset_done` of an `ON_REQUEST` task clears it.
+        timeout_buf: (N,) bool, the last step ended the episode by its time limit.
         progress_buf: (N,) int64, control steps of the running episode.
-        timeout_buf: (N,) bool, ended by the time limit.
+        actions: (N, numActions) of the last step, clamped.
         extras: what `step` returns as infos; the same dictionary at every step.
-        listeners: told of every step; see `StepListener`.
+        listeners: called at every step; see `StepListener`.
         max_episode_length: control steps; a task must set it.
-        keeps_final_observations: whether a task that starts episodes in the step that ended the one
-            before observes the end, too; see `final_observations`.
+        sim_dt_s: time of one simulator call, `task.sim.dt` (s).
+        control_dt_s: time that a control step counts (s).
+        dt: as IsaacGymEnvs' task of this name defines it (s): `sim_dt_s`, but `control_dt_s` in
+            AnymalTerrain and the AMP and ASE humanoids. The tasks themselves read one of the other
+            two; the time that a step simulates is `simulation.dt`.
+        keeps_final_observations: whether a `SAME_STEP` task also observes the ends of episodes; see
+            `final_observations`.
     """
 
     simulation: SimulationBackend
@@ -148,11 +214,13 @@ class VecTask(Env):
     progress_buf: Tensor
     actor_name: ClassVar[str] = "robot"
     """Name of the robot in `task.task.randomization_params.actor_params`."""
-    resets_on_request: ClassVar[bool] = False
-    """Whether episodes start when somebody calls `reset_done`, and not by themselves in `step`."""
+    reset_mode: ResetMode = ResetMode.CUSTOM
+    zero_action_at_reset: ClassVar[bool] = False
+    """`BEFORE_PHYSICS`: an action counts as zero in the step that starts an episode, because it was
+    chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
     keeps_final_observations: bool = False
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
-    """What recorders of videos ask for."""
+    """What video recorders read."""
 
     def __init__(
         self,
@@ -172,7 +240,7 @@ class VecTask(Env):
         up_axis = self.sim_params.get("up_axis", "z")
         if up_axis not in ("y", "z"):
             raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
-        self.dt = float(_required(self.sim_params, "task.sim.dt"))
+        self.dt = self.sim_dt_s = float(_required(self.sim_params, "task.sim.dt"))
         self._failures_reported = 0
         self.listeners: list[StepListener] = []
         self._camera = TaskCamera(self, *_PICTURE_SIZE)
@@ -181,7 +249,7 @@ class VecTask(Env):
         self.randomizer = self._make_randomizer(config.get("task") or {})
 
     def _make_randomizer(self, section: dict[str, Any]) -> DomainRandomizer | None:
-        """Return what `task.task` asks for, None if it is off."""
+        """Return the randomiser of `task.task`, None if it is off."""
         if not section.get("randomize", False):
             return None
         params = section.get("randomization_params") or {}
@@ -190,23 +258,58 @@ class VecTask(Env):
 
     # --- what a task fills in -------------------------------------------------------------
 
-    @abstractmethod
     def create_sim(self) -> None:
         """Set `self.simulation`; buffers do not exist yet."""
+        raise self._undefined("create_sim")
 
-    @abstractmethod
-    def pre_physics_step(self, actions: Tensor) -> None:
-        """Turn clamped actions (N, numActions) into controls."""
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """Return the actuators' controls (N, U) for clamped actions (N, A)."""
+        raise self._undefined("compute_controls")
 
-    @abstractmethod
-    def post_physics_step(self) -> None:
-        """Count `progress_buf`, then compute observations, rewards and reset flags."""
+    def update_state(self) -> None:
+        """Update what the task remembers from step to step, after the physics."""
 
-    @abstractmethod
-    def reset_idx(self, env_ids: Tensor) -> None:
-        """Start new episodes in environments `env_ids` (n,)."""
+    def compute_obs(self) -> Tensor:
+        """Return the observations (N, numObs) of the current state, without noise."""
+        raise self._undefined("compute_obs")
 
-    # --- life cycle -----------------------------------------------------------------------
+    def compute_obs_of(self, env_ids: Tensor) -> Tensor:
+        """Return the observations (n, numObs) of environments (n,) that start an episode."""
+        return self.compute_obs().index_select(0, env_ids)
+
+    def add_sensor_noise(self, observations: Tensor) -> Tensor:
+        """Return what the policy observes of observations (n, numObs): by default the same."""
+        return observations
+
+    def compute_reward_terms(self) -> Terms:
+        """Return the terms (N,) of the reward, by name."""
+        raise self._undefined("compute_reward_terms")
+
+    def compute_failures(self) -> Tensor:
+        """Return (N,) bool: the episode ends by a failure; none by default."""
+        return torch.zeros_like(self.timeout_buf)
+
+    def compute_time_outs(self) -> Tensor:
+        """Return (N,) bool: the episode is at its time limit, whether it fails or not."""
+        return self.progress_buf >= self.max_episode_length - 1
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """Put environments `env_ids` (n,) into the state of a new episode."""
+        raise self._undefined("reset_state")
+
+    def infos(self) -> dict[str, Any]:
+        """Return further infos of a step, besides `time_outs`; none by default."""
+        return {}
+
+    @property
+    def control_dt_s(self) -> float:
+        """Time that a control step counts in s."""
+        return self.control_freq_inv * self.sim_dt_s
+
+    def _undefined(self, method: str) -> NotImplementedError:
+        return NotImplementedError(
+            f"{type(self).__name__} has no {method}(); docs/own_task.md shows what a task defines"
+        )
 
     def allocate_buffers(self) -> None:
         """Create the buffers of the class docstring on the simulation's device."""
@@ -215,11 +318,17 @@ class VecTask(Env):
         self.states_buf = torch.zeros(n, self.num_states, device=device)
         self.rew_buf = torch.zeros(n, device=device)
         self.reset_buf = torch.ones(n, dtype=torch.int64, device=device)
+        self.done_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.timeout_buf = torch.zeros(n, dtype=torch.bool, device=device)
         self.progress_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.randomize_buf = torch.zeros(n, dtype=torch.int64, device=device)
+        self.actions = torch.zeros(n, self.num_actions, device=device)
+        self.reward_terms: Terms = {}
         self.extras: dict[str, Any] = {}
         self.obs_dict: dict[str, Tensor] = {}
+        self._final_observations: dict[str, Tensor] = {}
+
+    # --- a step -----------------------------------------------------------------------------
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, dict[str, Any]]:
         """Advance all environments by one control step.
@@ -235,76 +344,160 @@ class VecTask(Env):
             actions = actions.to(self.device)
             if self.randomizer is not None:
                 actions = self.randomizer.noisy_actions(actions)
+            self.done_buf.zero_()
             self.pre_physics_step(actions.clamp(-self.clip_actions, self.clip_actions))
             self.simulation.step()
             self.post_physics_step()
             self.control_steps += 1
-            self.timeout_buf = self.compute_time_outs()
+            dones = self._dones()
+            self.timeout_buf = self.done_buf == Done.TIME_OUT
+            self.extras.update(self.infos())
+            self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
             if self.randomizer is not None:
                 self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
-            self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
-            for watcher in self.listeners:
-                watcher.after_step()
+            for listener in self.listeners:
+                listener.after_step()
             return (
                 self._observations(),
                 self._for_trainer(self.rew_buf),
-                self._for_trainer(self.dones()),
+                dones.to(self.rl_device, non_blocking=True),
                 self.extras,
             )
 
-    def randomize(self, env_ids: Tensor) -> None:
-        """Draw what is due where new episodes start, in environments `env_ids` (n,)."""
-        if self.randomizer is not None:
-            frame = self.control_steps * self.control_freq_inv
-            self.randomizer.on_reset(env_ids, self.randomize_buf, frame)
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """Set the controls of clamped actions (N, numActions)."""
+        if self.reset_mode is ResetMode.SAME_STEP:
+            self._reset_ended()  # in a first step without a `reset` before it
+        self.actions = actions
+        if self.reset_mode is ResetMode.BEFORE_PHYSICS:
+            if self.zero_action_at_reset:
+                self.actions = actions.masked_fill((self.reset_buf != 0)[:, None], 0.0)
+            self._reset_ended()
+        self.simulation.set_controls(self.compute_controls(self.actions))
 
-    def dones(self) -> Tensor:
-        """Return (N,) int64, 1 where the last step ended an episode."""
-        return self.reset_buf
+    def post_physics_step(self) -> None:
+        """Count the step; observe, reward, end episodes and start the next ones."""
+        self.extras.clear()
+        self.progress_buf += 1
+        self.randomize_buf += 1
+        if self.reset_mode is ResetMode.SAME_STEP:
+            self.update_state()
+            self.compute_reset()
+            self.compute_reward()
+            if self.keeps_final_observations and self.reset_buf.any():
+                self.compute_observations()
+                self._final_observations = self._observations()
+            self._reset_ended()
+            self.compute_observations()
+        else:
+            if self.reset_mode is ResetMode.AFTER_PHYSICS:
+                self._reset_ended()
+            self.update_state()
+            self.compute_observations()
+            self.compute_reward()
+            self.compute_reset()
 
-    def compute_time_outs(self) -> Tensor:
-        """Return (N,) bool: the episode ended, by its length and not by a failure."""
-        at_limit = self.progress_buf >= self.max_episode_length - 1
-        return at_limit & (self.reset_buf != 0) & ~self.failures()
+    def compute_observations(self, env_ids: Tensor | None = None) -> None:
+        """Write the observations of all environments, or of `env_ids` (n,), into `obs_buf`."""
+        observations = self.compute_obs() if env_ids is None else self.compute_obs_of(env_ids)
+        if self.num_states > 0:
+            _write_rows(self.states_buf, env_ids, observations)
+        _write_rows(self.obs_buf, env_ids, self.add_sensor_noise(observations))
 
-    def failures(self) -> Tensor:
-        """Return (N,) bool: the last step ended the episode by a failure; none by default."""
-        return torch.zeros_like(self.timeout_buf)
+    def compute_reward(self) -> None:
+        """Write the rewards of all environments into `rew_buf`."""
+        self.reward_terms = self.compute_reward_terms()
+        self.rew_buf.copy_(total(self.reward_terms))
 
-    def report_diverged(self) -> None:
+    def compute_reset(self) -> None:
+        """Write which episodes end, and how; a diverged simulation fails."""
+        failed = torch.logical_or(self.compute_failures(), self.simulation.failed)
+        self.done_buf.copy_(self.compute_time_outs()).masked_fill_(failed, Done.FAILED)
+        torch.sign(self.done_buf, out=self.reset_buf)
+        self._report_diverged()
+
+    def _dones(self) -> Tensor:
+        """Return (N,) int64, 1 where the step ended an episode; complete `done_buf`.
+
+        A task may have written `reset_buf` alone, as those of IsaacGymEnvs do.
+        """
+        dones = self.done_buf.sign()
+        if self.reset_mode is ResetMode.SAME_STEP or torch.equal(dones, self.reset_buf):
+            return dones
+        timed_out = self.compute_time_outs() & ~self.compute_failures()
+        codes = timed_out.long().masked_fill_(~timed_out, Done.FAILED)
+        ended = self.reset_buf != 0
+        self.done_buf.copy_(torch.where(dones != 0, self.done_buf, codes) * ended)
+        return ended.long()
+
+    def _report_diverged(self) -> None:
         """Warn of diverged simulations: at the first one and at every power of ten."""
-        total = self.simulation.num_failures
-        if total > self._failures_reported and total >= 10 * self._failures_reported:
-            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", total)
-            self._failures_reported = total
+        count = self.simulation.num_failures
+        if count > self._failures_reported and count >= 10 * self._failures_reported:
+            log.warning("%d simulation(s) diverged so far and were reset; the run goes on", count)
+            self._failures_reported = count
+
+    # --- resets -----------------------------------------------------------------------------
 
     def reset(self) -> dict[str, Tensor]:
-        """Return the current observations, zero before the first step.
+        """Start a new episode in every environment and return its first observations.
 
-        As in IsaacGymEnvs nothing is reset here: `reset_buf` starts at 1, so that the first step
-        does it. Tasks whose resets are asked for by the agent override this.
+        A `CUSTOM` task resets nothing here, as in IsaacGymEnvs: it returns the current
+        observations, zero at first, and its first step does the reset.
         """
-        return self._observations()
+        if self.reset_mode is ResetMode.CUSTOM:
+            return self._observations()
+        self.reset_buf.fill_(1)
+        return self.reset_done()[0]
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
-        """Start new episodes where the last one ended.
+        """Start new episodes where `reset_buf` is 1, and observe them.
 
         Returns:
             observations as `step`, and the ids of the environments that were reset (n,).
         """
         with one_torch_thread():
-            done_ids = self.reset_buf.nonzero().flatten()
-            if len(done_ids) > 0:
-                self.reset_idx(done_ids)
-            return self._observations(), done_ids.to(self.rl_device)
+            env_ids = self._reset_ended()
+            observed_by_reset_idx = self.reset_mode in (ResetMode.ON_REQUEST, ResetMode.CUSTOM)
+            if len(env_ids) > 0 and not observed_by_reset_idx:
+                self.compute_observations(env_ids)
+            return self._observations(), env_ids.to(self.rl_device)
+
+    def reset_idx(self, env_ids: Tensor) -> None:
+        """Start new episodes in environments `env_ids` (n,)."""
+        self.randomize(env_ids)
+        self.reset_state(env_ids)
+        self.progress_buf.index_fill_(0, env_ids, 0)
+        self.reset_buf.index_fill_(0, env_ids, 0)
+        if self.reset_mode is ResetMode.ON_REQUEST:
+            # Between two steps: this is what the policy acts on next.
+            self.done_buf.index_fill_(0, env_ids, Done.RUNNING)
+            self.compute_observations(env_ids)
+
+    def _reset_ended(self) -> Tensor:
+        """Start new episodes where `reset_buf` is 1; return these environments (n,)."""
+        env_ids = self.reset_buf.nonzero().flatten()
+        if len(env_ids) > 0:
+            self.reset_idx(env_ids)
+        return env_ids
+
+    def randomize(self, env_ids: Tensor) -> None:
+        """Draw the physical parameters that are due, in environments `env_ids` (n,)."""
+        if self.randomizer is not None:
+            frame = self.control_steps * self.control_freq_inv
+            self.randomizer.on_reset(env_ids, self.randomize_buf, frame)
 
     def final_observations(self) -> dict[str, Tensor]:
-        """Return what the episodes that the last step ended came to, between it and `reset_done`.
+        """Return the last observations of the episodes that the last step ended.
 
-        Rows of other environments mean nothing. A task that starts episodes within the step has it
-        only while `keeps_final_observations` is set.
+        To be called before `reset_done`. Rows of other environments have no meaning. A `SAME_STEP`
+        task has them only while `keeps_final_observations` is set.
         """
+        if self.reset_mode is ResetMode.SAME_STEP:
+            return self._final_observations
         return self._observations()
+
+    # --- for trainers and viewers -----------------------------------------------------------
 
     def zero_actions(self) -> Tensor:
         """Return (N, numActions) zeros on rl_device."""
@@ -315,7 +508,7 @@ class VecTask(Env):
         return self._clamped(self.states_buf)
 
     def render(self, mode: str = "rgb_array") -> Image | None:
-        """Let whoever watches show the present state, and draw it.
+        """Render the current state in all viewers, and return a picture of it.
 
         Args:
             mode: `rgb_array` returns a picture (480, 640, 3) of environment 0, drawn without a
@@ -329,8 +522,8 @@ class VecTask(Env):
         modes = self.metadata["render_modes"]
         if mode not in modes:
             raise ConfigError(unknown("mode of render", mode, modes))
-        for watcher in self.listeners:
-            watcher.render()
+        for listener in self.listeners:
+            listener.render()
         if mode == "rgb_array" and (self.headless or self.virtual_screen_capture):
             return self._camera.draw((0,))[0]
         return None
@@ -338,10 +531,10 @@ class VecTask(Env):
     @property
     def is_watched(self) -> bool:
         """Whether a window or a page is open, for which a play goes on after its last episode."""
-        return any(getattr(watcher, "keeps_playing", False) for watcher in self.listeners)
+        return any(getattr(listener, "keeps_playing", False) for listener in self.listeners)
 
     def close(self) -> None:
-        """Free the simulation and those who watch; the task cannot be stepped afterwards."""
+        """Close the listeners and free the simulation; the task cannot be stepped afterwards."""
         while self.listeners:
             self.listeners.pop().close()
         self._camera.close()
@@ -361,6 +554,14 @@ class VecTask(Env):
         return buffer.clone().to(self.rl_device, non_blocking=True)
 
 
+def _write_rows(buffer: Tensor, env_ids: Tensor | None, rows: Tensor) -> None:
+    """Write rows (n, F) of environments (n,) into a buffer (N, F), or all of them for None."""
+    if env_ids is None:
+        buffer.copy_(rows)
+    else:
+        buffer.index_copy_(0, env_ids, rows)
+
+
 def _required(section: dict[str, Any], path: str) -> Any:
     key = path.rpartition(".")[2]
     if key not in section:
@@ -373,10 +574,10 @@ def _unbounded_box(size: int) -> gymnasium.spaces.Box:
 
 
 def tensor_device(sim_device: str, use_gpu_pipeline: bool) -> torch.device:
-    """Return where a task's tensors live: with the physics, on the CPU by all backends so far.
+    """Return the device of a task's tensors: the physics' device, the CPU with all backends so far.
 
-    `sim_device=cuda:N` and `pipeline=gpu` of published commands are accepted; a line in the log
-    says that the physics runs on the CPU.
+    `sim_device=cuda:N` and `pipeline=gpu` of published commands are accepted, with a line in the
+    log.
     """
     if sim_device != "cpu" or use_gpu_pipeline:
         log.info(

@@ -1,6 +1,6 @@
-"""What Anymal and AnymalTerrain share: a legged robot whose base shall move as it is commanded.
+"""What Anymal and AnymalTerrain share: a legged robot whose base follows commanded velocities.
 
-Formulas as IsaacGymEnvs, over named quantities of N environments that stand last: (3, N), (D, N).
+Formulas as IsaacGymEnvs, over named quantities whose last dimension is N: (3, N), (D, N).
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import setting
-from isaacgymenvs_lite.tasks.base.action_scaling import ActionScaling
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_model
-from isaacgymenvs_lite.tasks.base.classic_task import ClassicConfig, ClassicTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
-from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
+from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
+from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling
 from isaacgymenvs_lite.utils.rotations import rotate_components
 
 _TRACKING_VARIANCE = 0.25  # (m/s)^2 and (rad/s)^2
 _START_POS_FACTORS = (0.5, 1.5)  # of the default joint angles
 _START_VEL_RAD_S = 0.1
-# Forces below this are no touch (N).
+# Forces below this are no contact (N).
 CONTACT_THRESHOLD_N = 1.0
 
 
@@ -58,7 +58,7 @@ class ControlConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LearnConfig:
-    """`task.env.learn`: rewards per second, and factors on what is observed."""
+    """`task.env.learn`: rewards per second, and factors on observations."""
 
     lin_vel_xy_reward: float = setting(1.0, key="linearVelocityXYRewardScale")
     """Of following the commanded velocity."""
@@ -111,7 +111,7 @@ class UrdfAssetConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VelocityTrackingConfig(ClassicConfig):
+class VelocityTrackingConfig(TaskConfig):
     """Keys of `task.env` that the two tasks share; `control` and `learn` are their own."""
 
     init_state: InitStateConfig = field(
@@ -130,7 +130,7 @@ class VelocityTrackingConfig(ClassicConfig):
 
 
 class BaseMotion(NamedTuple):
-    """How bases move and lean, (3, N) each, in their own axes (m/s, rad/s, unit vector)."""
+    """Velocities of bases and gravity, (3, N) each, in base axes (m/s, rad/s, unit vector)."""
 
     lin_vel: Tensor
     ang_vel: Tensor
@@ -138,7 +138,7 @@ class BaseMotion(NamedTuple):
 
 
 def compute_base_motion(root_states: Tensor) -> BaseMotion:
-    """Return how bases with `root_states` (N, 13) move, and where down is for them."""
+    """Return velocities and gravity in the frames of bases with `root_states` (N, 13)."""
     planes = root_states.t()
     x, y, z, w = planes[3:7].unbind()
     # Both velocities at once: (2, N) for each axis.
@@ -149,7 +149,7 @@ def compute_base_motion(root_states: Tensor) -> BaseMotion:
 
 
 def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tensor, Tensor]:
-    """Return how well velocity over the ground and turning follow commands, (N,) in (0, 1] each.
+    """Return rewards (N,) in (0, 1] for tracking the commanded velocity and yaw rate.
 
     Args:
         commands: (3 or more, N) velocity along x and y of the base (m/s), yaw rate (rad/s).
@@ -170,7 +170,7 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
     """Return the angles (D,) of `task.env.defaultJointAngles` (rad), in the order of the joints.
 
     Raises:
-        ConfigError: a joint has none or more than it has joints.
+        ConfigError: a joint has no angle, or an angle has no joint.
     """
     unknown = sorted(set(named) - set(joint_names))
     missing = [name for name in joint_names if name not in named]
@@ -189,7 +189,7 @@ def joint_angles(named: Mapping[str, Any], joint_names: Sequence[str]) -> Tensor
 def proprioception(
     motion: BaseMotion, commands: Tensor, dof_pos: Tensor, dof_vel: Tensor, cfg: LearnConfig
 ) -> tuple[Tensor, ...]:
-    """Return what a robot observes of itself, (3 to D, N) each, times the scales.
+    """Return the robot's own motion and commands, (3 to D, N) each, times the scales.
 
     Args:
         motion: of the base, in its frame.
@@ -209,8 +209,8 @@ def proprioception(
     )
 
 
-class VelocityTrackingTask(ClassicTask):
-    """N legged robots that shall move as they are commanded.
+class VelocityTrackingTask(MjcfTask):
+    """N legged robots that follow commanded velocities.
 
     Attributes:
         default_dof_pos: (D,) rad.
@@ -220,14 +220,15 @@ class VelocityTrackingTask(ClassicTask):
 
     num_commands: ClassVar[int] = 3
 
-    def _build_model(self) -> mujoco.MjModel:
+    def build_model(self) -> mujoco.MjModel:
+        """Return the compiled model, of the file that `task.env.urdfAsset` names."""
         if self.env_cfg.asset != AssetConfig():
             raise ConfigError(
                 "task.env.asset: this task reads its file from task.env.urdfAsset.file"
             )
         asset = AssetConfig(asset_file_name=self.env_cfg.urdf_asset.file)
         path = asset_path(
-            asset, self.own_asset, self.published_assets, key="task.env.urdfAsset.file"
+            asset, self.default_asset, self.published_assets, key="task.env.urdfAsset.file"
         )
         return compile_model(path, self.sim_cfg, self._friction(), self.change_spec)
 
@@ -242,7 +243,7 @@ class VelocityTrackingTask(ClassicTask):
             actuator.set_to_position(kp=control.stiffness, kv=control.damping)
 
     def create_sim(self) -> None:
-        """Make the simulations, and what is known of bodies, joints and commands."""
+        """Make the simulations, and look up bodies, joints and ranges of commands."""
         super().create_sim()
         device, cfg = self.device, self.env_cfg
         angles = joint_angles(cfg.default_joint_angles, self.simulation.dof_names)
@@ -272,10 +273,10 @@ class VelocityTrackingTask(ClassicTask):
         self._command_planes = torch.zeros(self.num_commands, self.num_envs, device=self.device)
         self.commands = self._command_planes.t()
         self._motion: BaseMotion | None = None
-        # Asked for before the first step, too: the simulation keeps them from then on.
+        # The backend measures them from the first time that they are read.
         self._torques = self.simulation.dof_forces.t()
 
-    def own_groups(self) -> dict[str, int]:
+    def proprioception_groups(self) -> dict[str, int]:
         """Return the parts of `proprioception`, for `observation_groups`."""
         num_dofs = self._layout.num_dofs
         motion = dict.fromkeys(("base_lin_vel", "base_ang_vel", "gravity", "commands"), 3)
@@ -290,8 +291,8 @@ class VelocityTrackingTask(ClassicTask):
         """Return the joint positions (N, D) that the drives aim at (rad)."""
         return actions * self.env_cfg.control.action_scale + self.default_dof_pos
 
-    def touches(self, body_ids: Tensor) -> Tensor:
-        """Return (K, N) bool: bodies (K,) are pushed by more than `CONTACT_THRESHOLD_N`."""
+    def in_contact(self, body_ids: Tensor) -> Tensor:
+        """Return (K, N) bool: the force on bodies (K,) is above `CONTACT_THRESHOLD_N`."""
         forces = self.simulation.contact_forces.permute(2, 1, 0).index_select(1, body_ids)
         return forces.square().sum(0) > CONTACT_THRESHOLD_N * CONTACT_THRESHOLD_N
 
@@ -301,8 +302,8 @@ class VelocityTrackingTask(ClassicTask):
             self._motion = compute_base_motion(self.simulation.root_states)
         return self._motion
 
-    def advance(self) -> None:
-        """Note the joints' torques (D, N); forget how the bases moved before this step."""
+    def update_state(self) -> None:
+        """Store the joints' torques (D, N); drop the motion of the bases before this step."""
         self._torques = self.simulation.dof_forces.t()
         self._motion = None
 

@@ -42,7 +42,7 @@ def measure_wrenches(simulation: SimulationBackend, bodies: Sequence[str]) -> Te
 def body_wrenches(contacts: Tensor, body_pos: Tensor, body_axes: Tensor) -> Tensor:
     """Return (6, K, N) contact force and torque on K bodies, about and in the frames of the bodies.
 
-    In memory they stand body by body, as observations want them.
+    The numbers of a body are contiguous in memory, as in observations.
 
     Args:
         contacts: (9, K, N) what `contact` sensors measure, in world axes: the force that the body

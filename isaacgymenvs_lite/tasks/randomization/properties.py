@@ -1,4 +1,4 @@
-"""What of a MuJoCo model an attribute of `actor_params` means, per environment.
+"""Attributes of `actor_params` as fields of a MuJoCo model, per environment.
 
 The names are PhysX's. Where MuJoCo keeps the quantity otherwise, this is the translation:
 
@@ -54,7 +54,7 @@ class FieldProperty(Property):
     def __init__(
         self, simulation: SimulationBackend, field: str, ids: Ids, column: int | None = None
     ) -> None:
-        # The model's own: the environments' values may have been written before.
+        # The model's values; those of the environments may have been written before.
         values, original = simulation.expand(field), getattr(simulation.model, field)[ids]
         self._values = values if column is None else values[..., column]
         self._ids = ids
@@ -114,7 +114,7 @@ class Friction(Property):
         if floor >= 0:
             self._ground = float(simulation.model.geom_friction[floor, column])
             self._values[:, floor] = mujoco.mjMINMU
-        # The model holds what a contact has: the mean of both.
+        # The model holds the coefficient of a contact: the mean of both.
         self.original = 2.0 * simulation.model.geom_friction[geoms, column] - self._ground
 
     def write(self, env_ids: Ids, values: Doubles) -> None:
@@ -145,7 +145,7 @@ class Gain(Property):
         self._driven = driven = self._drives >= 0
         self._driven_by = by = self._drives[driven]
         self.original[driven] = -model.actuator_biasprm[by, column]
-        # Drives that are kept from being servos, see `humanoid_model`: gain and bias differ.
+        # Gain and bias differ where MuJoCo must not see a servo, see `humanoid_model`.
         self._near = (column == 1) & (
             model.actuator_biasprm[by, 1] != -model.actuator_gainprm[by, 0]
         )
@@ -184,7 +184,7 @@ def make_property(
     """Return the robot's property, None if MuJoCo has no counterpart.
 
     Args:
-        simulation: whose environments shall differ.
+        simulation: its environments are made to differ.
         layout: of its model.
         group: as `settings.PROPERTIES`.
         attribute: of the group.

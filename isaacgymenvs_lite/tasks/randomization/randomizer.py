@@ -1,8 +1,8 @@
-"""Domain randomisation: when what is drawn, and for whom, as IsaacGymEnvs.
+"""DomainRandomizer: draws noise and physical parameters at the times that IsaacGymEnvs does.
 
-Fixed in comparison (as named in docs/migration.md): what a draw starts from is kept for each
-property and environment; a `setup_only` attribute keeps only itself from being drawn again; draws
-outside the buckets go to the nearest one.
+Fixed in comparison (as named in docs/migration.md): each property and environment keeps the
+original value that draws start from; `setup_only` concerns its own attribute alone; draws outside
+the buckets go to the nearest one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DomainRandomizer:
 
     Args:
         params: the section `task.task.randomization_params`.
-        simulation: whose models shall differ.
+        simulation: its models are made to differ.
         layout: of its model.
         actors: names of the task's actors, the robot's first.
 
@@ -84,7 +84,7 @@ class DomainRandomizer:
         return self._observation_noise(observations)
 
     def on_reset(self, env_ids: Tensor, steps_since_draw: Tensor, frame: int) -> None:
-        """Draw anew what is due.
+        """Draw new values of what is due.
 
         Args:
             env_ids: (n,) environments that start a new episode.

@@ -64,7 +64,7 @@ class Noise:
         self.refresh(0)
 
     def refresh(self, frame: int) -> None:
-        """Begin a new held part, with the parameters of `frame` simulator calls."""
+        """Draw a new held part, with the parameters of `frame` simulator calls."""
         settings = self._settings
         factor = settings.factor(frame)
         first, second = (factor * value for value in settings.range)

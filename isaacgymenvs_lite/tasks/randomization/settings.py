@@ -38,12 +38,12 @@ class _Scheduled:
     """Limits of a uniform, mean and standard deviation of a Gaussian distribution."""
     operation: str = setting(choices=_OPERATIONS)
     schedule: str | None = setting(None, choices=_SCHEDULES)
-    """How the randomisation sets in; None: at once."""
+    """How the randomisation grows; None: full strength at once."""
     schedule_steps: int = setting(1, minimum=1)
-    """Simulator calls after which it is there in full."""
+    """Simulator calls after which the randomisation is at full strength."""
 
     def factor(self, frame: int) -> float:
-        """Return how much of it is there at `frame` simulator calls, 0 to 1."""
+        """Return the share of the randomisation at `frame` simulator calls, 0 to 1."""
         if self.schedule is None:
             return 1.0
         if self.schedule == "constant":
@@ -73,7 +73,7 @@ class NoiseSettings(_Scheduled):
 
 @dataclass(frozen=True)
 class RandomizationPlan:
-    """What is randomised, and how often.
+    """The randomised quantities, and how often they are drawn.
 
     Attributes:
         frequency: simulator calls (noise, gravity) or control steps (actors) between draws.

@@ -1,1 +1,1 @@
-"""Rough ground for legged robots: its tiles, what is seen of it, where to go next."""
+"""Rough ground for legged robots: tiles, height scan and curriculum."""

@@ -1,4 +1,4 @@
-"""Which tile each robot walks on: who gets far goes on to a harder one."""
+"""Curriculum of the terrain: a robot that walks far moves on to a harder tile."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig
 
-# Robots that cover less than this share of what was commanded go back.
+# Robots that cover less than this share of the commanded distance go back.
 _DEMOTED_SHARE = 0.25
 
 

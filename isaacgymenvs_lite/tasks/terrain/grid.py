@@ -1,6 +1,6 @@
 """The ground of AnymalTerrain: a grid of tiles of growing difficulty within a flat border.
 
-World coordinates: the tile of level 0 and type 0 begins at the origin; levels follow each other
+World coordinates: the tile of level 0 and type 0 starts at the origin; levels follow each other
 along x, types along y.
 """
 
@@ -50,7 +50,7 @@ class TerrainConfig(PlaneConfig):
     curriculum: bool = setting(True)
     """Difficulty grows with the level, and robots move between levels. False: random tiles."""
     max_init_level: int = setting(0, key="maxInitMapLevel", minimum=0)
-    """Robots begin at levels up to this."""
+    """Robots start at levels up to this."""
     length_m: float = setting(8.0, key="mapLength", minimum=4, maximum=100)
     """Of a tile, along x."""
     width_m: float = setting(8.0, key="mapWidth", minimum=4, maximum=100)
@@ -63,7 +63,7 @@ class TerrainConfig(PlaneConfig):
     """Shares of the types: smooth slope, rough slope, stairs down to the middle, stairs up to it,
     obstacles; stepping stones are the rest."""
     slope_threshold: float = setting(0.5, key="slopeTreshold", minimum=0)
-    """No effect: what is steep is a slope over 0.1 m, as a height field has no vertical walls."""
+    """No effect: a height field has slopes over 0.1 m in place of vertical walls."""
     border_m: float = setting(20.0, key="borderSize", minimum=0)
     """This project's: width of the flat ground around the grid."""
     demotion_as_published: bool = setting(False, key="demotionAsPublished")
@@ -91,11 +91,11 @@ def flat_terrain() -> Terrain:
 
 
 def make_terrain(cfg: TerrainConfig, rng: np.random.Generator) -> Terrain:
-    """Make the ground that a configuration describes.
+    """Make the ground of a configuration.
 
     Args:
         cfg: `task.env.terrain`.
-        rng: draws what is random in it.
+        rng: the generator of the random tiles.
 
     Raises:
         ConfigError: the levels at the beginning are more than there are.

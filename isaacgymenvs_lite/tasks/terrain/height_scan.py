@@ -1,4 +1,4 @@
-"""What a robot sees of the ground: the heights of a grid of points around it."""
+"""Height scan: the heights of the ground at a grid of points around a robot."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Square pieces of ground, each kind one pure function.
 
 Height samples are int16, in units of 0.005 m, on a grid of 0.1 m whose first axis is x. The kinds
-are those of IsaacGymEnvs' AnymalTerrain, remade from their descriptions.
+follow IsaacGymEnvs' AnymalTerrain, remade from their descriptions.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def pyramid_slope(size: Size, slope: float, platform_m: float) -> Samples:
         1.0 - np.abs(np.arange(n) / c - 1.0) for n, c in zip(size, center, strict=True)
     )
     peak = units_of(slope * size[0] / 2 * HORIZONTAL_M)
-    # Rounded, so that what is whole but for the last bit stays whole.
+    # Rounded, so that a whole number with an error in the last bit stays whole.
     heights = (peak * tent_x[:, None] * tent_y).round(6).astype(np.int16)
     half = samples_of(platform_m) // 2
     corner = heights[center[0] - half, center[1] - half]
@@ -65,7 +65,7 @@ def pyramid_stairs(
         size: samples in x and y.
         step_width_m: of a ring.
         step_height_m: from one ring to the next; the outermost is at height 0.
-        platform_m: rings are added while what is left in the middle is wider than this.
+        platform_m: rings are added while the middle is wider than this.
     """
     width, platform = samples_of(step_width_m), samples_of(platform_m)
     rise = units_of(step_height_m)
@@ -92,7 +92,7 @@ def discrete_obstacles(
         rng: draws places, sides and heights.
         max_height_m: the heights are this, half of it, and minus those.
         sides_m: shortest and longest side of a rectangle.
-        count: rectangles; later ones stand on the ground of earlier ones.
+        count: rectangles; later ones replace earlier ones.
         platform_m: side of the free square.
     """
     top = units_of(max_height_m)

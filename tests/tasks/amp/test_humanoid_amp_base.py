@@ -11,6 +11,7 @@ import torch
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 ELBOWS, KNEES = [9, 13], [17, 24]
 EFFORTS = [125] * 3 + [20] * 3 + ([70] * 3 + [60]) * 2 + ([125] * 3 + [100] + [50] * 3) * 2
@@ -264,7 +265,7 @@ def test_a_fall_ends_the_episode_but_not_in_its_first_step(make) -> None:
     assert float(task.obs_buf[1, 0]) < 0.2
     task.reset_done()
     assert float(task.obs_buf[1, 0]) == pytest.approx(0.89)
-    assert task._terminate_buf.tolist() == [0, 0, 0]
+    assert task.done_buf.tolist() == [Done.RUNNING] * 3
 
 
 def test_a_fall_in_the_last_step_is_no_time_out(make) -> None:
@@ -334,7 +335,7 @@ def test_infos_are_copies(make) -> None:
     *_, infos = task.step(torch.zeros(2, 28))
     terminate = infos["terminate"]
     terminate.fill_(7)
-    assert task._terminate_buf.tolist() == [0, 0]
+    assert task.done_buf.tolist() == [Done.RUNNING] * 2
 
 
 def test_the_same_actions_give_the_same_course(make) -> None:

@@ -7,8 +7,13 @@ import yaml
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config
-from isaacgymenvs_lite.tasks.base.task_config import read_sim_config
+from isaacgymenvs_lite.schema import read_section
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS, read_sim_config
+
+
+def read_env_config(env: dict[str, Any]) -> HumanoidAMPConfig:
+    return read_section(HumanoidAMPConfig, env, "task.env", ignored=UNREAD_ENV_KEYS)
 
 
 def test_published_numbers_are_the_defaults_and_those_of_the_task_file() -> None:

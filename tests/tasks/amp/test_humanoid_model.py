@@ -12,9 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import read_env_config
-from isaacgymenvs_lite.tasks.amp.humanoid_model import build_model
-from isaacgymenvs_lite.tasks.base.task_config import read_sim_config
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 
 # name, parent, offset in the parent (m), mass (kg)
 BODIES = [
@@ -55,7 +53,10 @@ FIVE_DECIMALS = 5.1e-6
 
 
 def _build(env: dict[str, Any] | None = None, sim: dict[str, Any] | None = None) -> mujoco.MjModel:
-    return build_model(read_env_config(env or {}), read_sim_config(sim or {}))
+    cfg = {"env": {"numEnvs": 1, **(env or {})}, "sim": {"dt": 0.0166, **(sim or {})}}
+    task = HumanoidAMPBase(cfg, "cpu", "cpu", -1, True)
+    task.close()
+    return task.simulation.model
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ class Counter:
 def test_no_row_is_returned_twice_and_rows_stay_together():
     draw = Counter()
     store = PrefetchedSampler(draw, block=10)
-    taken = [store.take(n) for n in (3, 4, 3, 5, 6, 1)]
+    taken = [store.next(n) for n in (3, 4, 3, 5, 6, 1)]
     first = torch.cat([rows for rows, _ in taken])
     assert len(first.unique()) == len(first) == 22
     assert torch.equal(torch.cat([rows for _, rows in taken]), 2 * first)
@@ -33,14 +33,14 @@ def test_no_row_is_returned_twice_and_rows_stay_together():
 def test_more_than_a_block_is_drawn_at_once():
     draw = Counter()
     store = PrefetchedSampler(draw, block=4)
-    store.take(2)
-    assert len(store.take(9)[0]) == 9
+    store.next(2)
+    assert len(store.next(9)[0]) == 9
     assert draw.calls == [4, 9]
-    assert store.take(2)[0].tolist() == [2, 3]
+    assert store.next(2)[0].tolist() == [2, 3]
 
 
 def test_after_clear_nothing_drawn_before_is_returned():
     store = PrefetchedSampler(Counter(), block=4)
-    store.take(1)
+    store.next(1)
     store.clear()
-    assert store.take(2)[0].tolist() == [4, 5]
+    assert store.next(2)[0].tolist() == [4, 5]

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.paths import assets_dir
-from isaacgymenvs_lite.tasks.anymal_terrain_terms import TERM_NAMES
+from isaacgymenvs_lite.tasks.anymal_terrain_terms import TERM_NAMES, noise_widths
 from tests.tasks.anymal_terrain.conftest import DEFAULT_ANGLES, EXACT
 
 # --- drives and time ------------------------------------------------------------------------
@@ -53,7 +53,7 @@ def test_a_control_step_is_four_torques_at_5_ms_each(make) -> None:
     task = make(*EXACT, num_envs=1)
     task.reset()
     sim = task.simulation
-    model = mujoco.MjModel.from_xml_path(str(assets_dir() / task.own_asset))
+    model = mujoco.MjModel.from_xml_path(str(assets_dir() / task.default_asset))
     model.actuator_gainprm[:] = 0.0
     model.actuator_biasprm[:] = 0.0
     data = mujoco.MjData(model)
@@ -109,17 +109,17 @@ def test_noise_is_for_the_policy_and_not_for_the_critic(make) -> None:
     observations = task.reset()
     for _ in range(2):
         noise = observations["obs"] - observations["states"]
-        half_widths = task._noise_widths
+        half_widths = noise_widths(task.env_cfg.learn)
         assert (noise.abs() <= half_widths + 1e-5).all()
         assert (noise.abs().max(dim=0).values >= 0.9 * half_widths).all()
         assert noise.mean(dim=0).abs().max() < 0.1
-        assert torch.equal(observations["states"], task.observe())
+        assert torch.equal(observations["states"], task.compute_obs())
         observations, *_ = task.step(task.zero_actions())
 
 
 def test_without_noise_the_observation_is_exact(make) -> None:
     task = make(*EXACT)
-    assert torch.equal(task.reset()["obs"], task.observe())
+    assert torch.equal(task.reset()["obs"], task.compute_obs())
 
 
 def test_actions_and_observations_are_not_clamped(make) -> None:

@@ -43,9 +43,9 @@ def test_the_yaw_rate_leads_to_the_heading(make, heading, commanded, rate) -> No
     task.commands[:, 3] = commanded
     half = heading / 2
     put(task, rot=[0.0, 0.0, math.sin(half), math.cos(half)], vel=0.0)
-    task.advance()
+    task.update_state()
     assert task.commands[:, 2].tolist() == pytest.approx([rate] * 4, abs=1e-5)
-    assert task.observe()[:, 11].tolist() == pytest.approx([rate / 4] * 4, abs=1e-5)
+    assert task.compute_obs()[:, 11].tolist() == pytest.approx([rate / 4] * 4, abs=1e-5)
 
 
 # --- episodes -------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ def test_the_first_step_of_a_new_episode_has_no_memory_of_the_last(make) -> None
     assert not task.reward_terms["action_rate"].any()
     changes = (task.simulation.dof_vel - start_vel).square().sum(1)
     assert torch.allclose(task.reward_terms["joint_acc"], -0.0005 * 0.02 * changes)
-    assert task._air_time_s.flatten().tolist() == pytest.approx([0.02] * 16)
+    assert task.air_time_s.flatten().tolist() == pytest.approx([0.02] * 16)
 
 
 def test_a_step_without_reset_begins_on_the_tiles(make) -> None:
@@ -153,7 +153,7 @@ def test_time_in_the_air(make, published: bool, counted: float) -> None:
     task.reset()
     for _ in range(3):
         task.step(task.zero_actions())
-    assert task._air_time_s.flatten().tolist() == pytest.approx([3 * counted] * 16)
+    assert task.air_time_s.flatten().tolist() == pytest.approx([3 * counted] * 16)
     task.commands[:, :2] = 1.0
     for _ in range(30):
         task.step(task.zero_actions())

@@ -55,7 +55,7 @@ def test_observed_heights_are_those_of_the_ground(make) -> None:
     pos = torch.cat((spread, torch.full((24, 1), 0.7)), dim=1)
     rot = quat_from_euler_xyz(torch.zeros(24), torch.zeros(24), yaw)
     put(task, pos=pos, rot=rot)
-    heights = task.observe()[:, 36:176]
+    heights = task.compute_obs()[:, 36:176]
     samples = task.terrain.samples.astype(float)
     for env in range(24):
         cos, sin = math.cos(yaw[env]), math.sin(yaw[env])
@@ -130,7 +130,7 @@ def test_pushes_replace_the_velocity_over_the_ground(make) -> None:
         for _ in range(3):
             task.step(task.zero_actions())
             noted.append(task.simulation.root_states[:, 7:].clone())
-        assert torch.allclose(task.observe()[:, :3], 2.0 * task.base_motion().lin_vel.t())
+        assert torch.allclose(task.compute_obs()[:, :3], 2.0 * task.base_motion().lin_vel.t())
         return noted
 
     pushed, free = velocities(True), velocities(False)
@@ -145,7 +145,7 @@ def test_pushes_replace_the_velocity_over_the_ground(make) -> None:
 
 
 def test_the_published_interval_is_750_steps(make) -> None:
-    assert make()._push_interval == 750
+    assert make().push_interval == 750
 
 
 def test_a_fall_is_noticed_in_a_step_with_a_push(make) -> None:

@@ -37,7 +37,7 @@ def _still() -> WalkStep:
         torques=joints,
         actions=joints,
         last_actions=joints,
-        knee_touches=torch.zeros(4, 1, dtype=torch.bool),
+        knees_in_contact=torch.zeros(4, 1, dtype=torch.bool),
         foot_forces=torch.zeros(3, 4, 1),
         air_time_beyond_s=torch.zeros(1),
     )
@@ -65,7 +65,7 @@ _FEET[:, 2, 0] = torch.tensor([0.0, 4.9, 0.0])  # hardly touched
         ({"torques": torch.full((12, 1), 5.0)}, "torques", -0.00002 * 300.0),
         ({"last_dof_vel": torch.full((12, 1), 2.0)}, "joint_acc", -0.0005 * 48.0),
         ({"base_height": torch.tensor([0.42])}, "base_height", -2.0 * 0.01),
-        ({"knee_touches": torch.tensor([[True], [False], [True], [False]])}, "collision", -0.5),
+        ({"knees_in_contact": torch.tensor([[True], [False], [True], [False]])}, "collision", -0.5),
         ({"foot_forces": _FEET}, "stumble", -3.0),
         ({"last_actions": torch.full((12, 1), 0.5)}, "action_rate", -0.01 * 3.0),
         ({"dof_offset": torch.arange(-5.0, 7.0)[:, None]}, "hip", -4.0 * (5 + 2 + 1 + 4)),

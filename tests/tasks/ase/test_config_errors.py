@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 import pytest
+import torch
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
@@ -84,9 +86,16 @@ def test_speeds_and_heights_may_be_one_number(make_ase) -> None:
     make_ase(1, goal="reach", tarHeightMin=1, tarHeightMax=1)
 
 
-def test_settings_of_another_goal_are_not_read(make_ase) -> None:
-    # One file has the keys of all goals.
-    make_ase(1, goal="location", tarSpeedMin=2, tarSpeedMax=1, reachBodyName="tail")
+def test_settings_of_another_goal_are_not_read(make_ase, caplog) -> None:
+    def course(**others) -> torch.Tensor:
+        torch.manual_seed(0)
+        task = make_ase(2, goal="location", **others)
+        return torch.cat((task.reset()["obs"], task.step(task.zero_actions())[0]["obs"]))
+
+    # One file has the keys of all goals; these would be errors for their own.
+    others = {"tarSpeedMin": 2, "tarSpeedMax": 1, "reachBodyName": "tail", "tarHeightMin": 9}
+    assert torch.equal(course(**others), course())
+    assert not any("nothing reads" in message for message in caplog.messages)
 
 
 # --- bodies -----------------------------------------------------------------------------------
@@ -148,8 +157,23 @@ def test_values_out_of_range(message, settings, expected: str) -> None:
     assert found == f"task.env.{key}: got {value!r}, expected {expected}"
 
 
-def test_keys_of_getup_are_accepted_and_not_read_elsewhere(make_ase) -> None:
-    make_ase(1, recoverySteps=60, recoveryEpisodeProb=0.2, fallInitProb=0.1)
+def test_keys_of_getup_are_accepted_and_not_read_elsewhere(make_ase, hold_pose, caplog) -> None:
+    getup = {"recoverySteps": 60, "recoveryEpisodeProb": 1.0, "fallInitProb": 1.0}
+    task = make_ase(2, stateInit="Default", **getup)
+    assert not any("nothing reads" in message for message in caplog.messages)
+    standing = task.reset()["obs"]
+    assert standing[:, 0].tolist() == pytest.approx([0.89] * 2)  # nobody starts on the ground
+    sim = task.simulation
+    root_states = sim.root_states.clone()
+    root_states[:, 2] = 0.085
+    root_states[:, 3:7] = torch.tensor([0.0, -math.sqrt(0.5), 0.0, math.sqrt(0.5)])
+    sim.write_state(torch.arange(2), root_states, sim.dof_pos.clone(), sim.dof_vel.clone())
+    actions = hold_pose(task)
+    for _ in range(2):
+        *_, dones, infos = task.step(actions)
+    assert dones.tolist() == infos["terminate"].tolist() == [1, 1]  # no time to get up
+    # Nobody goes on from where it lies.
+    torch.testing.assert_close(task.reset_done()[0]["obs"], standing)
 
 
 # --- files ------------------------------------------------------------------------------------

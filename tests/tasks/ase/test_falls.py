@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 HALF = math.sqrt(0.5)
 HEAD, LEFT_LOWER_ARM, SHIELD = 2, 8, 9  # the arm and the shield of the armed body
@@ -50,19 +51,19 @@ def test_a_fall_ends_the_episode_but_not_in_its_first_step(make_ase, two_steps) 
     assert task.reset_buf.tolist() == [1]
     assert not task.timeout_buf.any()
     task.reset_done()
-    assert task._terminate_buf.tolist() == [0]
+    assert task.done_buf.tolist() == [Done.RUNNING]
 
 
 def test_heights_of_the_specification(make_ase) -> None:
     plain, armed = make_ase(1), make_ase(1, armed=True)
     expected = torch.full((15,), 0.15)
     expected[HEAD] = 0.3
-    torch.testing.assert_close(plain._termination_heights_m, expected)
+    torch.testing.assert_close(plain.termination_heights_m, expected)
     expected = torch.full((17,), 0.15)
     expected[HEAD], expected[LEFT_LOWER_ARM] = 0.3, 0.32
-    torch.testing.assert_close(armed._termination_heights_m, expected)
+    torch.testing.assert_close(armed.termination_heights_m, expected)
     high = make_ase(1, armed=True, terminationHeight=0.5)
-    torch.testing.assert_close(high._termination_heights_m, torch.full((17,), 0.5))
+    torch.testing.assert_close(high.termination_heights_m, torch.full((17,), 0.5))
 
 
 def test_a_head_below_30_cm_is_a_fall(make_ase, two_steps) -> None:

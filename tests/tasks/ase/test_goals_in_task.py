@@ -184,7 +184,7 @@ def test_the_time_of_a_goal_by_default(make_ase) -> None:
     ends = []
     for _ in range(20):
         task.goal.reset(env_ids)
-        ends += task.goal._change_steps.tolist()
+        ends += task.goal.change_steps.tolist()
     # 320 draws of 100 numbers: that one end is missed by 5 has a probability of 1e-7.
     assert 100 <= min(ends) < 105
     assert 195 < max(ends) < 200

@@ -106,7 +106,7 @@ def test_the_armed_body(make_ase) -> None:
     assert task.simulation.dof_names[9:14] == (
         *("right_elbow", "right_hand_x", "right_hand_y", "right_hand_z", "left_shoulder_x"),
     )
-    assert task._key_body_ids.tolist() == [5, 10, 13, 16, 6, 9]
+    assert task.key_body_ids.tolist() == [5, 10, 13, 16, 6, 9]
 
 
 # --- drives -----------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def test_gains_and_efforts_are_ase_s(make_ase, armed: bool) -> None:
     model = make_ase(1, armed=armed).simulation.model
     kp, effort = _per_dof(armed, 2).numpy(), _per_dof(armed, 4).numpy()
     assert model.nu == len(kp)
-    # The bias of kp is one unit in the last place off; see `build_model`.
+    # The bias of kp is one unit in the last place off; see `set_actuators`.
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], kp, rtol=1e-15)
     np.testing.assert_allclose(model.actuator_biasprm[:, 1], -kp, rtol=1e-15)
     np.testing.assert_allclose(model.actuator_biasprm[:, 2], -kp / 10.0, rtol=1e-15)

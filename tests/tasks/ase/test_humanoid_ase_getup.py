@@ -7,6 +7,7 @@ import torch
 
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 # float32 of numbers of order 1
 ATOL = 1e-6
@@ -51,12 +52,12 @@ def _random_step(task: HumanoidASEGetup):
 
 def _all_fell(task: HumanoidASEGetup) -> None:
     task.reset_buf.fill_(1)
-    task._terminate_buf.fill_(1)
+    task.done_buf.fill_(Done.FAILED)
 
 
 def _all_start_anew(task: HumanoidASEGetup) -> None:
     """Reset without anybody going on: the flags of falls are up before the first reset."""
-    task._terminate_buf.zero_()
+    task.done_buf.zero_()
     task.reset()
 
 
@@ -87,7 +88,7 @@ def test_fallen_characters_lie_on_the_ground_at_rest(make, hold_pose, armed: boo
 def test_fallen_poses_differ(make) -> None:
     torch.manual_seed(0)
     task = make(8)
-    root, dof_pos = task._fallen_root_states, task._fallen_dof_pos
+    root, dof_pos = task.fallen_root_states, task.fallen_dof_pos
     assert (root.shape, dof_pos.shape) == ((8, 13), (8, 28))
     torch.testing.assert_close(root[:, 3:7].norm(dim=-1), torch.ones(8))
     assert torch.pdist(root[:, 3:7]).min() > 1e-3
@@ -106,7 +107,7 @@ def test_share_of_episodes_that_start_lying(make, fall: float) -> None:
         task.reset_idx(torch.arange(8))
         down = _heights(task) < LYING_M
         assert torch.allclose(_heights(task)[~down], torch.tensor(NORMAL_HEIGHT_M))
-        assert (task._recovery_counter == 60 * down).all()
+        assert (task.recovery_steps_left == 60 * down).all()
         lying += float(down.float().mean()) / 30
     # of 240; standard deviation 0.030
     assert lying == pytest.approx(fall, abs=0.13 if 0.0 < fall < 1.0 else 1e-6)
@@ -124,9 +125,9 @@ def test_share_of_falls_after_which_the_character_goes_on(make, recover: float) 
         before = _state(task)
         task.reset_done()
         same = (_state(task) == before).all(dim=-1)
-        assert (task._recovery_counter == 60 * same).all()
+        assert (task.recovery_steps_left == 60 * same).all()
         assert torch.allclose(_heights(task)[~same], torch.tensor(NORMAL_HEIGHT_M))
-        for flags in (task.reset_buf, task._terminate_buf, task.progress_buf):
+        for flags in (task.reset_buf, task.done_buf, task.progress_buf):
             assert (flags == 0).all()
         going_on += float(same.float().mean()) / 30
     assert going_on == pytest.approx(recover, abs=0.13 if 0.0 < recover < 1.0 else 1e-6)
@@ -238,7 +239,7 @@ def test_the_history_of_who_goes_on_is_continuous(make) -> None:
     _all_start_anew(task)
     _random_step(task)
     before = _random_step(task)[-1]["amp_obs"].view(4, 3, 125)
-    task._terminate_buf[:2], task.reset_buf[:2] = 1, 1
+    task.done_buf[:2], task.reset_buf[:2] = Done.FAILED, 1
     task.reset_done()
     after = _random_step(task)[-1]["amp_obs"].view(4, 3, 125)
     torch.testing.assert_close(after[:, 1:], before[:, :2], rtol=0.0, atol=ATOL)
@@ -269,7 +270,7 @@ def test_after_a_diverged_simulation_nobody_goes_on(make) -> None:
     task.reset_done()
     # A new episode: the default pose, not the state that the simulation was put back to.
     assert float(_heights(task)[1]) == pytest.approx(NORMAL_HEIGHT_M)
-    assert task._recovery_counter.tolist() == [0, 0, 0]
+    assert task.recovery_steps_left.tolist() == [0, 0, 0]
     start = _features(task)[1]
     history = _random_step(task)[-1]["amp_obs"].view(3, 10, 125)[1]
     torch.testing.assert_close(history[1:], start.expand(9, -1), rtol=0.0, atol=ATOL)

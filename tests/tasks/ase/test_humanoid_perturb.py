@@ -115,7 +115,7 @@ def test_a_throw_is_aimed_at_the_torso(make, throws_of) -> None:
     assert drift[:, :2].norm(dim=-1).min() > 0.3
     thrown = throws_of(task)
     for _ in range(20):
-        task._throw(5)
+        task.throw(5)
     states = torch.stack([box[:, 0] for *_, box in thrown])
     assert states.shape == (20, 16, 13)
     offsets = states[..., :2] - root
@@ -164,7 +164,7 @@ def test_a_thrown_box_hits_the_character(make, hold_pose) -> None:
     task.reset()
     # Five metres at 30 m/s are five control steps. 1.6 kg at 30 m/s have the momentum of the whole
     # character at 1 m/s; some boxes are aimed past the torso.
-    task._throw(0)
+    task.throw(0)
     assert (fastest_torso() > swaying.max() + 0.3).sum() >= 6
 
 

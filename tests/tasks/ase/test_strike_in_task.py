@@ -194,7 +194,7 @@ def test_by_default_sword_hand_and_lower_arm_may_strike(make) -> None:
     def striking(armed: bool) -> list[str]:
         task = make(1, armed=armed, strikeBodyNames=None)
         names = task.simulation.body_names
-        return [names[i] for i in task.goal._strike_body_ids.tolist()]
+        return [names[i] for i in task.goal.strike_body_ids.tolist()]
 
     assert striking(armed=True) == ["sword", "right_hand", "right_lower_arm"]
     assert striking(armed=False) == ["right_hand", "right_lower_arm"]

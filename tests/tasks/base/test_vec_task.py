@@ -15,7 +15,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation.backend import make_simulation
-from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
+from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode, VecTask
 
 CART = """
 <mujoco><option gravity="0 0 0"/><worldbody>
@@ -31,12 +32,15 @@ FIRST_SPEED = 0.5 * 0.06
 
 
 class PushedCart(VecTask):
-    """Observes position and velocity; the test may declare failures; writes down what happens."""
+    """A task in the way of IsaacGymEnvs, which writes down what happens; the test may make it fail.
+
+    It observes position and velocity.
+    """
 
     def __init__(self, config: dict[str, Any], **arguments: Any) -> None:
         self.events: list[str] = []
         self.fail = torch.zeros(max(config["env"].get("numEnvs", 0), 0), dtype=torch.bool)
-        self.actions: list[Tensor] = []
+        self.given_actions: list[Tensor] = []
         defaults = {
             "rl_device": "cpu",
             "sim_device": "cpu",
@@ -64,7 +68,7 @@ class PushedCart(VecTask):
 
     def pre_physics_step(self, actions: Tensor) -> None:
         self.events.append(f"pre, control_steps {self.control_steps}")
-        self.actions.append(actions)
+        self.given_actions.append(actions)
         self.simulation.set_controls(actions)
 
     def post_physics_step(self) -> None:
@@ -77,12 +81,12 @@ class PushedCart(VecTask):
         at_limit = self.progress_buf >= self.max_episode_length - 1
         self.reset_buf[:] = (at_limit | self.fail).long()
 
-    def failures(self) -> Tensor:
+    def compute_failures(self) -> Tensor:
         return self.fail
 
-    def compute_time_outs(self) -> Tensor:
-        self.events.append(f"time outs, control_steps {self.control_steps}")
-        return super().compute_time_outs()
+    def infos(self) -> dict[str, Any]:
+        self.events.append(f"infos, control_steps {self.control_steps}")
+        return {}
 
     def reset_idx(self, env_ids: Tensor) -> None:
         self.events.append(f"reset {env_ids.tolist()}")
@@ -248,7 +252,7 @@ def test_order_of_a_step(make_cart: MakeCart) -> None:
         "pre, control_steps 0",
         "simulate",
         "post, control_steps 0",
-        "time outs, control_steps 1",
+        "infos, control_steps 1",
     ]
     assert cart.control_steps == 1
 
@@ -266,11 +270,11 @@ def test_actions_are_clamped(make_cart: MakeCart) -> None:
     cart = make_cart(clipActions=0.5)
     given = torch.tensor([[7.0], [-7.0], [0.25]])
     cart.step(given)
-    assert cart.actions[0].tolist() == [[0.5], [-0.5], [0.25]]
+    assert cart.given_actions[0].tolist() == [[0.5], [-0.5], [0.25]]
     assert given.tolist() == [[7.0], [-7.0], [0.25]]  # the caller's tensor is left alone
     free = make_cart()
     free.step(given)
-    assert free.actions[0].tolist() == given.tolist()
+    assert free.given_actions[0].tolist() == given.tolist()
 
 
 def test_observations_are_clamped_but_not_their_buffer(make_cart: MakeCart) -> None:
@@ -346,12 +350,35 @@ def test_a_failure_is_no_time_out(make_cart: MakeCart) -> None:
 
 
 def test_no_time_out_where_the_task_goes_on(make_cart: MakeCart) -> None:
-    cart = make_cart()
-    cart.max_episode_length = 3
+    class Patient(PushedCart):
+        def post_physics_step(self) -> None:
+            super().post_physics_step()
+            self.reset_buf[1] = 0  # at the time limit, too
+
+    cart = Patient(_config())
     cart.progress_buf[:] = 10
-    assert cart.compute_time_outs().tolist() == [True] * 3
-    cart.reset_buf[1] = 0
-    assert cart.compute_time_outs().tolist() == [True, False, True]
+    assert cart.compute_time_outs().all()
+    *_, dones, infos = _push(cart)
+    assert dones.tolist() == [1, 0, 1]
+    assert infos["time_outs"].tolist() == [True, False, True]
+    assert cart.done_buf.tolist() == [Done.TIME_OUT, Done.RUNNING, Done.TIME_OUT]
+    cart.close()
+
+
+def test_an_end_before_the_limit_is_a_failure(make_cart: MakeCart) -> None:
+    # A task of IsaacGymEnvs writes `reset_buf` and gives no reason.
+    class Reckless(PushedCart):
+        def post_physics_step(self) -> None:
+            super().post_physics_step()
+            self.reset_buf[0] = 1
+
+    cart = Reckless(_config())
+    cart.reset_done()
+    *_, dones, infos = _push(cart)
+    assert dones.tolist() == [1, 0, 0]
+    assert not infos["time_outs"].any()
+    assert cart.done_buf.tolist() == [Done.FAILED, Done.RUNNING, Done.RUNNING]
+    cart.close()
 
 
 def test_reset_resets_nothing(make_cart: MakeCart) -> None:
@@ -378,6 +405,152 @@ def test_reset_done_resets_what_is_done(make_cart: MakeCart) -> None:
     _, done_ids = cart.reset_done()
     assert done_ids.tolist() == []
     assert cart.events[-1] == "reset [1]"
+
+
+# --- the life cycle, once for all modes -------------------------------------------------------
+
+
+class LivelyCart(MjcfTask):
+    """Fills in the methods of a task of this project; writes down their order."""
+
+    num_observations = 2
+    num_actions = 1
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.events: list[str] = []
+        self.fail = torch.zeros(3, dtype=torch.bool)
+        super().__init__(*args, **kwargs)
+
+    def episode_length(self) -> int:
+        return EPISODE_LENGTH
+
+    def build_model(self) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(CART)
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        self.events.append(f"controls {actions.flatten().tolist()}")
+        return actions
+
+    def update_state(self) -> None:
+        self.events.append("state")
+
+    def compute_obs(self) -> Tensor:
+        self.events.append("observe")
+        return torch.cat((self.simulation.dof_pos, self.simulation.dof_vel), dim=-1)
+
+    def compute_reward_terms(self) -> dict[str, Tensor]:
+        self.events.append("reward")
+        return {"forwards": self.simulation.dof_vel[:, 0], "alive": torch.ones(3)}
+
+    def compute_failures(self) -> Tensor:
+        self.events.append("failures")
+        return self.fail
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        self.events.append(f"reset {env_ids.tolist()}")
+        n = len(env_ids)
+        self.simulation.write_state(
+            env_ids, torch.zeros(n, 13), torch.zeros(n, 1), torch.zeros(n, 1)
+        )
+
+
+@pytest.fixture
+def make_lively() -> Iterator[Callable[..., LivelyCart]]:
+    """Return `make_lively(mode, **attributes)`, whose environment 1 fails in its first step."""
+    made: list[LivelyCart] = []
+
+    def make(mode: ResetMode, **attributes: Any) -> LivelyCart:
+        cls = type("Cart", (LivelyCart,), {"reset_mode": mode, **attributes})
+        cart = cls({"env": {"numEnvs": 3}, "sim": {"dt": DT}}, "cpu", "cpu", -1, True)
+        made.append(cart)
+        cart.reset()
+        cart.fail[1] = True
+        cart.events.clear()
+        return cart
+
+    yield make
+    for task in made:
+        task.close()
+
+
+ALL_IN_ORDER = ["state", "observe", "reward", "failures"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "first", "second"),
+    [
+        (
+            ResetMode.BEFORE_PHYSICS,
+            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
+            ["reset [1]", "controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
+        ),
+        (
+            ResetMode.AFTER_PHYSICS,
+            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
+            ["controls [1.0, 1.0, 1.0]", "reset [1]", *ALL_IN_ORDER],
+        ),
+        (
+            ResetMode.SAME_STEP,
+            ["controls [1.0, 1.0, 1.0]", "state", "failures", "reward", "reset [1]", "observe"],
+            ["controls [1.0, 1.0, 1.0]", "state", "failures", "reward", "observe"],
+        ),
+        (
+            ResetMode.ON_REQUEST,
+            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
+            ["controls [1.0, 1.0, 1.0]", *ALL_IN_ORDER],
+        ),
+    ],
+)
+def test_order_of_a_life(make_lively, mode: ResetMode, first: list[str], second: list[str]) -> None:
+    cart = make_lively(mode)
+    observed, rewards, dones, infos = _push(cart)
+    assert cart.events == first
+    assert dones.tolist() == [0, 1, 0]
+    assert infos["time_outs"].tolist() == [False] * 3
+    assert cart.done_buf.tolist() == [Done.RUNNING, Done.FAILED, Done.RUNNING]
+    assert (rewards > 1.0).all()  # alive, and moving at the end of its last step
+    # The last observation, or the first one of the next episode.
+    in_same_step = mode is ResetMode.SAME_STEP
+    assert (observed[1] == 0.0).all() == in_same_step
+    assert cart.reset_buf.tolist() == [0, int(not in_same_step), 0]
+    cart.fail[1] = False
+    cart.events.clear()
+    observed, _, dones, _ = _push(cart)
+    assert cart.events == second
+    assert dones.tolist() == [0, 0, 0]
+    assert (cart.done_buf == Done.RUNNING).all()
+    steps = {ResetMode.AFTER_PHYSICS: 0, ResetMode.ON_REQUEST: 2}
+    assert cart.progress_buf.tolist() == [2, steps.get(mode, 1), 2]
+
+
+def test_a_reset_on_request_observes(make_lively) -> None:
+    cart = make_lively(ResetMode.ON_REQUEST)
+    last, *_ = _push(cart)
+    assert (last[1] != 0.0).all()
+    cart.events.clear()
+    first, env_ids = cart.reset_done()
+    assert cart.events == ["reset [1]", "observe"]
+    assert env_ids.tolist() == [1]
+    assert (first["obs"][1] == 0.0).all()
+    assert torch.equal(first["obs"][[0, 2]], last[[0, 2]])
+    assert (cart.done_buf == Done.RUNNING).all()
+
+
+def test_an_action_may_count_as_zero_at_a_reset(make_lively) -> None:
+    cart = make_lively(ResetMode.BEFORE_PHYSICS, zero_action_at_reset=True)
+    _push(cart)
+    cart.events.clear()
+    _push(cart)
+    assert cart.events[:2] == ["reset [1]", "controls [1.0, 0.0, 1.0]"]
+    assert cart.actions.flatten().tolist() == [1.0, 0.0, 1.0]
+
+
+def test_a_missing_method_is_named() -> None:
+    class Cart(VecTask):
+        pass
+
+    with pytest.raises(NotImplementedError, match=r"Cart has no create_sim\(\).*own_task\.md"):
+        Cart(_config(), "cpu", "cpu", -1, True)
 
 
 # --- hooks of trainers ------------------------------------------------------------------------

@@ -120,7 +120,7 @@ def _slowed_by_friction(make_task, coefficient: float) -> float:
     # MuJoCo takes the larger of two coefficients: the ground must not have one.
     assert friction[:, task.simulation.model.geom("floor").id].max() < 1e-4
     n = task.num_envs
-    root = task._initial_root.repeat(n, 1)
+    root = task.initial_root.repeat(n, 1)
     root[:, 2], root[:, 7] = 0.37, 3.0  # m, m/s: on their feet
     pos = task.initial_dof_pos.repeat(n, 1)
     task.simulation.write_state(torch.arange(n), root, pos, torch.zeros_like(pos))

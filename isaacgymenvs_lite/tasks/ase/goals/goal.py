@@ -1,4 +1,4 @@
-"""What a character of ASE is asked to do: the seam between the humanoid and its goals."""
+"""The interface between a character of ASE and its goals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class GoalSettings:
     """Keys of `task.env` that every goal reads."""
 
     enable_task_obs: bool = setting(True, key="enableTaskObs")
-    """Tell the character what it is asked to do."""
+    """Add the goal to the observation."""
 
 
 class Goal:
@@ -32,7 +32,7 @@ class Goal:
     `before_step`, the physics, `observe` and `reward`.
 
     Args:
-        env: `task.env`; a key that is null stands for the goal's default.
+        env: `task.env`; a key that is null means the goal's default.
 
     Raises:
         ConfigError: a value that cannot be used.
@@ -74,10 +74,10 @@ class Goal:
         self._prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Draw goals for new episodes of `env_ids` (n,), whose characters stand in their places."""
+        """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
 
     def before_step(self, progress: Tensor) -> None:
-        """Hear that a control step begins.
+        """Store the state before a control step.
 
         Args:
             progress: (N,) control steps of the episodes so far.
@@ -89,20 +89,18 @@ class Goal:
         raise NotImplementedError(f"{type(self).__name__} has nothing to observe")
 
     def reward(self) -> Tensor:
-        """Return (N,) rewards of the step that was made, constant 1 without a goal."""
+        """Return (N,) rewards of the last step, constant 1 without a goal."""
         return torch.ones(self._simulation.num_envs, device=self._simulation.device)
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
-        """Return (N,) bool, where the goal was missed for good; None: goals that cannot be.
+        """Return (N,) bool, where the goal was missed for good; None if it cannot be missed.
 
         Args:
             contact_body_ids: (C,) bodies that may touch something.
         """
-        del contact_body_ids
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return what pictures of an environment show of its goal."""
-        del env_id
+        """Return the markers that show the goal of an environment in pictures."""
         return ()
 
     def _ground_arrow(self, env_id: int, direction: Tensor, colour: Colour) -> Arrow:
@@ -119,10 +117,9 @@ class Goal:
 
 
 class TimedGoal(Goal):
-    """A goal that is drawn anew after a random number of control steps.
+    """A goal that changes after a random number of control steps.
 
-    Its settings have `change_steps_min` and `change_steps_max`: from how many to below how many
-    control steps a goal lasts.
+    It lasts from `change_steps_min` to below `change_steps_max` control steps, two of its settings.
     """
 
     change_steps_keys: ClassVar[tuple[str, str]] = ("tarChangeStepsMin", "tarChangeStepsMax")
@@ -134,7 +131,7 @@ class TimedGoal(Goal):
         low, high = self.settings.change_steps_min, self.settings.change_steps_max
         check_range(low_key, low, high_key, high, equal=False)
         super().attach(simulation, dt_s)
-        self._change_steps = torch.zeros(
+        self.change_steps = torch.zeros(
             simulation.num_envs, dtype=torch.int64, device=simulation.device
         )
 
@@ -143,9 +140,9 @@ class TimedGoal(Goal):
         self._redraw(env_ids, torch.zeros_like(env_ids))
 
     def before_step(self, progress: Tensor) -> None:
-        """As the base, and draw a goal where the time of the last one is over."""
+        """As the base, and draw a new goal where the time of the last one is over."""
         super().before_step(progress)
-        over = (progress >= self._change_steps).nonzero().flatten()
+        over = (progress >= self.change_steps).nonzero().flatten()
         if len(over) > 0:
             self._redraw(over, progress.index_select(0, over))
 
@@ -154,7 +151,7 @@ class TimedGoal(Goal):
         steps = torch.randint(
             cfg.change_steps_min, cfg.change_steps_max, (len(env_ids),), device=env_ids.device
         )
-        self._change_steps.index_copy_(0, env_ids, progress + steps)
+        self.change_steps.index_copy_(0, env_ids, progress + steps)
         self._draw(env_ids)
 
     def _draw(self, env_ids: Tensor) -> None:
@@ -163,7 +160,7 @@ class TimedGoal(Goal):
 
 
 def check_range(low_key: str, low: float, high_key: str, high: float, *, equal: bool) -> None:
-    """Check that a range of `task.env` is one.
+    """Check that a range of `task.env` is not empty.
 
     Raises:
         ConfigError: it is empty.

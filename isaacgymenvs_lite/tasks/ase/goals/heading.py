@@ -58,7 +58,7 @@ def compute_heading_reward(
     tar_face_dir: Tensor,
     dt: float,
 ) -> Tensor:
-    """Reward the wanted velocity and facing.
+    """Reward the target velocity and facing.
 
     Args:
         root_pos: (n, 3) m, after the control step.
@@ -86,7 +86,7 @@ class HeadingSettings(GoalSettings):
     """Keys of `task.env` for the goal `heading`."""
 
     tar_speed_min: float = setting(1.5, key="tarSpeedMin", minimum=0)
-    """m/s; the wanted speed is drawn between this and `tarSpeedMax`."""
+    """m/s; the target speed is drawn between this and `tarSpeedMax`."""
     tar_speed_max: float = setting(1.6, key="tarSpeedMax", minimum=0)
     """m/s."""
     change_steps_min: int = setting(100, key="headingChangeStepsMin", minimum=1)
@@ -94,7 +94,7 @@ class HeadingSettings(GoalSettings):
     change_steps_max: int = setting(200, key="headingChangeStepsMax", minimum=2)
     """The goal changes before so many control steps."""
     enable_rand_heading: bool = setting(True, key="enableRandHeading")
-    """Draw direction and facing, each by itself; False: along +x."""
+    """Draw direction and facing independently; False: along +x."""
 
 
 class Heading(TimedGoal):
@@ -106,7 +106,7 @@ class Heading(TimedGoal):
     settings: HeadingSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; until goals are drawn they are to go and face along +x at 1 m/s."""
+        """As the base; before goals are drawn, all are to walk and face along +x at 1 m/s."""
         cfg = self.settings
         check_range("tarSpeedMin", cfg.tar_speed_min, "tarSpeedMax", cfg.tar_speed_max, equal=True)
         super().attach(simulation, dt_s)

@@ -74,7 +74,7 @@ class LocationSettings(GoalSettings):
     """Keys of `task.env` for the goal `location`."""
 
     tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """Wanted speed of approach in m/s."""
+    """Target speed of approach in m/s."""
     change_steps_min: int = setting(100, key="tarChangeStepsMin", minimum=1)
     """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(200, key="tarChangeStepsMax", minimum=2)
@@ -91,7 +91,7 @@ class Location(TimedGoal):
     settings: LocationSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; until goals are drawn they are the origin."""
+        """As the base; before goals are drawn they are the origin."""
         super().attach(simulation, dt_s)
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 

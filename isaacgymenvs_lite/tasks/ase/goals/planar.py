@@ -1,4 +1,4 @@
-"""What goals on the ground have in common: headings, directions and speeds in the plane."""
+"""Headings, directions and speeds in the plane, for goals on the ground."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.tasks.ase.goals.planar import in_heading_frame
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 
 _DISTANCE_SCALE = 4.0
-# The bodies to reach with that nobody named, the first that the character has.
+# The body to reach with by default: the first of these that the character has.
 _BODIES = ("sword", "right_hand")
 
 
@@ -40,7 +40,7 @@ class ReachSettings(GoalSettings):
     """Keys of `task.env` for the goal `reach`."""
 
     tar_speed: float = setting(1.0, key="tarSpeed", minimum=0)
-    """Read by nothing; ASE's files have it."""
+    """No effect; ASE's files have it."""
     change_steps_min: int = setting(50, key="tarChangeStepsMin", minimum=1)
     """Control steps after which the goal changes, at the earliest."""
     change_steps_max: int = setting(100, key="tarChangeStepsMax", minimum=2)
@@ -52,11 +52,11 @@ class ReachSettings(GoalSettings):
     tar_height_max: float = setting(2.0, key="tarHeightMax")
     """m."""
     reach_body_name: str = setting("", key="reachBodyName")
-    """The body whose origin shall be there; '': the sword (the tip of its blade), or the right
+    """The body whose origin is to reach it; '': the sword (the tip of its blade), or the right
     hand of a character that has none."""
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
-    """This project's: tell the point relative to the root in the plane. ASE tells it in the
-    world, where a character that has walked away from the origin cannot know where the point is."""
+    """This project's: observe the point relative to the root in the plane. ASE observes it in the
+    world, so that a character away from the origin cannot tell where the point is."""
 
 
 class Reach(TimedGoal):
@@ -67,7 +67,7 @@ class Reach(TimedGoal):
     settings: ReachSettings
 
     def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
-        """As the base; until goals are drawn they are the origin."""
+        """As the base; before goals are drawn they are the origin."""
         cfg = self.settings
         check_range(
             "tarHeightMin", cfg.tar_height_min, "tarHeightMax", cfg.tar_height_max, equal=True

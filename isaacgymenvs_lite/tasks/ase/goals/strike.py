@@ -110,7 +110,7 @@ class StrikeSettings(GoalSettings):
     """Keys of `task.env` for the goal `strike`."""
 
     strike_body_names: tuple[str, ...] = setting((), key="strikeBodyNames")
-    """Bodies that may hit the box; []: sword, right hand and lower arm, as far as there are."""
+    """Bodies that may hit the box; []: sword, right hand and lower arm, if it has them."""
 
 
 class Strike(Goal):
@@ -133,11 +133,11 @@ class Strike(Goal):
             if name not in names:
                 raise ConfigError(unknown("body in task.env.strikeBodyNames:", name, names))
         ids = [names.index(name) for name in wanted or _STRIKE_BODIES if name in names]
-        self._strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
+        self.strike_body_ids = torch.tensor(ids, dtype=torch.int64, device=simulation.device)
         self._target = simulation.object_names.index(TARGET_NAME)
 
     def reset(self, env_ids: Tensor) -> None:
-        """Put the boxes upright somewhere about the characters."""
+        """Put the boxes upright at random places around the characters."""
         n, device = len(env_ids), env_ids.device
         near = torch.rand(n, device=device) < _NEAR_PROB
         furthest = torch.full((n,), _DIST_MAX_M, device=device).masked_fill(near, _NEAR_DIST_M)
@@ -171,5 +171,5 @@ class Strike(Goal):
         return compute_strike_failures(
             self._simulation.object_contact_forces[:, self._target],
             self._simulation.contact_forces,
-            torch.cat((contact_body_ids, self._strike_body_ids)),
+            torch.cat((contact_body_ids, self.strike_body_ids)),
         )
