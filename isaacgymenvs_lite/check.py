@@ -135,8 +135,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
     # torch, MuJoCo and rl_games: once the configuration is known to compose
     from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
     from isaacgymenvs_lite.env_factory import make_from_config
-    from isaacgymenvs_lite.registration import build_runner
-    from isaacgymenvs_lite.runner import registered_names
+    from isaacgymenvs_lite.registration import build_runner, known_names
 
     small = cfg.copy()
     small.task.env.numEnvs = 2
@@ -149,7 +148,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
             seed=1,
             num_agents=task.num_agents,
             num_states=task.num_states,
-            names=registered_names(build_runner()),
+            names=known_names(build_runner()),
         )
         check_env_name(params)
     finally:

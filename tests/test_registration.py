@@ -38,17 +38,19 @@ def class_of(factory, name: str) -> type:
 
 def test_names_of_train_files(runner):
     names = known_names(runner)
-    assert set(ALGORITHMS) <= set(names["algo"])
-    assert set(MODELS) <= set(names["model"])
-    assert set(NETWORKS) <= set(names["network"])
-    assert all(values == sorted(values) for values in names.values())
+    assert set(ALGORITHMS) <= set(names.algos)
+    assert set(MODELS) <= set(names.models)
+    assert set(NETWORKS) <= set(names.networks)
+    for values in (names.algos, names.models, names.networks):
+        assert values == sorted(values)
+    assert {"llc_steps", "amp_obs_steps", "imitation_frequency"} <= set(names.config_keys)
 
 
 def test_rl_games_own_names_stay(runner):
     names = known_names(runner)
-    assert {"a2c_continuous", "a2c_discrete", "sac"} <= set(names["algo"])
-    assert {"continuous_a2c_logstd", "discrete_a2c", "soft_actor_critic"} <= set(names["model"])
-    assert {"actor_critic", "resnet_actor_critic", "soft_actor_critic"} <= set(names["network"])
+    assert {"a2c_continuous", "a2c_discrete", "sac"} <= set(names.algos)
+    assert {"continuous_a2c_logstd", "discrete_a2c", "soft_actor_critic"} <= set(names.models)
+    assert {"actor_critic", "resnet_actor_critic", "soft_actor_critic"} <= set(names.networks)
     plain = Runner()
     for factory in ("algo_factory", "player_factory"):
         for name, builder in getattr(plain, factory)._builders.items():

@@ -29,11 +29,20 @@ class RLGPUEnv(IVecEnv):
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
-        del num_actors
         creator = env_configurations.configurations[config_name]["env_creator"]
         with trainer_sets_threads():  # rl_games has the key torch_threads
-            self.env: VecTask = creator(**kwargs)
-        release_torch_threads(self.env)  # of a task that was made before
+            self._wrap(creator(**kwargs))
+
+    @classmethod
+    def from_task(cls, task: VecTask) -> RLGPUEnv:
+        """Return the vectorised environment of a task that exists already."""
+        vec_env = cls.__new__(cls)
+        vec_env._wrap(task)
+        return vec_env
+
+    def _wrap(self, task: VecTask) -> None:
+        self.env = task
+        release_torch_threads(task)  # of a task that was made before
         self._is_asked_for_resets = False
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:

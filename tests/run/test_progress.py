@@ -15,16 +15,16 @@ class Told(ProgressObserver):
     """With the figures of each epoch, as in a MultiObserver."""
 
     def after_init(self, algo: Any) -> None:
-        self._figures.after_init(algo)
+        self._metrics.after_init(algo)
         super().after_init(algo)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        self._figures.after_print_stats(frame, epoch_num, total_time)
+        self._metrics.after_print_stats(frame, epoch_num, total_time)
         super().after_print_stats(frame, epoch_num, total_time)
 
 
 def make_progress(agent: Any, **kwargs: Any) -> Told:
-    kwargs = {"stop": StopRequest(), "figures": MetricsObserver(), **kwargs}
+    kwargs = {"stop": StopRequest(), "metrics": MetricsObserver(), **kwargs}
     observer = Told(**kwargs)
     observer.after_init(agent)
     return observer
@@ -45,7 +45,7 @@ def finish_episodes(progress: Told, agent: Any) -> None:
     """Two episodes, of which one fell."""
     agent.game_lengths.update(torch.tensor([[100.0], [110.0]]))
     agent.game_rewards.update(torch.tensor([[5.0], [6.0]]))
-    progress._figures.process_infos(
+    progress._metrics.process_infos(
         {"terminate": torch.tensor([True, False])}, torch.tensor([[0], [1]])
     )
 
