@@ -5,10 +5,10 @@
     python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
     python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
 
-For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on the
-right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the video
-shows the first one. For skills, and a hierarchy over skills, the video shows the first three of 16
-episodes, which start from the default pose.
+For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
+the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
+video shows the first one. For skills, and a hierarchy over skills, the video shows the first three
+of 16 episodes, which start from the default pose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np

@@ -82,7 +82,7 @@ def register(runner: Runner) -> None:
 
 
 def register_algorithms(runner: Runner) -> None:
-    """Add our algorithms and players to a rl_games Runner; they replace its own of the same name."""
+    """Add our algorithms and players to a rl_games Runner, replacing its own of the same name."""
     for name, (agent, player) in _ALGORITHMS.items():
         runner.algo_factory.register_builder(name, _builder_of(agent))
         runner.player_factory.register_builder(name, _builder_of(player))

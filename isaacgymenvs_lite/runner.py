@@ -138,14 +138,17 @@ def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         UserError: a mistake that the user can correct.
     """
     launch = _read_launch(cfg, command or TypedCommand())
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
-        with Viewers(launch.settings) as viewers:
-            player = _make_player(launch, make_task(launch.num_envs))
-            folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
-            stamp = Path(launch.folder.name).name.removeprefix(launch.name)
-            viewers.start(player.env, folder, _end_play, f"play{stamp}")
-            with contextlib.suppress(WindowClosedError), _output_to_log():
-                player.run()
+    with (
+        _memory_errors_explained(cfg),
+        _open_tasks(launch) as make_task,
+        Viewers(launch.settings) as viewers,
+    ):
+        player = _make_player(launch, make_task(launch.num_envs))
+        folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
+        stamp = Path(launch.folder.name).name.removeprefix(launch.name)
+        viewers.start(player.env, folder, _end_play, f"play{stamp}")
+        with contextlib.suppress(WindowClosedError), _output_to_log():
+            player.run()
 
 
 @contextmanager

@@ -78,7 +78,7 @@ class PolicyGraph(nn.Module):
 
 
 class _MeanActor(nn.Module):
-    """Maps raw observations (n, O), and latents (n, Z) if the policy takes any, to mean actions (n, A).
+    """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
 
     Args:
         model: an rl_games model with `norm_obs` and `a2c_network`.

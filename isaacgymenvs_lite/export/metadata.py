@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import mujoco
-
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite import __version__

@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
-from isaacgymenvs_lite.run.wandb import WandbObserver
+from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 from isaacgymenvs_lite.schema import keys_of, read_section
 from isaacgymenvs_lite.utils.optional_packages import require
 

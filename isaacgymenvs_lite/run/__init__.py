@@ -1,4 +1,4 @@
-"""What belongs to one run: its folder, its stop, and the observers that show and write its progress.
+"""What belongs to one run: its folder, its stop, and the observers that show and log it.
 
 The observers are rl_games' `AlgoObserver`s; `TrainingObservers` are all of them together.
 """

@@ -1,4 +1,4 @@
-"""Warns when a training with a discriminator goes wrong in a known way, and names the keys to change.
+"""Warns when a training with a discriminator goes wrong in a known way, and says what to change.
 
 `Diagnostics` holds the rules: numbers in, warnings out, without an agent, a log or a clock.
 `DiagnosticsObserver` gives it the numbers of a training and logs its warnings, which
@@ -242,8 +242,9 @@ class Diagnostics:
         if not (certain or reward / scale < NO_REWARD) or not self._policy_is_bad():
             return None
         return (
-            f"the discriminator has won: for {_millions(history.window_frames)} frames it recognised"
-            f" {agent:.1%} of the policy's and {demo:.1%} of the clips' samples, the style reward"
+            f"the discriminator has won: for {_millions(history.window_frames)} frames it"
+            f" recognised {agent:.1%} of the policy's and {demo:.1%} of the clips' samples, the"
+            " style reward"
             f" was {reward:.3f} and episodes did not get longer ({self._steps():.0f} steps), so"
             " that the policy cannot see what would be better; start again with"
             f" {self._turn('disc_grad_penalty', 2.0)}, {self._turn(self._disc_rate, 0.5)} or"
@@ -369,7 +370,7 @@ def _is_still(measurement: Measurement) -> bool:
 
 
 def _good_m(measurement: Measurement) -> float:
-    """Return the pose error in m up to which no warning is due; larger where the clip moves more."""
+    """Return the pose error in m that is good enough; larger where the clip moves more."""
     wide_m = GOOD_SHARE_OF_SPREAD * measurement.clip_spread_m
     return max(GOOD_POSE_ERROR_M, wide_m) if math.isfinite(wide_m) else GOOD_POSE_ERROR_M
 

@@ -1,4 +1,4 @@
-"""Makes and finds the folders of runs: `<train_dir>/<run name>/` with config.yaml, nn/, summaries/."""
+"""Makes and finds run folders: `<train_dir>/<run name>/` with config.yaml, nn/, summaries/."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class RunFolder:
             ) from error
 
     def remove_if_unused(self) -> None:
-        """Remove what `create` made if it holds no checkpoint; a folder from before always stays."""
+        """Remove what `create` made if there is no checkpoint; never a folder from before."""
         if not self._was_there and self.newest_checkpoint() is None:
             shutil.rmtree(self.path, ignore_errors=True)
 

@@ -87,7 +87,7 @@ class TrainingObservers(MultiObserver):
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
         if settings.wandb_activate:
-            from isaacgymenvs_lite.run.wandb import WandbObserver
+            from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 
             self._wandb = WandbObserver(cfg, settings, run_name)
             observers.append(self._wandb)

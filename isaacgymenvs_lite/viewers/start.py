@@ -75,7 +75,7 @@ class Viewers:
         settings = self._settings
         on_done = None
         if settings.wandb_activate:
-            from isaacgymenvs_lite.run.wandb import log_video
+            from isaacgymenvs_lite.run.wandb_observer import log_video
 
             on_done = log_video
         return capture_videos(

@@ -1,4 +1,4 @@
-"""`learning.policy_graphs`: graphs do what players do, of every kind of agent."""
+"""Exportable policies act as the players of every kind of agent."""
 
 from __future__ import annotations
 

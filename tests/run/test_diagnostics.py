@@ -176,8 +176,8 @@ LOST = {"steps": 6.5, "falls": 1.0, "style": 0.09, "agent": 0.999, "demo": 1.0}
 def test_a_discriminator_that_wins_for_long():
     (frame, warning), *rest = warnings_of(lambda _: LOST, None)
     assert warning == (
-        "the discriminator has won: for 3.0 M frames it recognised 99.9% of the policy's and 100.0% of"
-        " the clips' samples, the style reward was 0.090 and episodes did not get longer (6"
+        "the discriminator has won: for 3.0 M frames it recognised 99.9% of the policy's and 100.0%"
+        " of the clips' samples, the style reward was 0.090 and episodes did not get longer (6"
         " steps), so that the policy cannot see what would be better; start again with"
         " train.params.config.disc_grad_penalty=10 (now 5),"
         " train.params.config.learning_rate=0.0001 (now 0.0002) or"

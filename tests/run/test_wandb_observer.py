@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 import isaacgymenvs_lite
 from isaacgymenvs_lite.config.launch import LaunchSettings
-from isaacgymenvs_lite.run.wandb import WandbObserver, log_video
+from isaacgymenvs_lite.run.wandb_observer import WandbObserver, log_video
 
 
 class FakeWandb(types.ModuleType):
@@ -45,7 +45,7 @@ def open_wandb(monkeypatch):
     def run(failures: int, **changes: Any) -> FakeWandb:
         fake = FakeWandb(failures)
         monkeypatch.setitem(sys.modules, "wandb", fake)
-        monkeypatch.setattr("isaacgymenvs_lite.run.wandb.time.sleep", lambda s: None)
+        monkeypatch.setattr("isaacgymenvs_lite.run.wandb_observer.time.sleep", lambda s: None)
         settings = LaunchSettings(task_name="Ant", wandb_activate=True, **changes)
         train = {"params": {"config": {"name": "Ant"}}}
         cfg = OmegaConf.create({"num_envs": 4, "twice": "${num_envs}", "train": train})
