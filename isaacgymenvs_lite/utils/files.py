@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Writes files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from isaacgymenvs_lite.errors import ConfigError
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a name beside `path` to write to; it becomes `path` at the end, or is removed.
+    """Give a temporary path beside `path` to write to; at the end it becomes `path`, or is removed.
 
-    The content is on the disk before the name is, so that a crash leaves the old file or the new.
+    The content is on the disk before the file is renamed, so that a crash leaves the old file or
+    the new one.
 
     Raises:
         OSError: the folder is missing, cannot be written or is full.

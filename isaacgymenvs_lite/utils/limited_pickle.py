@@ -1,9 +1,8 @@
-"""Reads the instructions of a stranger's pickle, few of them and none that can do harm.
+"""Reads a stranger's pickle with few instructions, none of which can do harm.
 
-A pickle is a program. Which functions it may call is up to the reader that builds on this class;
-here it is kept from ending the process or taking its memory: the unpickler in C reserves memory for
-the highest number that a file gives a value, and the hash of a tuple of tuples of tuples overflows
-the stack.
+A pickle is a program. The subclass decides which functions it may call; this class keeps it from
+ending the process or taking its memory: the unpickler in C reserves memory for the highest number
+that a file gives to a value, and the hash of a tuple of tuples of tuples overflows the stack.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-# What torch.save and numpy.save write, with protocols 2 to 4; of protocol 0 what it takes to read a
-# file up to the name that it asks for.
+# Instructions of torch.save and numpy.save with protocols 2 to 4; of protocol 0 those that are
+# needed to read a file up to the first name in it.
 _OPCODES = (
     *("PROTO", "FRAME", "STOP", "MARK", "POP", "POP_MARK"),
     *("GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "BINPERSID"),
@@ -49,14 +48,14 @@ class LimitedUnpickler(_PythonUnpickler):
 
     @abstractmethod
     def find_class(self, module: str, name: str) -> Any:
-        """Return what a name stands for; raise for all but those that a file needs."""
+        """Return the object of a name; raise for all names but those that a file needs."""
 
     @abstractmethod
     def build(self, instance: Any, state: Any) -> None:
-        """Give an object its state; raise ValueError for one that has none."""
+        """Set the state of an object; raise ValueError for one that has none."""
 
     def load_build(self) -> None:
-        """Give the newest object its state."""
+        """Set the state of the newest object."""
         state = self.stack.pop()
         self.build(self.stack[-1], state)
 
