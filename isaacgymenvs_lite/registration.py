@@ -15,7 +15,6 @@ atomically and load them without running code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rl_games.algos_torch import model_builder
 from rl_games.common import env_configurations, vecenv
@@ -84,8 +83,8 @@ def register(runner: Runner) -> None:
 def register_algorithms(runner: Runner) -> None:
     """Add our algorithms and players to a rl_games Runner, replacing its own of the same name."""
     for name, (agent, player) in _ALGORITHMS.items():
-        runner.algo_factory.register_builder(name, _builder_of(agent))
-        runner.player_factory.register_builder(name, _builder_of(player))
+        runner.algo_factory.register_builder(name, agent)
+        runner.player_factory.register_builder(name, player)
 
 
 def register_networks() -> None:
@@ -116,10 +115,7 @@ def register_env(creator: Callable[..., VecTask] | None = None) -> None:
     Args:
         creator: receives `config.env_config` as keyword arguments; None = `isaacgymenvs_lite.make`.
     """
-    vecenv.register(
-        "RLGPU",
-        lambda config_name, num_actors, **kwargs: RLGPUEnv(config_name, num_actors, **kwargs),
-    )
+    vecenv.register("RLGPU", RLGPUEnv)
     env_configurations.register(
         _ENV_NAME, {"vecenv_type": "RLGPU", "env_creator": creator or isaacgymenvs_lite.make}
     )
@@ -134,7 +130,3 @@ def known_names(runner: Runner) -> KnownNames:
         networks=sorted(builder.network_builder.network_factory._builders),
         config_keys=AGENT_KEYS.union(_RUNNER_KEYS),
     )
-
-
-def _builder_of(cls: type) -> Callable[..., Any]:
-    return lambda **kwargs: cls(**kwargs)

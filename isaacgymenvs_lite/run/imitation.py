@@ -80,12 +80,13 @@ class ImitationObserver(AlgoObserver):
             return
         self._due = False
         start = time.monotonic()
-        self.last, self.last_frame = self._evaluate(), frame
+        self.last, self.last_frame = self.measure(), frame
         self._spent_s += time.monotonic() - start
         self._evaluations += 1
         self._write(self.last, frame)
 
-    def _evaluate(self) -> EvaluationResult:
+    def measure(self) -> EvaluationResult:
+        """Play the episodes of one evaluation with the mean policy, on the simulation for them."""
         with torch.random.fork_rng(enabled=True):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)
