@@ -112,7 +112,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     files = []
     for name in names:
         performance = perform(name, settings.seconds)
-        path = film(performance, folder / f"{name}.{settings.format}")
+        path = save_performance(performance, folder / f"{name}.{settings.format}")
         size_kib = path.stat().st_size / 1024
         log.info("%s: %s", name, performance.summary)
         log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
@@ -175,7 +175,7 @@ def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
     return f"task reward {result.reward / result.steps:.2f} per step, {falls}"
 
 
-def film(performance: Performance, path: Path) -> Path:
+def save_performance(performance: Performance, path: Path) -> Path:
     """Draw a policy beside its clip, as a video (.mp4, .webp) or a strip of poses (.png).
 
     Raises:

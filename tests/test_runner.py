@@ -487,7 +487,7 @@ def test_a_refused_run_frees_its_simulation(override, in_tmp, walk_clip, tasks):
 
 def test_a_loaded_player_frees_its_simulation_after_an_error(in_tmp, walk_clip, checkpoint, tasks):
     threads = torch.get_num_threads()
-    cfg = tiny(walk_clip, f"checkpoint={checkpoint}", "+train.params.torch_threads=3")
+    cfg = tiny(walk_clip, f"checkpoint={checkpoint}", "train.params.torch_threads=3")
     with pytest.raises(ArithmeticError), load_player(cfg) as player:
         assert player.env is tasks["made"][-1]
         assert player.act(player.env.reset()).shape == (4, 28)
