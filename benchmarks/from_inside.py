@@ -11,8 +11,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.runner import train
 
 
 class MeasuredError(Exception):
@@ -89,8 +88,9 @@ def train_from_inside(cfg: DictConfig, agent_class: Any, epoch: Callable[[Any], 
         agent_class: of the agent that it trains.
         epoch: called with the agent in place of `agent_class.train_epoch`.
     """
+    cfg.seed = 0
     with epochs_replaced(agent_class, epoch):
-        Session(cfg, check_config(cfg), seed=0).run()
+        train(cfg)
 
 
 def last_number_of(

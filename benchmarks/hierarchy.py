@@ -123,7 +123,7 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
         ConfigError: random latents for a policy without a low level.
     """
     policy = _policy(player, random_latents)
-    judge = getattr(player, "llc", None) or _shipped_judge(env)
+    judge = getattr(player, "llc", None) or shipped_judge(env)
     style = None if judge is None else judge.style_reward
     result = evaluate(env, policy, EPISODES, style_reward=style)
     assert result.imitation is not None  # the task has reference motions
@@ -136,7 +136,8 @@ def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalRea
     )
 
 
-def _shipped_judge(env: Any) -> LowLevelPolicy | None:
+def shipped_judge(env: Any) -> LowLevelPolicy | None:
+    """Return the shipped low level, whose discriminator rates the style; None if it misfits."""
     try:
         return LowLevelPolicy(LLC_CONFIG, SHIPPED_LLC, LowLevelSizes.from_task(env), env.rl_device)
     except CheckpointError:  # of another humanoid

@@ -12,7 +12,6 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
-from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.env_factory import seed_everything
@@ -21,7 +20,7 @@ from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.evaluation.pose_error import ImitationResult
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.runner import load_player
 
 T = TypeVar("T")
 
@@ -146,11 +145,10 @@ def play_checkpoint(
     Raises:
         UserError: the checkpoint or the run's settings cannot be used.
     """
-    session = _Evaluation(
-        _protocol_config(checkpoint, num_threads, fixed, overrides), seed, measure
-    )
-    session.run()
-    return session.measured[0]
+    cfg = _protocol_config(checkpoint, num_threads, {"seed": seed, **fixed}, overrides)
+    with load_player(cfg) as player:
+        seed_everything(seed)  # again, whatever making the player drew
+        return measure(player, player.env)
 
 
 def _protocol_config(
@@ -187,21 +185,6 @@ def _with_launch_keys(cfg: DictConfig) -> DictConfig:
     merged = OmegaConf.merge(root, cfg)
     assert isinstance(merged, DictConfig)
     return merged
-
-
-class _Evaluation(Session):
-    """A session that plays by the protocol in place of the player's own loop."""
-
-    def __init__(self, cfg: DictConfig, seed: int, measure: Callable[[Any, Any], Any]) -> None:
-        seed_everything(seed)
-        super().__init__(cfg, check_config(cfg), seed)
-        self._measure = measure
-        self.measured: list[Any] = []
-
-    def _play(self) -> None:
-        player = self.make_player()
-        seed_everything(self._seed)  # whatever making the player drew
-        self.measured.append(self._measure(player, self._task))
 
 
 def _measure_imitation(player: Any, env: Any) -> Outcome:

@@ -131,13 +131,13 @@ class Training:
         words = list(command or job.command(cores))
         self.run.note_start(start_now(job.settings, shlex.join(words), cores))
         with log_file(self.run).open("a", encoding="utf-8") as log:
-            self._process = _start(words, cores, log)
+            self.process = _start(words, cores, log)
         self._start_s = clock_s()
         self._ask_again_s = 0.0
 
     def poll(self, stop: bool) -> int | None:
         """Return the exit code, None while it runs; end it when its time is over, or at `stop`."""
-        code = self._process.poll()
+        code = self.process.poll()
         now_s = self._clock_s()
         if code is None and (stop or now_s - self._start_s >= self._limit_s):
             self._ask_to_end(now_s)
@@ -145,13 +145,13 @@ class Training:
 
     def close(self) -> None:
         """End it now, with a checkpoint, and wait for that; nothing if it has ended."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-            self._process.wait()
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            self.process.wait()
 
     def _ask_to_end(self, now_s: float) -> None:
         if now_s >= self._ask_again_s:
-            self._process.send_signal(signal.SIGINT)
+            self.process.send_signal(signal.SIGINT)
             self._ask_again_s = now_s + _PATIENCE_S
 
 

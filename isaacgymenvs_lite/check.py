@@ -1,12 +1,12 @@
-"""Says what a task or train file asks for, without training.
+"""Checks a task or train file and describes its training, without training.
 
     python -m isaacgymenvs_lite.check FILE.yaml [task=<name>] [key=value ...]
 
 FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
-task whose name it begins with, or with the one that `task=` names. The command names the algorithm,
-the network, samples and length, the keys that have no effect here, and what would be changed to
-fit. What is wrong is one line, as of train.py, with exit code 2; so are files of published tasks
-that are not here, and train files of an unknown task. Of a task file whose class is not here, all
+task that its name begins with, or with `task=`. The command lists the algorithm, the network,
+samples and length, the keys that have no effect here, and what would be changed to fit. A mistake
+is one line, as in train.py, with exit code 2; this includes files of published tasks that this
+project lacks, and train files of an unknown task. For a task file without a class here, everything
 but `task.env` is checked.
 """
 
@@ -46,12 +46,12 @@ from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 
 EXIT_USER_ERROR = 2
-# Keys of `config` that were read by IsaacGymEnvs or rl_games once, by nothing here.
+# Keys of `config` that IsaacGymEnvs or an old rl_games read, and nothing reads here.
 _UNREAD_CONFIG = (
     *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),
     *("lr_threshold", "use_others_experience", "num_seed_steps", "max_env_steps"),
 )
-# Where the name of a train file says nothing of a task, as those of ASE's: by its algorithm.
+# For train files without a task in their name, such as ASE's: the task by the algorithm.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
@@ -78,17 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
-    """Return what the file asks for, line by line.
+    """Return a description of the file, line by line.
 
     Args:
         file: path or name of a task or train file.
         overrides: further words of train.py's command line.
 
     Raises:
-        UserError: what train.py would refuse.
+        UserError: train.py would refuse the file.
     """
     path = _find(file)
-    with _log_lines() as said:
+    with _log_lines() as logged:
         _refuse_missing_task(path, overrides)
         kind, content = _kind(path)
         words = [f"{kind}={path}", *overrides]
@@ -106,7 +106,7 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
         lines = [_title(path, kind, cfg, guessed)]
         known = kind == "train" or _has_class(cfg)
         lines += _describe_composed(cfg, kind, has_train) if known else _describe_unknown(cfg)
-    for line in dict.fromkeys(said):
+    for line in dict.fromkeys(logged):
         lines.append(f"note: {line}")
     if known:
         lines.append("nothing is wrong with it")
@@ -120,7 +120,7 @@ def _has_class(cfg: DictConfig) -> bool:
 
 
 def _describe_unknown(cfg: DictConfig) -> list[str]:
-    """Return what can be said of a task file without the class of the task."""
+    """Return the description of a task file without the class of the task."""
     lines = [
         f"the class of '{cfg.task.name}' is not here, so that the keys of task.env are not checked;"
         " install the package that has it, or register it in a script (docs/own_task.md)"
@@ -135,8 +135,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
     # torch, MuJoCo and rl_games: once the configuration is known to compose
     from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
     from isaacgymenvs_lite.env_factory import make_from_config
-    from isaacgymenvs_lite.registration import build_runner
-    from isaacgymenvs_lite.runner import registered_names
+    from isaacgymenvs_lite.registration import build_runner, known_names
 
     small = cfg.copy()
     small.task.env.numEnvs = 2
@@ -149,7 +148,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
             seed=1,
             num_agents=task.num_agents,
             num_states=task.num_states,
-            names=registered_names(build_runner()),
+            names=known_names(build_runner()),
         )
         check_env_name(params)
     finally:
@@ -184,10 +183,10 @@ def _find(file: str) -> Path:
 
 
 def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
-    """Refuse the file of a published task that is not here, before more of it is read.
+    """Refuse the file of a published task that this project lacks, before more of it is read.
 
     Raises:
-        ConfigError: it is one, and no `task=` says what to check it with.
+        ConfigError: it is one, and there is no `task=` to check it with.
     """
     if any(word.startswith("task=") for word in overrides):
         return
@@ -217,19 +216,19 @@ def _kind(path: Path) -> tuple[str, DictConfig]:
 def _task_of(path: Path, content: DictConfig) -> str:
     """Return the task of a train file, or the path of its task file.
 
-    Its name and the name of its runs say which: MyRobotPPO.yaml, whose runs are called MyRobot, has
-    nothing to do with a task Robot or My.
+    The task is found by the file's name and the name of its runs: MyRobotPPO.yaml, whose runs are
+    called MyRobot, belongs neither to a task Robot nor to a task My.
 
     Raises:
-        ConfigError: it is a task that is not here.
+        ConfigError: there is no such task.
     """
     names = [file.stem for file in (cfg_dir() / "task").glob("*.yaml")]
-    said, run = task_in_name(path.stem), _run_name(content)
-    capital = re.match(r"[A-Z]", said)  # MyRobot; ASE's files are called amp_humanoid
-    of_its_own = is_foreign(path) and capital and run == said and said not in names
+    named, run = task_in_name(path.stem), _run_name(content)
+    capital = re.match(r"[A-Z]", named)  # MyRobot; ASE's files are called amp_humanoid
+    of_its_own = is_foreign(path) and capital and run == named and named not in names
     if not of_its_own and (task := longest_task(path.stem, names)):
         return task
-    beside = path.parent.parent / "task" / f"{said}.yaml"
+    beside = path.parent.parent / "task" / f"{named}.yaml"
     if beside.is_file():
         return str(beside)
     algorithm = OmegaConf.select(content, "params.algo.name")
@@ -239,7 +238,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
     if run in names:
         return run
     raise ConfigError(
-        f"{path.name} belongs to no task that is here; task=<name> says which one to check it with:"
+        f"{path.name} belongs to none of the tasks here; choose one to check it with, task=<name>:"
         f" {', '.join(sorted(names))}"
     )
 
@@ -322,7 +321,7 @@ def _unread_train_keys(cfg: DictConfig) -> list[str]:
 
 @contextmanager
 def _log_lines() -> Iterator[list[str]]:
-    """Collect what the package says, instead of showing it."""
+    """Collect the log messages of the package instead of showing them."""
     lines: list[str] = []
 
     class Collector(logging.Handler):

@@ -1,4 +1,4 @@
-"""Small commands with the settings of train.py: python -m isaacgymenvs_lite.demo key=value ..."""
+"""Runs commands that take `key=value` words: python -m isaacgymenvs_lite.demo key=value ..."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def run_command(
     arguments: Sequence[str] | None = None,
     words: argparse.Namespace | None = None,
 ) -> int:
-    """Read `key=value` words into a settings dataclass and run an action with it.
+    """Read `key=value` words into a settings dataclass and call a function with it.
 
     The log goes to stderr, messages only. A user's mistake is one line and exit code 2.
 
     Args:
-        parser: with options and words of its own, if any; the settings are added to it.
+        parser: may have options and words of its own; the settings are added to it.
         cls: a dataclass, see `schema.setting`.
-        action: what the command does.
+        action: receives the settings.
         arguments: without the program's name; None = `sys.argv`.
-        words: filled with the parser's own options and words before the action runs.
+        words: is filled with the parser's own options and words before the action runs.
 
     Returns:
         The exit code.

@@ -1,14 +1,14 @@
-"""Plays the shipped policies and films them: python -m isaacgymenvs_lite.demo [key=value ...].
+"""Plays the shipped policies and records videos: python -m isaacgymenvs_lite.demo [key=value ...].
 
     python -m isaacgymenvs_lite.demo                            # all of them: demo/<name>.mp4
     python -m isaacgymenvs_lite.demo policies=[walk] seconds=10
     python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
     python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
 
-Of a policy that imitates, the reference clip is on the left (in a .png above), the policy on the
-right; the pose error is that of 16 episodes of 10 s that start anywhere in the clip, and the video
-shows the first of them. Of skills, and of a hierarchy over skills, the first three of 16 episodes
-are shown, which start from the default pose.
+For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
+the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
+video shows the first one. For skills, and a hierarchy over skills, the video shows the first three
+of 16 episodes, which start from the default pose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,8 +27,6 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
@@ -37,7 +34,7 @@ from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
-from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.runner import load_player
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
@@ -47,11 +44,11 @@ _EPISODES = 16
 _EPISODE_STEPS = 300
 _SEED = 1
 _LABELS = ("reference clip", "policy")
-# Networks whose policies do not follow a clip, and how many of their episodes to show.
+# Networks of policies that do not follow a clip, and how many of their episodes to show.
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
-# A panel's width and height in pixels, and of how many control steps one is shown.
+# A panel's width and height in pixels, and how many control steps pass from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
 
 
@@ -71,16 +68,16 @@ class DemoSettings:
 
 @dataclass(frozen=True)
 class Performance:
-    """What a policy did.
+    """What a policy did in the demo.
 
     Attributes:
-        model: of the figure.
+        model: of the character.
         dt_s: control step.
-        tracks: (T, nq) each: the clip, beginning in the policy's first pose, and the policy; or the
+        tracks: (T, nq) each: the clip, from the policy's first pose on, and the policy; or the
             policy in several environments.
         labels: of the tracks; empty for none.
-        markers: what else to show at each time of each track, such as goals; empty for nothing.
-        summary: what all environments reached, for users.
+        markers: shown at each time of each track, such as goals; empty for none.
+        summary: the result over all environments, for users.
     """
 
     model: mujoco.MjModel
@@ -92,7 +89,7 @@ class Performance:
 
 
 def run_demo(settings: DemoSettings) -> list[Path]:
-    """Play, measure and film policies; returns the files, one for each.
+    """Play, measure and record policies; return the files, one for each.
 
     Raises:
         UserError: no such policy, no way to draw or encode, a folder that cannot be written.
@@ -106,7 +103,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
             f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
             " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
         )
-    ensure_gl()  # whether it works should show before the play
+    ensure_gl()  # fails before the play
     folder = Path(settings.out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +112,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     files = []
     for name in names:
         performance = perform(name, settings.seconds)
-        path = film(performance, folder / f"{name}.{settings.format}")
+        path = save_performance(performance, folder / f"{name}.{settings.format}")
         size_kib = path.stat().st_size / 1024
         log.info("%s: %s", name, performance.summary)
         log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
@@ -124,7 +121,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
 
 
 def perform(name: str, seconds: float) -> Performance:
-    """Let a shipped policy act.
+    """Play a shipped policy with its mean actions, and record it.
 
     Args:
         name: of the policy.
@@ -137,51 +134,35 @@ def perform(name: str, seconds: float) -> Performance:
         "test=True",
         f"checkpoint={name}",
         f"num_envs={_EPISODES}",
+        f"seed={_SEED}",
         "rl_device=cpu",
         "num_threads=1",  # so few humanoids are slower on more
     )
     cfg = compose([*playing_overrides(name), *fixed])
-    cfg.task.env.stateInit = "Random" if _imitates(cfg) else "Default"
+    imitates = _imitates(cfg)
+    cfg.task.env.stateInit = "Random" if imitates else "Default"
     dt_s = cfg.task.sim.dt * cfg.task.env.controlFrequencyInv
     num_steps = max(1, round(seconds / dt_s))
     cfg.task.env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
-    session = _Demonstration(cfg, num_steps)
-    session.run()
-    return session.performance
-
-
-def _imitates(cfg: DictConfig) -> bool:
-    return cfg.train.params.network.name not in _SKILL_NETWORKS
-
-
-class _Demonstration(Session):
-    """A session that records what the mean policy does."""
-
-    performance: Performance
-
-    def __init__(self, cfg: DictConfig, num_steps: int) -> None:
-        settings = check_config(cfg)
-        seed_everything(_SEED)
-        super().__init__(cfg, settings, _SEED)
-        self._num_steps = num_steps
-
-    def _play(self) -> None:
-        env: Any = self._task
-        player = self.make_player()
-        imitates = _imitates(self._cfg)
-        recorder = PoseRecorder(env, self._num_steps, range(1 if imitates else _SHOWN_EPISODES))
+    with load_player(cfg) as player:
+        env = player.env
+        recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
         result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
         tracks = recorder.tracks()
         if imitates:
             tracks.insert(0, reference_track(env, tracks[0]))
-        self.performance = Performance(
+        return Performance(
             env.simulation.model,
             env.dt,
             tuple(tracks),
             _LABELS if imitates else (),
             () if imitates else tuple(recorder.markers()),
-            _summary(result, self._cfg),
+            _summary(result, cfg),
         )
+
+
+def _imitates(cfg: DictConfig) -> bool:
+    return cfg.train.params.network.name not in _SKILL_NETWORKS
 
 
 def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
@@ -194,8 +175,8 @@ def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
     return f"task reward {result.reward / result.steps:.2f} per step, {falls}"
 
 
-def film(performance: Performance, path: Path) -> Path:
-    """Write what a policy did beside its clip: a video (.mp4, .webp) or a strip of poses (.png).
+def save_performance(performance: Performance, path: Path) -> Path:
+    """Draw a policy beside its clip, as a video (.mp4, .webp) or a strip of poses (.png).
 
     Raises:
         UserError: the file cannot be drawn, encoded or written.

@@ -1,4 +1,4 @@
-"""From arguments or a composed tree to a task."""
+"""Makes tasks from arguments or a composed tree."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def make_task(
         cfg = _with_checkout(cfg)
     settings = check_config(cfg)
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
-    # What is captured is drawn without a display: Isaac Gym opened its window on a virtual one.
+    # Captured frames are drawn without a display, where Isaac Gym needed a virtual one.
     opens_window = not headless and not virtual_screen_capture
     if opens_window:
         check_display()
@@ -89,9 +89,9 @@ def make_task(
 
 
 def _with_checkout(cfg: DictConfig) -> DictConfig:
-    """Return a tree that a script's own Hydra composed, with the checkout of its task file.
+    """Add the checkout of the task file to a tree that a script composed with its own Hydra.
 
-    A train.py of another project knows no such key, and its clips are in its own folders.
+    The train.py of another project has no such key, and its clips are in its own folders.
     """
     if checkouts.KEY in cfg or not HydraConfig.initialized():
         return cfg
@@ -138,14 +138,14 @@ def make_from_config(
 
 
 def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
-    """Replace the clip and the model that `task.env` names by where they are, in place.
+    """Replace the names of clip and model in `task.env` by their paths, in place.
 
-    The working folder goes first, then the checkout that the task file belongs to, then what comes
-    with this project.
+    The search goes through the working folder, the checkout of the task file, and the files of this
+    project.
 
     Raises:
-        MotionFileError: there is no such clip; says where was looked.
-        ConfigError: there is no such model, either.
+        MotionFileError: there is no such clip; the message lists the searched folders.
+        ConfigError: there is no such model; likewise.
     """
     clip = env.get("motion_file")
     if isinstance(clip, str) and clip and not is_package_name(clip):
@@ -161,7 +161,7 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
 def _folder_of_model(
     asset: dict[str, Any], checkout: Path, published: Collection[str]
 ) -> Path | None:
-    """Return where in a checkout a model lies that is none of this project's, None for those."""
+    """Return the folder of a model in a checkout, None for the models of this project."""
     name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
     ours = not name or (assets_dir() / name).is_file() or name in published
     if ours or (Path(root) / name).is_file():
@@ -170,9 +170,9 @@ def _folder_of_model(
     for folder in folders:
         if (folder / name).is_file():
             return folder
-    looked = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
+    searched = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
     raise ConfigError(
-        f"task.env.asset.assetFileName='{name}': no such file in {looked}; shipped:"
+        f"task.env.asset.assetFileName='{name}': no such file in {searched}; shipped:"
         f" {shipped_assets()}"
     )
 

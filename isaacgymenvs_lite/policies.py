@@ -1,7 +1,7 @@
 """Packs a policy: python -m isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME [clip=CLIP].
 
-`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The result goes to
-assets/policies, or to the folder out=FOLDER, and then plays by its name:
+`checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The packed policy
+is written to assets/policies, or to the folder out=FOLDER, and can be played by its name:
 
     python train.py test=True checkpoint=NAME
 """
@@ -29,11 +29,11 @@ class PackSettings:
     name: str = setting()
     """Of the policy."""
     clip: str = setting("")
-    """The shipped clip that it imitates; '': the run's."""
+    """The shipped clip that it imitates; '': the clip of the run."""
     out: str = setting("")
     """Folder; '': assets/policies."""
     task: str = setting("HumanoidAMP")
-    """Whose runs `last` looks at."""
+    """Task of the runs that `last` searches."""
     runs: str = setting("runs")
     """Folder of the runs, for `last`."""
 

@@ -1,4 +1,4 @@
-"""The only place that makes our agents, players, models and networks known to rl_games.
+"""Registers our agents, players, models, networks and tasks with rl_games; nothing else does.
 
     from rl_games.torch_runner import Runner
     from isaacgymenvs_lite.registration import register
@@ -7,15 +7,14 @@
     register(runner)
     runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
-`amp_agent` is then `LeastSquaresAMPAgent`; a builder of the caller's own for `AMPAgent` pays the
-logistic style reward, as IsaacGymEnvs.
-Checkpoints of a runner that was registered are written atomically and loaded without running code.
+`amp_agent` is then `LeastSquaresAMPAgent`. A builder for `AMPAgent` that the caller registers pays
+the logistic style reward, as IsaacGymEnvs does. `register` also makes rl_games write checkpoints
+atomically and load them without running code.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rl_games.algos_torch import model_builder
 from rl_games.common import env_configurations, vecenv
@@ -24,10 +23,12 @@ from rl_games.torch_runner import Runner
 
 import isaacgymenvs_lite
 from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.config.train_params import KnownNames
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous, LeastSquaresAMPPlayer
+from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
@@ -68,6 +69,8 @@ _NETWORKS: dict[str, type] = {
     "hrl": HRLBuilder,
 }
 _ENV_NAME = "rlgpu"
+# Keys of train.params.config that `runner` reads, beside those of the agents.
+_RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction")
 
 
 def register(runner: Runner) -> None:
@@ -77,14 +80,14 @@ def register(runner: Runner) -> None:
 
 
 def register_algorithms(runner: Runner) -> None:
-    """Add our algorithms and players to a rl_games Runner, in the place of its own of that name."""
+    """Add our algorithms and players to a rl_games Runner, replacing its own of the same name."""
     for name, (agent, player) in _ALGORITHMS.items():
-        runner.algo_factory.register_builder(name, _builder_of(agent))
-        runner.player_factory.register_builder(name, _builder_of(player))
+        runner.algo_factory.register_builder(name, agent)
+        runner.player_factory.register_builder(name, player)
 
 
 def register_networks() -> None:
-    """Make our models and networks, checkpoints and tasks known to rl_games, for all Runners."""
+    """Register our models, networks, checkpoints and tasks with rl_games, for all Runners."""
     checkpoints.install()
     if _ENV_NAME not in env_configurations.configurations:
         register_env()
@@ -95,10 +98,10 @@ def register_networks() -> None:
 
 
 def build_runner(observer: AlgoObserver | None = None) -> Runner:
-    """Return a Runner that knows our agents.
+    """Return a Runner with our agents.
 
     Args:
-        observer: hears of the training; None = rl_games' default.
+        observer: is called during a training; None = rl_games' default.
     """
     runner = Runner(observer)
     register(runner)
@@ -109,26 +112,20 @@ def register_env(creator: Callable[..., VecTask] | None = None) -> None:
     """Make `env_name: rlgpu` of train files mean the task that `creator(**kwargs)` returns.
 
     Args:
-        creator: gets `config.env_config` as keyword arguments; None = `isaacgymenvs_lite.make`.
+        creator: receives `config.env_config` as keyword arguments; None = `isaacgymenvs_lite.make`.
     """
-    vecenv.register(
-        "RLGPU",
-        lambda config_name, num_actors, **kwargs: RLGPUEnv(config_name, num_actors, **kwargs),
-    )
+    vecenv.register("RLGPU", RLGPUEnv)
     env_configurations.register(
         _ENV_NAME, {"vecenv_type": "RLGPU", "env_creator": creator or isaacgymenvs_lite.make}
     )
 
 
-def known_names(runner: Runner) -> dict[str, list[str]]:
-    """Return the names that a train file may use: {"algo": ..., "model": ..., "network": ...}."""
+def known_names(runner: Runner) -> KnownNames:
+    """Return the names that a train file may use, and the keys that our agents read."""
     builder = model_builder.ModelBuilder()
-    return {
-        "algo": sorted(runner.algo_factory._builders),
-        "model": sorted(builder.model_factory._builders),
-        "network": sorted(builder.network_builder.network_factory._builders),
-    }
-
-
-def _builder_of(cls: type) -> Callable[..., Any]:
-    return lambda **kwargs: cls(**kwargs)
+    return KnownNames(
+        algos=sorted(runner.algo_factory._builders),
+        models=sorted(builder.model_factory._builders),
+        networks=sorted(builder.network_builder.network_factory._builders),
+        config_keys=AGENT_KEYS.union(_RUNNER_KEYS),
+    )

@@ -1,4 +1,10 @@
-"""From a composed configuration to a trained or played policy."""
+"""Trains or plays what a composed configuration describes.
+
+cfg = compose(["task=HumanoidAMP", "checkpoint=walk", "test=True"])
+run(cfg)                            # as train.py
+with load_player(cfg) as player:    # a policy and its task, for a loop of one's own
+    actions = player.act(player.env.reset())
+"""
 
 from __future__ import annotations
 
@@ -6,8 +12,9 @@ import contextlib
 import io
 import itertools
 import logging
-from collections.abc import Iterator
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,14 +22,13 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
-from rl_games.torch_runner import Runner
+from rl_games.torch_runner import Runner, _override_sigma
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
-    KnownNames,
     apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
@@ -30,17 +36,8 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
-from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
-from isaacgymenvs_lite.registration import build_runner, known_names, register_env
-from isaacgymenvs_lite.run import (
-    DiagnosticsObserver,
-    ImitationObserver,
-    MetricsObserver,
-    MultiObserver,
-    ProgressObserver,
-    TaskScalarsObserver,
-)
-from isaacgymenvs_lite.run.event_writer import install
+from isaacgymenvs_lite.registration import build_runner, known_names
+from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -48,14 +45,13 @@ from isaacgymenvs_lite.typed_command import TypedCommand
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.viewers.start import Viewers
 from isaacgymenvs_lite.viewers.window import WindowClosedError
+from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _IMITATION_EPISODES = 16
-# Keys of train.params.config that are read here, beside those of the agents.
-_RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction")
 
 
 def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -63,22 +59,327 @@ def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
 
     Args:
         cfg: the tree.
-        command: the command line that it was composed from, if it was; for hints.
+        command: the command line that the tree was composed from, for hints; None if a program
+            composed it.
 
     Raises:
-        UserError: anything that the user can mend; nothing was trained then.
+        UserError: a mistake that the user can correct; nothing was trained then.
+    """
+    settings = check_config(cfg)
+    if settings.test:
+        play(cfg, command)
+    else:
+        train(cfg, command)
+
+
+def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+    """Train the agent of a composed tree in a run folder of its own.
+
+    Args:
+        cfg: the tree.
+        command: as in `run`.
+
+    Raises:
+        UserError: a mistake that the user can correct. The run folder is removed, unless the
+            training had begun (`NotFiniteError`).
+    """
+    command = command or TypedCommand()
+    launch = _read_launch(cfg, command)
+    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
+        viewers = Viewers(launch.settings)
+        # Made before the agent, so that its mistakes show before a run folder exists.
+        task = make_task(launch.num_envs)
+        params = _read_params(launch, task)
+        params["config"]["print_stats"] = False
+        stop = StopRequest()
+        observers = TrainingObservers(
+            cfg,
+            launch.settings,
+            launch.folder.name,
+            _imitation_observer(params["config"], task, make_task),
+            task.max_episode_length,
+            stop,
+        )
+        launch.folder.create(cfg)
+        try:
+            viewers.start(task, launch.folder.path, stop.request)
+            with stop, _output_to_log():
+                runner = _load_runner(params, task, observers)
+                runner.run({"train": True, "play": False, **launch.overrides})
+        except NotFiniteError:
+            raise  # the run folder shows how it happened
+        except UserError:
+            launch.folder.remove_if_unused()
+            raise
+        except KeyboardInterrupt:
+            log.warning("stopped at once")
+            _save(observers.agent, launch, "_interrupted")
+        finally:
+            observers.close_log()
+            viewers.close()  # before wandb: its run gets the last videos
+            observers.close_wandb()
+        # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
+        # never reach.
+        if not launch.checkpoint_file("").exists():
+            _save(observers.agent, launch, "")
+        _report_end(launch, command, stop.requested)
+
+
+def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+    """Play the policy of a composed tree's checkpoint, and log what it reaches.
+
+    Args:
+        cfg: the tree.
+        command: as in `run`.
+
+    Raises:
+        UserError: a mistake that the user can correct.
+    """
+    launch = _read_launch(cfg, command or TypedCommand())
+    with (
+        _memory_errors_explained(cfg),
+        _open_tasks(launch) as make_task,
+        Viewers(launch.settings) as viewers,
+    ):
+        player = _make_player(launch, make_task(launch.num_envs))
+        folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
+        stamp = Path(launch.folder.name).name.removeprefix(launch.name)
+        viewers.start(player.env, folder, _end_play, f"play{stamp}")
+        with contextlib.suppress(WindowClosedError), _output_to_log():
+            player.run()
+
+
+@contextmanager
+def load_player(cfg: DictConfig) -> Iterator[Any]:
+    """Give rl_games' player of a composed tree's checkpoint, and free its task at the end.
+
+    `player.env` is the task, `player.act(obs)` returns actions, as for `evaluation.evaluate`.
+
+    Args:
+        cfg: the tree.
+
+    Raises:
+        UserError: the tree cannot be used, or the checkpoint is of another network or task.
+    """
+    launch = _read_launch(cfg)
+    with _open_tasks(launch) as make_task:
+        yield _make_player(launch, make_task(launch.num_envs))
+
+
+# --- from a tree to a task and an agent ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Launch:
+    """What a composed tree says about a run, before anything is made.
+
+    Attributes:
+        cfg: the tree.
+        settings: its root.
+        seed: of the agent.
+        name: of the checkpoints, the last part of the run's name.
+        folder: of the run; only a training makes it.
+        checkpoint: path of the file that the run starts from, '' for none.
+    """
+
+    cfg: DictConfig
+    settings: LaunchSettings
+    seed: int
+    name: str
+    folder: RunFolder
+    checkpoint: str
+
+    @property
+    def num_envs(self) -> int:
+        """Environments of the training or the play."""
+        return int(self.cfg.task.env.numEnvs)
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
+        return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
+
+    def checkpoint_file(self, suffix: str) -> Path:
+        """Return the path of a checkpoint of the run."""
+        return self.folder.checkpoints / f"{self.name}{suffix}.pth"
+
+
+def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launch:
+    """Check a composed tree, find its checkpoint, and seed Python, numpy and torch.
+
+    With a command line, notes about the configuration are logged.
     """
     settings = check_config(cfg)
     apply_wrapper_limits(cfg)
-    command = command or TypedCommand()
-    for note in startup_notes(cfg, command.check(str(cfg.task.name))):
-        log.info("%s", note)
+    if command is not None:
+        for note in startup_notes(cfg, command.check(str(cfg.task.name))):
+            log.info("%s", note)
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
+    name = run_name_of(cfg)
+    train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+    if exact := settings.full_experiment_name:
+        run_name = str(read_run_name(exact, "full_experiment_name"))
+    else:
+        run_name = _new_run_name(train_dir, str(name))
+    given = settings.checkpoint or checkpoint_in_file(cfg)
+    checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
+    if checkpoint:
+        log.info("checkpoint: %s", checkpoint)
+    return _Launch(cfg, settings, seed, name.name, RunFolder(train_dir, run_name), checkpoint)
+
+
+def _new_run_name(train_dir: Path, name: str) -> str:
+    """Return `<name>_<dd-HH-MM-SS>`, with a number after it if a run of this second exists."""
+    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
+    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
+    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
+
+
+@contextmanager
+def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
+    """Give a function that makes the tree's task, from a number of environments.
+
+    At the end, also after an error, all tasks that it made are closed, and torch gets back its
+    number of threads.
+    """
+    settings = launch.settings
+    with ExitStack() as opened:
+        opened.callback(torch.set_num_threads, torch.get_num_threads())
+
+        def make(num_envs: int) -> VecTask:
+            cfg = launch.cfg.copy()
+            OmegaConf.update(cfg, "task.env.numEnvs", num_envs)
+            task = make_from_config(
+                cfg,
+                sim_device=settings.sim_device,
+                rl_device=settings.rl_device,
+                graphics_device_id=settings.graphics_device_id,
+                headless=settings.headless,
+                virtual_screen_capture=settings.capture_video,
+                force_render=settings.force_render,
+            )
+            opened.callback(task.close)
+            return task
+
+        yield make
+
+
+def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
+    """Return the section `params` of the train file, checked and completed for a task."""
+    settings = launch.settings
+    params = prepare_train_params(
+        launch.cfg,
+        num_envs=task.num_envs,
+        seed=launch.seed,
+        run_name=launch.folder.name,
+        rl_device=settings.rl_device,
+        num_agents=task.num_agents,
+        num_states=task.num_states,
+        names=known_names(build_runner()),
+    )
+    check_env_name(params)
+    if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
+        params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
+    if settings.latent:
+        params["config"].setdefault("player", {})["latent"] = settings.latent
+    # rl_games sets torch's threads by this key, to at most four by default.
+    params.setdefault("torch_threads", thread_count(settings.num_threads))
+    return params
+
+
+def _load_runner(
+    params: dict[str, Any], task: VecTask, observer: AlgoObserver | None = None
+) -> Runner:
+    """Return a Runner that has loaded a train file, and whose agent or player gets a task.
+
+    Args:
+        params: the section `params` of the train file.
+        task: the task.
+        observer: of an agent; None for a player.
+    """
+    vec_env = RLGPUEnv.from_task(task)
+    runner = build_runner(observer)
+    runner.load({"params": params})
+    # After `load`, which copies its argument. A player acts in the task itself.
+    runner.params["config"] |= {
+        "vec_env": vec_env if observer is not None else task,
+        "env_info": vec_env.get_env_info(),
+    }
+    return runner
+
+
+def _make_player(launch: _Launch, task: VecTask) -> Any:
+    """Return rl_games' player of the checkpoint, in a task.
+
+    Raises:
+        CheckpointError: the checkpoint is of another network or task.
+    """
+    if not launch.checkpoint:
+        log.warning("test=True without checkpoint=: playing an untrained policy")
+    with _quiet("isaacgymenvs_lite.config"):  # notes about the training's minibatches
+        params = _read_params(launch, task)
+    with _output_to_log():
+        player = _load_runner(params, task).create_player()
+        if launch.checkpoint:
+            player.restore(launch.checkpoint)
+        _override_sigma(player, launch.overrides)
+    return player
+
+
+def _imitation_observer(
+    config: dict[str, Any], task: VecTask, make_task: Callable[[int], VecTask]
+) -> ImitationObserver | None:
+    """Return what measures the pose error in a training; None without reference motions."""
+    frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
+    if not isinstance(frequency, int) or frequency < 0:
+        raise ConfigError(
+            f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
+            " evaluations, 0 for none"
+        )
+    if frequency == 0 or not hasattr(task, "motion_lib"):
+        return None
+    return ImitationObserver(make_task, frequency, _IMITATION_EPISODES)
+
+
+# --- the end of a run ---------------------------------------------------------------------------
+
+
+def _end_play() -> None:
+    raise WindowClosedError
+
+
+def _save(agent: Any, launch: _Launch, suffix: str) -> None:
+    """Write a checkpoint of the agent, if there is one."""
+    if agent is not None:
+        with _output_to_log():
+            agent.save(str(launch.checkpoint_file(suffix).with_suffix("")))
+
+
+def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> None:
+    """Log where the newest checkpoint is, and the commands that play it or go on with it."""
+    newest = launch.folder.newest_checkpoint()
+    if newest is None:
+        return
+    task = str(launch.cfg.task.name)
+    log.info("saved %s; play it: %s", newest, command.play(task))
+    if was_stopped:
+        log.info("go on with it: %s", command.resume(task))
+
+
+@contextmanager
+def _memory_errors_explained(cfg: DictConfig) -> Iterator[None]:
+    """Turn a lack of memory into one line about the settings that need less.
+
+    Raises:
+        ConfigError: Python, torch or MuJoCo could not get memory.
+    """
     try:
-        Session(cfg, settings, seed, command).run()
+        yield
     except (MemoryError, RuntimeError, ValueError) as error:
-        if isinstance(error, UserError) or not _is_out_of_memory(error):
+        texts = ("can't allocate memory", "out of memory", "bad_alloc")
+        is_lack = isinstance(error, MemoryError) or any(text in str(error) for text in texts)
+        if isinstance(error, UserError) or not is_lack:
             raise
         raise ConfigError(
             "not enough memory for this training: lower num_envs"
@@ -87,249 +388,12 @@ def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         ) from error
 
 
-def _is_out_of_memory(error: BaseException) -> bool:
-    """Return whether Python, torch or MuJoCo could not get memory; each has words of its own."""
-    texts = ("can't allocate memory", "out of memory", "bad_alloc")
-    return isinstance(error, MemoryError) or any(text in str(error) for text in texts)
+# --- logs ---------------------------------------------------------------------------------------
 
 
-class Session:
-    """One training or one play: what belongs to it and must be closed after it."""
-
-    def __init__(
-        self,
-        cfg: DictConfig,
-        settings: LaunchSettings,
-        seed: int,
-        command: TypedCommand | None = None,
-    ) -> None:
-        self._cfg = cfg
-        self._command = command or TypedCommand()
-        self._settings = settings
-        self._viewers = Viewers(settings)
-        self._seed = seed
-        name = run_name_of(cfg)
-        self._name = name.name  # of the checkpoints
-        train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
-        if exact := settings.full_experiment_name:
-            self._run_name = str(read_run_name(exact, "full_experiment_name"))
-        else:
-            self._run_name = _new_run_name(train_dir, str(name))
-        self._folder = RunFolder(train_dir, self._run_name)
-        asked = settings.checkpoint or checkpoint_in_file(cfg)
-        self._checkpoint = checkpoints.checkpoint_of_tree(cfg, asked, train_dir)
-        self._stop = StopRequest()
-        self._envs: list[VecTask] = []
-        self._agent_holder = _AgentHolder()
-
-    def run(self) -> None:
-        """Train or play; the simulations are freed in any case.
-
-        Raises:
-            UserError: anything that the user can mend; nothing was trained then.
-        """
-        threads = torch.get_num_threads()
-        if self._checkpoint:
-            log.info("checkpoint: %s", self._checkpoint)
-        try:
-            # Made before the agent, so that its mistakes show before a run folder exists.
-            self._task = self._make_env(int(self._cfg.task.env.numEnvs))
-            register_env(lambda **kwargs: self._task)
-            # What is fitted to the batch of a training is of no interest to a player.
-            with _quiet("isaacgymenvs_lite.config") if self._settings.test else nullcontext():
-                self._params = self._prepare()
-            if self._settings.test:
-                self._play()
-            else:
-                self._train()
-        finally:
-            torch.set_num_threads(threads)
-            register_env()  # the task made here is of no use to others
-            self._viewers.close()
-            for env in self._envs:
-                env.close()
-
-    def _prepare(self) -> dict[str, Any]:
-        runner = build_runner()
-        params = prepare_train_params(
-            self._cfg,
-            num_envs=self._task.num_envs,
-            seed=self._seed,
-            run_name=self._run_name,
-            rl_device=self._settings.rl_device,
-            num_agents=self._task.num_agents,
-            num_states=self._task.num_states,
-            names=registered_names(runner),
-        )
-        check_env_name(params)
-        if self._checkpoint:  # the file that `last` or a name means, for agents that look into it
-            params |= {"load_checkpoint": True, "load_path": self._checkpoint}
-        if self._settings.latent:
-            params["config"].setdefault("player", {})["latent"] = self._settings.latent
-        # rl_games sets torch's threads by this key, to at most four by default.
-        params.setdefault("torch_threads", thread_count(self._settings.num_threads))
-        return params
-
-    def _make_env(self, num_envs: int) -> VecTask:
-        cfg = self._cfg.copy()
-        OmegaConf.update(cfg, "task.env.numEnvs", num_envs)
-        env = make_from_config(
-            cfg,
-            sim_device=self._settings.sim_device,
-            rl_device=self._settings.rl_device,
-            graphics_device_id=self._settings.graphics_device_id,
-            headless=self._settings.headless,
-            virtual_screen_capture=self._settings.capture_video,
-            force_render=self._settings.force_render,
-        )
-        self._envs.append(env)
-        return env
-
-    def make_player(self) -> Any:
-        """Return rl_games' player of the checkpoint, with the task that was made.
-
-        Raises:
-            CheckpointError: the checkpoint is of another network or task.
-        """
-        runner = build_runner()
-        with _output_to_log():
-            runner.load({"params": self._params})
-            player = runner.create_player()
-            player.restore(self._checkpoint)
-        return player
-
-    def _play(self) -> None:
-        if not self._checkpoint:
-            log.warning("test=True without checkpoint=: playing an untrained policy")
-        folder = run_of_checkpoint(self._checkpoint) or self._folder.path
-        prefix = f"play{Path(self._run_name).name.removeprefix(self._name)}"
-        self._viewers.start(self._task, folder, _end_play, prefix)
-        with contextlib.suppress(WindowClosedError):
-            self._launch({"train": False, "play": True}, AlgoObserver())
-
-    def _train(self) -> None:
-        self._folder.create(self._cfg)
-        imitation = self._imitation_observer()
-        figures = MetricsObserver()
-        interval_s = self._settings.progress_interval
-        progress = ProgressObserver(self._stop, figures, imitation, interval_s)
-        observers: list[AlgoObserver] = [self._agent_holder, TaskScalarsObserver()]
-        wandb = None
-        if self._settings.wandb_activate:
-            from isaacgymenvs_lite.run.wandb_observer import WandbObserver
-
-            wandb = WandbObserver(self._cfg, self._settings, self._run_name)
-            observers.append(wandb)
-        if imitation is not None:
-            observers.append(imitation)
-        advice = DiagnosticsObserver(figures, imitation, self._task.max_episode_length)
-        observers += [figures, progress, advice]
-        self._params["config"]["print_stats"] = False
-        try:
-            self._viewers.start(self._task, self._folder.path, self._stop.ask)
-            with self._stop:
-                self._launch({"train": True, "play": False}, MultiObserver(observers))
-        except NotFiniteError:
-            raise  # what is in the run folder says how it came to it
-        except UserError:
-            self._folder.remove_if_unused()
-            raise
-        except KeyboardInterrupt:
-            log.warning("stopped at once")
-            self._save("interrupted")
-        finally:
-            progress.close()
-            self._agent_holder.flush()
-            self._viewers.close()  # its last videos belong to wandb's run, too
-            if wandb is not None:
-                wandb.close()
-        self._save_under_plain_name()
-        self._report_end()
-
-    def _imitation_observer(self) -> ImitationObserver | None:
-        frequency = self._params["config"].get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
-        if not isinstance(frequency, int) or frequency < 0:
-            raise ConfigError(
-                f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
-                " evaluations, 0 for none"
-            )
-        if frequency == 0 or not hasattr(self._task, "motion_lib"):
-            return None
-        return ImitationObserver(self._make_env, frequency, _IMITATION_EPISODES)
-
-    def _launch(self, mode: dict[str, bool], observer: AlgoObserver) -> None:
-        """Hand over to rl_games."""
-        runner = build_runner(observer)
-        sigma = self._settings.sigma
-        with _output_to_log():
-            runner.load({"params": self._params})
-            runner.run({**mode, "checkpoint": self._checkpoint or None, "sigma": sigma})
-
-    def _save(self, suffix: str) -> None:
-        agent = self._agent_holder.agent
-        if agent is not None:
-            with _output_to_log():
-                agent.save(str(self._folder.checkpoints / f"{self._name}_{suffix}"))
-
-    def _report_end(self) -> None:
-        """Say where the newest checkpoint is and how to see what it can do."""
-        newest = self._folder.newest_checkpoint()
-        if newest is None:
-            return
-        task = str(self._cfg.task.name)
-        log.info("saved %s; play it: %s", newest, self._command.play(task))
-        if self._stop.requested:
-            log.info("go on with it: %s", self._command.resume(task))
-
-    def _save_under_plain_name(self) -> None:
-        """Make sure that nn/<name>.pth exists.
-
-        rl_games writes it for a best reward after `save_best_after` epochs, which short runs never
-        reach.
-        """
-        agent = self._agent_holder.agent
-        plain = self._folder.checkpoints / f"{self._name}.pth"
-        if agent is not None and not plain.exists():
-            with _output_to_log():
-                agent.save(str(plain.with_suffix("")))
-
-
-def _end_play() -> None:
-    raise WindowClosedError
-
-
-def registered_names(runner: Runner) -> KnownNames:
-    """Return what train files may name and which keys its agents read, to check them against."""
-    names = known_names(runner)
-    keys = AGENT_KEYS.union(_RUNNER_KEYS)
-    return KnownNames(names["algo"], names["model"], names["network"], keys)
-
-
-def _new_run_name(train_dir: Path, name: str) -> str:
-    """Return `<name>_<dd-HH-MM-SS>`, with a number behind it if a run of this second exists."""
-    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
-    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
-    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
-
-
-class _AgentHolder(AlgoObserver):
-    """Keeps the agent that rl_games' Runner makes and does not hand out, and guards its log."""
-
-    agent: Any = None
-
-    def after_init(self, algo: Any) -> None:
-        self.agent = algo
-        install(algo.writer)
-
-    def flush(self) -> None:
-        """Write the scalars that wait."""
-        if self.agent is not None:
-            self.agent.writer.flush()
-
-
-@contextlib.contextmanager
+@contextmanager
 def _quiet(logger_name: str) -> Iterator[None]:
-    """Let a logger say warnings only."""
+    """Limit a logger to warnings."""
     logger = logging.getLogger(logger_name)
     level = logger.level
     logger.setLevel(logging.WARNING)
@@ -340,7 +404,7 @@ def _quiet(logger_name: str) -> Iterator[None]:
 
 
 class _LogStream(io.TextIOBase):
-    """A text stream whose lines become log records."""
+    """A text stream whose lines become debug records."""
 
     def write(self, text: str) -> int:
         for line in text.splitlines():
@@ -349,8 +413,8 @@ class _LogStream(io.TextIOBase):
         return len(text)
 
 
-@contextlib.contextmanager
+@contextmanager
 def _output_to_log() -> Iterator[None]:
-    """rl_games prints what it does; here that is debug output, not a user's screen."""
+    """Send what rl_games prints to the log, as debug output."""
     with contextlib.redirect_stdout(_LogStream()):
         yield

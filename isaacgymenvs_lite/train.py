@@ -96,7 +96,7 @@ def _run_hydra() -> None:
 
 
 def _command_of_job(command: TypedCommand) -> TypedCommand:
-    """Return the command line that stands for one job, of a sweep or not."""
+    """Return the command line of one job, of a sweep or not."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         return command
     words = words_of_job(command.words, HydraConfig.get().overrides.task)
@@ -106,7 +106,7 @@ def _command_of_job(command: TypedCommand) -> TypedCommand:
 def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
     """Check the composed tree, then train or play.
 
-    A user's mistake exits here, because Hydra would print a line of its own before passing it on.
+    A user's mistake exits here, because Hydra would print another line before raising it.
     """
     try:
         check_config(cfg)
@@ -125,7 +125,7 @@ def _explain(error: Exception, files: NamedFiles) -> ConfigError:
 
 
 def _check_options(arguments: Sequence[str]) -> None:
-    """Refuse options with dashes that Hydra does not know, as ASE's launcher had.
+    """Refuse options with dashes that are not Hydra's, such as those of ASE's launcher.
 
     Raises:
         ConfigError: there is one.

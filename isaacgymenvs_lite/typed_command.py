@@ -1,4 +1,4 @@
-"""The command that started a run, and those that a user may want to type next."""
+"""Builds the commands that play, resume or check a run, from the command that started it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pathlib import Path
 _TRAIN = "isaacgymenvs_lite.train"
 _CHECK = "isaacgymenvs_lite.check"
 _NUM_PLAYED = 16
-# Of the root, what a policy depends on beside all of task and train.
+# Root keys that a policy depends on, beside all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
-# What a command that goes on with a run says itself.
-_SAID_ANEW = ("task", "train", "checkpoint", "test")
-# Options of Hydra with a value that say where files are.
+# Keys that `resume` writes itself.
+_REPLACED = ("task", "train", "checkpoint", "test")
+# Hydra's options for the places of files; each has a value.
 _KEPT_OPTIONS = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-cn")
 
 
@@ -25,8 +25,8 @@ class TypedCommand:
     """A command line of train.py.
 
     Attributes:
-        program: what stands before the settings, such as `python train.py`.
-        words: the rest, as typed; empty if a program composed the configuration itself.
+        program: the words before the settings, such as `python train.py`.
+        words: the settings as typed; empty if a program composed the configuration.
     """
 
     program: tuple[str, ...] = ("python", "-m", _TRAIN)
@@ -47,13 +47,13 @@ class TypedCommand:
         return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
 
     def resume(self, task: str) -> str:
-        """Return the command that goes on with the run, for a shell; `task` as `play`."""
+        """Return the command that resumes the run, for a shell; `task` as in `play`."""
         groups = self._task_words(task)
-        rest = [word for word in self.words if _key(word) not in _SAID_ANEW]
+        rest = [word for word in self.words if _key(word) not in _REPLACED]
         return shlex.join([*self.program, *groups, *rest, "checkpoint=last"])
 
     def check(self, task: str) -> str:
-        """Return the command that describes the run's files, for a shell; `task` as `play`."""
+        """Return the command that describes the run's files, for a shell; `task` as in `play`."""
         named = {_key(word): word.partition("=")[2] for word in self._task_words(task)}
         task, train = named["task"], named.get("train")
         words = [task] if train is None else [train, f"task={task}"]
@@ -69,7 +69,7 @@ class TypedCommand:
         return [task] if is_default or train is None else [task, train]
 
     def _details(self) -> list[str]:
-        """Return the words that change what the policy is, or where files and runs are."""
+        """Return the words that change the policy, or the places of files and runs."""
         settings = [
             word
             for word in self.words
@@ -79,7 +79,7 @@ class TypedCommand:
 
 
 def _key(word: str) -> str:
-    """Return the key that an override is of, `task.env.x` for `+task.env.x=1`."""
+    """Return the key of an override, `task.env.x` for `+task.env.x=1`."""
     return word.partition("=")[0].lstrip("+~")
 
 
@@ -88,7 +88,7 @@ def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
 
     Args:
         typed: the words of the command line, sweeps included.
-        job: Hydra's overrides of the job, in which names stand for files.
+        job: Hydra's overrides of the job, with names in place of files.
     """
     options = _kept_options(typed)
     files = {_key(word): word for word in typed if word.endswith((".yaml", ".yml"))}
@@ -97,7 +97,7 @@ def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:
 
 
 def _kept_options(words: Sequence[str]) -> list[str]:
-    """Return the options that say where files are, each with its value."""
+    """Return the options for the places of files, each with its value."""
     kept, rest = list[str](), iter(words)
     for word in rest:
         option, _, value = word.partition("=")
@@ -107,20 +107,20 @@ def _kept_options(words: Sequence[str]) -> list[str]:
 
 
 def _program() -> tuple[str, ...]:
-    """Return how this process was started, without its settings."""
+    """Return the command that started this process, without its settings."""
     script, spec = sys.argv[0], getattr(sys.modules["__main__"], "__spec__", None)
     if spec is not None:
         return (_python(), "-m", spec.name.removesuffix(".__main__"))
     if script.endswith(".py"):
         return (_python(), script)
     found = shutil.which(Path(script).name)
-    if found is None or not Path(script).is_file():  # python -c, or a program of one's own
+    if found is None or not Path(script).is_file():  # python -c, or a user's own program
         return (_python(), "-m", _TRAIN)
     return (Path(script).name if Path(found) == Path(script) else script,)
 
 
 def _python() -> str:
-    """Return what a shell finds this interpreter by: its virtual environment may not be active."""
+    """Return a name of this interpreter for a shell whose virtual environment may not be active."""
     own, found = Path(sys.executable), shutil.which("python")
     if found is not None and Path(found).parent == own.parent:
         return "python"

@@ -117,7 +117,7 @@ def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch,
     assert np.abs(first[8] - second[8]).max() > 1e-3  # other latents
     assert "pose error" not in performance.summary
     assert "of 16 episodes without a fall" in performance.summary
-    path = demo.film(performance, tmp_path / "skills.webp")
+    path = demo.save_performance(performance, tmp_path / "skills.webp")
     with PIL.Image.open(path) as image:
         assert image.size == (3 * 48, 64)
 

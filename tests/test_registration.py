@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from rl_games.algos_torch import a2c_continuous, torch_ext
 from rl_games.algos_torch.model_builder import ModelBuilder
@@ -30,39 +32,40 @@ def runner() -> Runner:
     return build_runner()
 
 
-def class_of(factory, name: str) -> type:
-    """The class that a registered builder calls."""
-    builder = factory._builders[name]
-    return builder.__closure__[0].cell_contents
+def builders_of(factory) -> dict[str, Any]:
+    """What rl_games' factory calls for each name."""
+    return factory._builders
 
 
 def test_names_of_train_files(runner):
     names = known_names(runner)
-    assert set(ALGORITHMS) <= set(names["algo"])
-    assert set(MODELS) <= set(names["model"])
-    assert set(NETWORKS) <= set(names["network"])
-    assert all(values == sorted(values) for values in names.values())
+    assert set(ALGORITHMS) <= set(names.algos)
+    assert set(MODELS) <= set(names.models)
+    assert set(NETWORKS) <= set(names.networks)
+    for values in (names.algos, names.models, names.networks):
+        assert values == sorted(values)
+    assert {"llc_steps", "amp_obs_steps", "imitation_frequency"} <= set(names.config_keys)
 
 
 def test_rl_games_own_names_stay(runner):
     names = known_names(runner)
-    assert {"a2c_continuous", "a2c_discrete", "sac"} <= set(names["algo"])
-    assert {"continuous_a2c_logstd", "discrete_a2c", "soft_actor_critic"} <= set(names["model"])
-    assert {"actor_critic", "resnet_actor_critic", "soft_actor_critic"} <= set(names["network"])
+    assert {"a2c_continuous", "a2c_discrete", "sac"} <= set(names.algos)
+    assert {"continuous_a2c_logstd", "discrete_a2c", "soft_actor_critic"} <= set(names.models)
+    assert {"actor_critic", "resnet_actor_critic", "soft_actor_critic"} <= set(names.networks)
     plain = Runner()
     for factory in ("algo_factory", "player_factory"):
-        for name, builder in getattr(plain, factory)._builders.items():
+        for name, builder in builders_of(getattr(plain, factory)).items():
             if name in ("a2c_continuous", "sac"):  # ours, on top of rl_games'
                 continue
-            own = getattr(runner, factory)._builders[name]
+            own = builders_of(getattr(runner, factory))[name]
             assert own.__code__ is builder.__code__, name
 
 
 @pytest.mark.parametrize("name", AMP_ALGORITHMS)
 def test_every_algorithm_has_a_player(name, runner):
-    assert issubclass(class_of(runner.algo_factory, name), AMPAgent)
-    agent = class_of(runner.algo_factory, name)
-    player = class_of(runner.player_factory, name)
+    agent = builders_of(runner.algo_factory)[name]
+    player = builders_of(runner.player_factory)[name]
+    assert issubclass(agent, AMPAgent)
     assert player.default_disc_reward == agent.default_disc_reward
     expected = "least_squares" if name == "amp_agent" else "logistic"
     assert agent.default_disc_reward == expected
@@ -99,13 +102,13 @@ def test_a_runner_that_the_caller_made():
 
     observer = MyObserver()
     runner = Runner(observer)
-    before = set(runner.algo_factory._builders)
+    before = set(builders_of(runner.algo_factory))
     register(runner)
-    assert set(runner.algo_factory._builders) == before | set(ALGORITHMS)
-    assert set(runner.player_factory._builders) >= set(ALGORITHMS)
+    assert set(builders_of(runner.algo_factory)) == before | set(ALGORITHMS)
+    assert set(builders_of(runner.player_factory)) >= set(ALGORITHMS)
     assert runner.algo_observer is observer
     register(runner)  # twice is as good as once
-    assert set(runner.algo_factory._builders) == before | set(ALGORITHMS)
+    assert set(builders_of(runner.algo_factory)) == before | set(ALGORITHMS)
 
 
 def test_checkpoints_are_ours_after_registering(runner):

@@ -23,6 +23,7 @@ from typing import Any
 import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
+from rl_games.common import env_configurations
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
@@ -30,7 +31,8 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
-from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.registration import register_env
+from isaacgymenvs_lite.runner import load_player, run
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from tests.tiny import CONFIG, TINY_AMP
 
@@ -297,6 +299,19 @@ def test_sigma_replaces_the_log_standard_deviation(in_tmp, walk_clip, checkpoint
     (folder,) = (in_tmp / "runs").iterdir()
     model = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP.pth")["model"]
     assert model["a2c_network.sigma"].tolist() == pytest.approx([-1.5] * 28)
+    with load_player(tiny(walk_clip, f"checkpoint={checkpoint}", "sigma=-0.5")) as player:
+        assert player.model.a2c_network.sigma.tolist() == pytest.approx([-0.5] * 28)
+
+
+def test_a_task_that_a_user_registered_stays_registered(in_tmp, walk_clip, monkeypatch):
+    """The runner passes its task to rl_games without the registry of the process."""
+    known = env_configurations.configurations
+    monkeypatch.setitem(known, "rlgpu", {})  # put back afterwards
+    own: Any = lambda **_: pytest.fail("the task of the user was made")  # noqa: E731
+    register_env(own)
+    run(tiny(walk_clip, "max_iterations=1"))
+    run(tiny(walk_clip, "test=True", "checkpoint=last", f"+{CONFIG}.player.games_num=4"))
+    assert known["rlgpu"]["env_creator"] is own
 
 
 # --- mistakes of users ------------------------------------------------------------------------
@@ -347,9 +362,10 @@ def test_a_run_folder_that_cannot_be_written_is_refused(in_tmp, walk_clip):
 
 
 @pytest.mark.usefixtures("no_training")
-def test_a_mistake_leaves_nothing_of_its_run_behind(in_tmp, walk_clip):
-    with pytest.raises(ConfigError, match="disc_loss"):
-        run(tiny(walk_clip, f"{CONFIG}.disc_loss=wgan"))
+@pytest.mark.parametrize("setting", ["disc_loss=wgan", "imitation_frequency=-1"])
+def test_a_mistake_leaves_nothing_of_its_run_behind(setting, in_tmp, walk_clip):
+    with pytest.raises(ConfigError, match=setting.partition("=")[0]):
+        run(tiny(walk_clip, f"{CONFIG}.{setting}"))
     assert [path for path in in_tmp.rglob("*") if path.is_file()] == []
 
 
@@ -455,6 +471,19 @@ def test_a_refused_run_frees_its_simulation(override, in_tmp, walk_clip, tasks):
     with pytest.raises(ConfigError):
         run(tiny(walk_clip, override))
     assert all_closed(tasks)
+
+
+def test_a_loaded_player_frees_its_simulation_after_an_error(in_tmp, walk_clip, checkpoint, tasks):
+    threads = torch.get_num_threads()
+    cfg = tiny(walk_clip, f"checkpoint={checkpoint}", "train.params.torch_threads=3")
+    with pytest.raises(ArithmeticError), load_player(cfg) as player:
+        assert player.env is tasks["made"][-1]
+        assert player.act(player.env.reset()).shape == (4, 28)
+        raise ArithmeticError
+    assert len(tasks["made"]) == 1
+    assert all_closed(tasks)
+    assert torch.get_num_threads() == threads
+    assert list(in_tmp.iterdir()) == []
 
 
 # --- stopping and failing ---------------------------------------------------------------------

@@ -6,27 +6,25 @@ import logging
 import os
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-import torch
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite import train
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.typed_command import TypedCommand
+from tests.train_command import make_train_command
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+Call = Callable[..., int]
 
 
-class Runner(types.ModuleType):
-    """Stands for isaacgymenvs_lite.runner: notes what it is asked to run."""
+class Runner:
+    """Stores what it should run, in place of isaacgymenvs_lite.runner."""
 
     def __init__(self) -> None:
-        super().__init__("isaacgymenvs_lite.runner")
         self.runs: list[DictConfig] = []
         self.commands: list[TypedCommand] = []
         self.error: BaseException | None = None
@@ -41,33 +39,14 @@ class Runner(types.ModuleType):
 
 
 @pytest.fixture
-def runner(monkeypatch) -> Runner:
-    stand_in = Runner()
-    monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
-    return stand_in
+def runner() -> Runner:
+    return Runner()
 
 
 @pytest.fixture
-def call(monkeypatch, tmp_path, runner) -> Any:
+def call(monkeypatch, tmp_path, runner) -> Call:
     """Run the command line in an empty folder; returns the exit code."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # restored afterwards; the command line sets it
-    monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
-    monkeypatch.setattr(logging.getLogger(), "handlers", [])
-
-    def call_main(*arguments: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
-        try:
-            train.main()
-        except SystemExit as error:
-            return int(error.code or 0)
-        return 0
-
-    return call_main
-
-
-Call = Callable[..., int]
+    return make_train_command(monkeypatch, tmp_path, runner.run)
 
 
 def test_runs_with_the_composed_tree(call: Call, runner, capsys):

@@ -1,12 +1,13 @@
-"""Reads what `torch.save` writes, without torch's unpickler and without running anything.
+"""Reads files of `torch.save`, without torch's unpickler and without running anything.
 
-A pickle is a program that calls what it can name. torch's own restricted reader runs none of a
-stranger's code, but lets a file make tensors that reach beyond their memory or are no plain ones,
-and claim more memory than a machine has. Here the few names that checkpoints need stand for inert
-classes of this module, and tensors are made afterwards, once their sizes were compared with the
-bytes that are there. Every tensor that comes out is dense, on the CPU, and owns its memory.
+A pickle is a program that calls what it can name. An allow-list of names alone, as torch's own
+restricted reader has, runs no code of a stranger, but the allowed functions receive any arguments:
+a file can make tensors that reach beyond their memory or are no plain ones, and claim more memory
+than a machine has. So the few names that checkpoints need are placeholders of this module, and
+tensors are made afterwards, once their sizes were compared with the bytes in the file: every
+returned tensor is dense, on the CPU, and owns its memory.
 
-Both formats of torch are read: archives (since 1.6) and the pickles in a row of before.
+Both formats of torch are read: archives (since 1.6) and the older pickles in a row.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from torch import Tensor
 from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
 
 MAX_FILE_BYTES = 2 * 2**30
-"""Of a file; the largest networks here take some ten MB."""
+"""Largest file that is read; the largest networks here take some ten MB."""
 
-# Of the pickle with an archive's table of contents; some 50 kB of a checkpoint are not tensors.
+# Of the pickle and the table of contents; a checkpoint has some 50 kB that are not tensors.
 _MAX_STRUCTURE_BYTES = 2**20
 _MAX_VALUES = 200_000
 _MAX_DEPTH = 32
@@ -61,14 +62,14 @@ class ArchiveError(ValueError):
 
 
 class ForbiddenNameError(ArchiveError):
-    """A file asks for something beside tensors and plain containers.
+    """A file names something beside tensors and plain containers.
 
     Attributes:
-        name: of what it asks for.
+        name: of the class or function.
     """
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"the file asks for {name}")
+        super().__init__(f"the file uses {name}")
         self.name = name
 
 
@@ -80,9 +81,9 @@ def read_archive(path: Path) -> Any:
         tensors; what is a scalar of numpy in the file is a number.
 
     Raises:
-        ForbiddenNameError: it asks for anything else, which may be code; nothing was run.
-        ArchiveError: it is damaged, or larger than it may be. Whatever else bytes at random make a
-            reader raise may come, too.
+        ForbiddenNameError: it names anything else, which may be code; nothing was run.
+        ArchiveError: it is damaged, or larger than it may be. Damaged files may also raise any
+            other exception of a reader.
         OSError: it cannot be read.
     """
     with path.open("rb") as file:
@@ -114,12 +115,12 @@ def _read_zip(file: BinaryIO, size: int) -> Any:
 
 
 def _read_legacy(file: BinaryIO, size: int) -> Any:
-    """Read the five pickles in a row and the memory of the tensors behind them."""
+    """Read the five pickles in a row and the memory of the tensors after them."""
     metered = _Metered(file, _MAX_STRUCTURE_BYTES)
     unpickler = _Unpickler(metered)
     if unpickler.load() != _LEGACY_MAGIC or unpickler.load() != _LEGACY_VERSION:
         raise ArchiveError("not written by torch.save")
-    unpickler.load()  # of the machine that wrote it
+    unpickler.load()  # properties of the machine that wrote it
     content = unpickler.load()
     metered.left = size
     memory: dict[str, bytes] = {}
@@ -161,7 +162,7 @@ class _Metered:
         return True
 
 
-# --- stand-ins ---------------------------------------------------------------------------------
+# --- placeholders -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ class _StorageType:
 
 @dataclass(frozen=True)
 class _Storage:
-    """Stands for the memory of tensors."""
+    """Placeholder for the memory of tensors."""
 
     key: str
     dtype: torch.dtype
@@ -184,7 +185,7 @@ class _Storage:
 
 @dataclass(frozen=True)
 class _Tensor:
-    """Stands for a tensor; `shape` and `strides` in numbers, as `offset`."""
+    """Placeholder for a tensor; `offset`, `shape` and `strides` count numbers."""
 
     storage: _Storage
     offset: int
@@ -212,11 +213,11 @@ class _Tensor:
 
 
 class _Dictionary(dict[Any, Any]):
-    """Stands for an OrderedDict; attributes that come with it are dropped."""
+    """Placeholder for an OrderedDict; its attributes are dropped."""
 
 
 class _Dtype:
-    """Stands for a numpy.dtype."""
+    """Placeholder for a numpy.dtype."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -224,7 +225,7 @@ class _Dtype:
 
 @dataclass(frozen=True)
 class _Number:
-    """Stands for a scalar of numpy."""
+    """Placeholder for a scalar of numpy."""
 
     value: float
 
@@ -274,7 +275,7 @@ _NAMES: dict[tuple[str, str], Any] = {
 
 
 class _Unpickler(LimitedUnpickler):
-    """Calls nothing but the functions above; what has memory in a file stands for itself."""
+    """Calls only the functions above, and returns placeholders for tensors and their memory."""
 
     key_types = (str, int, _Number)
     error = ArchiveError
@@ -288,8 +289,8 @@ class _Unpickler(LimitedUnpickler):
         try:
             return _NAMES[module, name]
         except KeyError:
-            asked = re.sub(r"[^\w.]", "?", f"{module}.{name}")[:100]
-            raise ForbiddenNameError(asked) from None
+            forbidden = re.sub(r"[^\w.]", "?", f"{module}.{name}")[:100]
+            raise ForbiddenNameError(forbidden) from None
 
     def persistent_load(self, pid: Any) -> _Storage:
         kind, storage_type, key, _location, length, *view = pid
@@ -311,14 +312,14 @@ class _Unpickler(LimitedUnpickler):
             raise ArchiveError("a state of something that has none")
 
 
-# --- from stand-ins to values --------------------------------------------------------------------
+# --- from placeholders to values ------------------------------------------------------------------
 
 
 class _Resolver:
-    """Replaces the stand-ins in nested containers by what they stand for.
+    """Replaces the placeholders in nested containers by tensors and numbers.
 
     Args:
-        read: gives the memory of a storage.
+        read: returns the memory of a storage.
         size: of the file in bytes.
     """
 

@@ -1,8 +1,8 @@
-"""Checkpoints: written atomically, loaded without running code, found by name.
+"""Writes checkpoints atomically, loads them without running code, and finds them by name.
 
 rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
-a full unpickler (a stranger's file runs code). `install` puts the functions of this module in
-their place, for all agents.
+a full unpickler (a stranger's file runs code). `install` replaces both functions by those of this
+module, for all agents.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from isaacgymenvs_lite.utils.files import atomic_write
 log = logging.getLogger(__name__)
 
 LLC_KEY = "llc"
-"""Key of the checkpoint of a high level that says over which low level it was trained."""
+"""Key of a high level's checkpoint for the low level that it was trained over."""
 
 _COMPILED_PREFIX = "_orig_mod."
 # rl_games 1.1.4 (ASE) kept the normalisers beside the model: file key -> prefix in the model.
 _OLD_NORMALIZERS = {"running_mean_std": "running_mean_std", "reward_mean_std": "value_mean_std"}
-# rl_games' SAC agent writes its networks apart.
+# rl_games' SAC agent writes each network under a key.
 _SAC_KEYS = {"actor", "critic"}
-# What holds tensors by name.
+# Entries of tensors by name.
 _STATE_DICTS = (
     *("model", "actor", "critic", "critic_target", "assymetric_vf_nets"),
     *(*_OLD_NORMALIZERS, "amp_input_mean_std", "advantage_mean_std"),
 )
-# What counts and what measures.
+# Entries that are whole numbers, and numbers.
 _COUNTS = ("epoch", "frame")
 _NUMBERS = ("last_mean_rewards",)
 _MAX_SHOWN = 80
@@ -64,9 +64,9 @@ def install() -> None:
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
-    If the folder cannot be written (read-only, full), the failure is logged, the checkpoint goes
-    to a folder below the system's temporary one instead, and the training goes on: losing the
-    run would be worse than losing a file.
+    If the folder cannot be written (read-only, full), the failure is logged, the checkpoint is
+    written to a folder below the system's temporary one, and the training goes on: losing the run
+    would be worse than losing a file.
 
     Returns:
         The file that was written; None if none could be.
@@ -85,7 +85,7 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
     """Write a checkpoint in one step, see `utils.files`.
 
     Raises:
-        OSError: the folder cannot be written or is full; nothing of the attempt stays behind.
+        OSError: the folder cannot be written or is full; no partial file is left.
     """
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
@@ -139,9 +139,9 @@ def _plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers stand beside the
-    model), and strips the parameter prefix of compiled models. Whether it fits the networks that
-    are to take it over is found out there: `learning.restoring`.
+    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are beside the
+    model), and strips the parameter prefix of compiled models. `learning.restoring` checks whether
+    it fits the networks.
 
     Raises:
         CheckpointError: the file is missing, damaged, holds anything but tensors and plain
@@ -152,7 +152,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
         raise CheckpointError(f"checkpoint={filename}: no such file; give a .pth file or 'last'")
     try:
         state = read_archive(path)
-    except Exception as error:  # what bytes that are no checkpoint make the reader raise is open
+    except Exception as error:  # a file that is no checkpoint may raise anything in the reader
         raise CheckpointError(_refusal(path, error)) from error
     if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
         raise CheckpointError(
@@ -171,7 +171,7 @@ def _has_model(state: dict[str, Any]) -> bool:
 
 
 def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with entries whose kind does not depend on the agent."""
+    """Yield what is wrong with entries whose type does not depend on the agent."""
     for key in _STATE_DICTS:
         entries = state.get(key, {})
         if not isinstance(entries, dict):
@@ -269,9 +269,9 @@ def resolve_checkpoint(
         checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, or the
             name of a shipped policy.
         train_dir: folder of the run folders.
-        task_name: the task whose runs `last` looks at; '': all.
-        network_name: of these, those with networks of this name; '': all. Several levels of a
-            hierarchy are trained on one task.
+        task_name: task of the runs that `last` searches; '': all.
+        network_name: name of their networks; '': all. Several levels of a hierarchy are trained on
+            one task.
 
     Raises:
         CheckpointError: there is no such file.
@@ -325,4 +325,4 @@ def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
         cfg = read_yaml(run / "config.yaml")
         return {key: OmegaConf.select(cfg, key) for key in keys}
     except (ConfigError, OmegaConfBaseException):
-        return None  # no run folder of ours, or a damaged one: the others count
+        return None  # a damaged run folder, or of another project: left out

@@ -1,6 +1,6 @@
-"""Which low-level controller a high level was trained over: its checkpoint says so.
+"""Finds the low-level controller that a high level was trained over, by its checkpoint.
 
-A latent means something to one low-level controller only.
+A latent has a meaning for one low-level controller only.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def _fingerprint(weights: Mapping[str, Tensor]) -> str:
 
 
 def shipped_reference(reference: Mapping[str, str]) -> dict[str, str]:
-    """Return `reference` with the name of the shipped policy that has its weights.
+    """Return `reference` with the name of the shipped policy that has these weights.
 
     Raises:
-        CheckpointError: none has.
+        CheckpointError: there is none.
     """
     for name, path in shipped_policies().items():
         if _fingerprint(checkpoints.load_checkpoint(path)["model"]) == reference["fingerprint"]:
@@ -63,12 +63,12 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
     """Return the low-level controller of a training or a play.
 
     Args:
-        llc_checkpoint: the key; None and '' leave it to the checkpoint that is loaded. If that
-            does not say, None means the shipped one, and '' stays ''.
+        llc_checkpoint: the key; with None and '' the loaded checkpoint decides. Without an entry
+            there, None means the shipped one, and '' stays ''.
         params: the section `params` of the train file.
 
     Raises:
-        CheckpointError: the checkpoint that is loaded cannot be read.
+        CheckpointError: the loaded checkpoint cannot be read.
     """
     if llc_checkpoint:
         return llc_checkpoint

@@ -1,4 +1,4 @@
-"""Optimiser states of checkpoints whose parameters were grouped in another way.
+"""Converts optimiser states of checkpoints whose parameters are grouped in another way.
 
 A checkpoint of IsaacGymEnvs has one group; an agent with a learning rate for the discriminator
 has two. torch numbers the parameters group by group, so that the states have to be renumbered.

@@ -1,9 +1,9 @@
-"""Packed policies: a checkpoint without the state of its training, and with what it needs to play.
+"""Packs policies: checkpoints without the state of a training, but with the settings to play them.
 
-A full checkpoint is of use only beside its run folder, whose config.yaml says which networks and
-which task it belongs to, and most of it is the optimiser's. A packed policy is one small file: the
-model with its normalisers (the critic too, so that it loads as any other checkpoint does), the
-normaliser of AMP observations, and under the key `policy` what `PolicyInfo` describes.
+A full checkpoint needs its run folder, because config.yaml there describes its networks and task,
+and most of it is the optimiser's state. A packed policy is one small file: the model with its
+normalisers (with the critic, so that it loads as any checkpoint does), the normaliser of AMP
+observations, and the `PolicyInfo` under the key `policy`.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
 log = logging.getLogger(__name__)
 
 MAX_BYTES = 5 * 2**20
-"""A packed policy is kept in the repository; this is the limit."""
+"""Largest packed policy, because the shipped ones are in the repository."""
 
 _INFO_KEY = "policy"
-# What of a checkpoint a player reads.
+# Entries of a checkpoint that a player reads.
 _PLAYED = ("model", "amp_input_mean_std", "env_state")
 _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
@@ -55,10 +55,10 @@ _NEEDED = (
     f"{_CONFIG}.enc_reward_scale",
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
     f"{_CONFIG}.clip_latents",
-    # A low level that ships says itself how it was trained, so that llc_config is of no use.
+    # A shipped low level holds its settings, so llc_config is not needed.
     f"{_CONFIG}.llc_steps",
 )
-# Keys of those sections that are nobody's but the training's, or that have no effect.
+# Keys of those sections that only a training reads, or that have no effect.
 _NOT_NEEDED = (
     "task.env.numEnvs",
     "task.env.episodeLength",
@@ -68,13 +68,13 @@ _NOT_NEEDED = (
     "task.sim.use_gpu_pipeline",
     "task.sim.physx",
 )
-# Of the training's own settings, what says nothing elsewhere.
+# Settings of the training that have no meaning elsewhere.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyInfo:
-    """What a packed policy says of itself.
+    """Task, settings and origin of a packed policy, which are stored in it.
 
     Attributes:
         task: name of the task it acts in.
@@ -82,7 +82,7 @@ class PolicyInfo:
         units: hidden layers of its networks, {"mlp": [...], "disc": [...]}.
         frames: environment steps it was trained for.
         epochs: epochs it was trained for.
-        settings: path in the configuration tree -> value, all that playing needs.
+        settings: path in the configuration tree -> value; all that a play needs.
         training: `train.params.config` of the training, for the record.
     """
 
@@ -102,7 +102,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read what a packed policy says of itself; nothing of the file is run.
+    """Read the `PolicyInfo` of a packed policy; no code of the file is run.
 
     Raises:
         CheckpointError: it cannot be read or is no packed policy.
@@ -239,7 +239,7 @@ def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _shipped_clip(clip: str) -> str:
-    """Return a clip as it can be named on any machine.
+    """Return a clip by a name that is valid on any machine.
 
     Raises:
         ConfigError: it is a file of this machine.
@@ -251,8 +251,8 @@ def _shipped_clip(clip: str) -> str:
     if not ours or file.stem not in shipped_motions():
         choices = f"{', '.join(shipped_motions())}, {PREFIX}<name>"
         raise ConfigError(
-            f"the policy imitates {clip}, which does not ship with the project; name the clip that"
-            f" it shall be shown beside with clip=NAME: {choices}"
+            f"the policy imitates {clip}, which does not ship with the project; name the clip"
+            f" to show beside it with clip=NAME: {choices}"
         )
     return file.name
 

@@ -1,4 +1,4 @@
-"""`checkpoint=<name of a shipped policy>` on a command line."""
+"""Completes command lines that play a shipped policy, `checkpoint=<name>`, by its settings."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ log = logging.getLogger(__name__)
 def playing_overrides(name: str) -> list[str]:
     """Return the overrides that a shipped policy needs to be played, for `config.compose`.
 
-    Without `checkpoint`, devices and sizes: only what the policy must find as it was trained.
+    These are the settings that must be as in the training: no `checkpoint`, devices or sizes.
 
     Raises:
         KeyError: no such policy.
         CheckpointError: its file is damaged.
     """
-    # torch: only once a shipped policy is asked for
+    # imports torch, which other command lines do without
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     info = read_policy_info(shipped_policies()[name])
     log.info("%s: %s", name, info)
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
-    # All of the network is packed: what it has no word of is not what the train file says today.
+    # The whole network is packed: keys that it lacks must not come from today's train file.
     return [f"task={info.task}", "~train.params.network", *settings]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line with the settings of the shipped policy that it plays.
 
-    They go before the words that were typed, so that those win. A command line that plays no
+    They are inserted before the typed words, which override them. A command line that plays no
     shipped policy is returned as it is.
 
     Args:
@@ -52,7 +52,7 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     settings = playing_overrides(name)
     if "task" in typed:
         settings = settings[1:]
-    # Beside the others: Hydra's parser takes them in one piece.
+    # Beside the others, because Hydra's parser expects all overrides in one piece.
     place = next(i for i, word in enumerate(arguments) if "=" in word)
     return [*arguments[:place], *settings, *arguments[place:]]
 

@@ -1,4 +1,4 @@
-"""The configuration that a checkpoint was trained with: config.yaml in its run folder."""
+"""Reads the configuration that a checkpoint was trained with: config.yaml in its run folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
 
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
-"""What the configuration of a run has."""
+"""Sections that the configuration of a run must have."""
 
 _RL_DEVICES = ("cpu", "cuda:0")
 # Hidden layers: section of the network -> pattern of the name in the model.
@@ -37,8 +37,8 @@ def run_config_file(checkpoint: Path) -> Path:
 def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     """Return a run's tree, resolved for the kind of device that it was trained on.
 
-    The default networks depend on the device, and this may be another machine than the run's: the
-    model tells which it was. If it has the layers of none, the tree is the CPU's.
+    The default networks depend on the device, and this machine may have another one: the layers of
+    the model decide. If they match no device, the tree is resolved for the CPU.
 
     Args:
         file: config.yaml of a run folder.
@@ -87,7 +87,7 @@ def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
 
 
 def units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[int]]:
-    """Return the same, of the networks `names`, as the shapes of a model's parameters tell."""
+    """Return the same for the networks `names`, from the shapes of a model's parameters."""
     units: dict[str, dict[int, int]] = {name: {} for name in names}
     for name, layers in units.items():
         for key, weight in model.items():

@@ -1,4 +1,4 @@
-"""Where the shipped policies are; imports nothing heavy."""
+"""Lists the shipped policies; imports nothing heavy."""
 
 from __future__ import annotations
 

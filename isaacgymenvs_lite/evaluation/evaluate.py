@@ -1,4 +1,4 @@
-"""The one loop that plays a policy: used by the players, in training and in benchmarks."""
+"""Plays a policy and measures it: the one loop of players, trainings and benchmarks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Policy = Callable[[dict[str, Tensor]], Tensor]
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """What a policy reached, as means over episodes.
+    """The result of a played policy, as means over episodes.
 
     Attributes:
         num_episodes: the same number in every environment.
@@ -91,12 +91,12 @@ def evaluate(
 ) -> EvaluationResult:
     """Play at least `num_episodes` episodes and measure them.
 
-    Every environment plays the same number of episodes: whoever stops at the first n that end
-    counts short episodes too often.
+    Every environment plays the same number of episodes: the first n that end would contain too many
+    short ones.
 
     Args:
-        env: a task (`VecTask`) whose agent asks for resets (`reset_done`).
-        policy: what acts.
+        env: a task (`VecTask`); ended episodes are reset by `reset_done`.
+        policy: returns the actions.
         num_episodes: at least 1; rounded up to a multiple of the number of environments.
         style_reward: maps `infos["amp_obs"]` (N, F) to rewards (N, 1).
         on_step: called with the dones (N,) and infos of each step, before resets.
@@ -129,7 +129,7 @@ def evaluate(
 
 
 def _step(env: Env, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Start the episodes that are due and act; return rewards (N,), dones (N,) and infos."""
+    """Reset ended episodes and act; return rewards (N,), dones (N,) and infos."""
     obs, _ = env.reset_done()
     with torch.no_grad():
         actions = policy(obs)
@@ -142,16 +142,16 @@ def play_on(
     policy: Policy,
     on_step: Callable[[Tensor, dict[str, Any]], None] | None = None,
 ) -> None:
-    """Play for as long as a window or a page is open, and measure nothing; Ctrl-C ends it.
+    """Play for as long as a window or a page is open, without measuring; Ctrl-C ends it.
 
     Args:
         env: a task that `evaluate` has played.
-        policy: what acts.
-        on_step: as `evaluate`.
+        policy: returns the actions.
+        on_step: as in `evaluate`.
     """
-    if not getattr(env, "is_watched", False):  # an environment of one's own need not have it
+    if not getattr(env, "is_watched", False):  # a user's own environment may lack it
         return
-    log.info("playing on for whoever looks on; Ctrl-C ends it")
+    log.info("playing on while a window or a page is open; Ctrl-C ends it")
     with contextlib.suppress(KeyboardInterrupt):
         while getattr(env, "is_watched", False):
             _, dones, infos = _step(env, policy)
@@ -160,24 +160,24 @@ def play_on(
 
 
 DEFAULT_EPISODES = 32
-# Published train files say a hundred thousand and more: until the window is closed.
-_WITHOUT_END = 10_000
+# Published train files have a hundred thousand and more: until the window is closed.
+_ENDLESS = 10_000
 
 
 def episodes_to_play(player_config: Mapping[str, Any]) -> int:
-    """Return `player.games_num` of a train file, or a number that comes to an end.
+    """Return `player.games_num` of a train file, or the default if that would never end.
 
-    Logs what else the section asks for in vain.
+    A key of the section without effect is logged.
     """
     if note := player_class_note(player_config):
         log.info("%s", note)
-    asked = int(player_config.get("games_num", DEFAULT_EPISODES))
-    if asked < _WITHOUT_END:
-        return asked
+    episodes = int(player_config.get("games_num", DEFAULT_EPISODES))
+    if episodes < _ENDLESS:
+        return episodes
     log.info(
         "train.params.config.player.games_num=%d means without end; without a window %d episodes"
         " are played",
-        asked,
+        episodes,
         DEFAULT_EPISODES,
     )
     return DEFAULT_EPISODES
@@ -186,7 +186,7 @@ def episodes_to_play(player_config: Mapping[str, Any]) -> int:
 def evaluate_and_log(
     env: Env, policy: Policy, num_episodes: int, **probes: Any
 ) -> EvaluationResult:
-    """Play as `evaluate` does, and tell a user in one line what was reached."""
+    """Play as `evaluate` does, and log the result in one line."""
     result = evaluate(env, policy, num_episodes, **probes)
     log.info("played %s", result)
     return result

@@ -1,4 +1,4 @@
-"""Writes what a played policy does as a motion clip, to be looked at or compared."""
+"""Records a played policy as a motion clip, to look at it or compare it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MotionRecorder:
         self._done = False
 
     def step(self, dones: Tensor) -> None:
-        """Keep a control step; the file is written when the episode ends."""
+        """Store a control step; the file is written when the episode ends."""
         if self._done:
             return
         self._rotations.append(self._env.simulation.body_rot[0].clone())
@@ -60,21 +60,21 @@ class MotionRecorder:
         if len(self._rotations) < 2:
             log.warning("the episode to record had one step only: nothing is written")
             return
-        turns = torch.stack(self._rotations).double().numpy()
+        rotations = torch.stack(self._rotations).double().numpy()
         clip = MotionClip.from_poses(
             str(self._path),
             1.0 / self._env.dt,
             skeleton.body_names,
             skeleton.parent_indices,
             skeleton.local_translation,
-            local_rotations(skeleton.parent_indices, turns),
+            local_rotations(skeleton.parent_indices, rotations),
             torch.stack(self._positions).double().numpy(),
         )
         save_npz(self._path, clip)
-        way_m = torch.linalg.vector_norm((self._positions[-1] - self._positions[0])[:2]).item()
+        distance_m = torch.linalg.vector_norm((self._positions[-1] - self._positions[0])[:2]).item()
         log.info(
             "recorded %d steps into %s: %.2f m/s along the ground",
             clip.num_frames,
             self._path,
-            way_m / clip.length_s,
+            distance_m / clip.length_s,
         )

@@ -1,9 +1,9 @@
-"""How closely a character imitates its reference clips: the pose error in metres of the AMP paper.
+"""Measures how closely a character imitates its clips: the pose error in metres of the AMP paper.
 
 A frame's error is the mean over the bodies of the distance between the root-relative position of
 a body of the character and of the reference, both turned into their heading frames. An episode is
 aligned with the repeated clip by subsequence dynamic time warping, because the policy chooses its
-own phase and tempo. `docs/imitation_metric.md` tells how to read the numbers.
+own phase and tempo. `docs/imitation_metric.md` explains the numbers.
 
 References:
     Peng et al., "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control",
@@ -39,7 +39,7 @@ def root_relative_pose(body_pos_w: Tensor, root_rot_w: Tensor) -> Tensor:
         root_rot_w: (..., 4), rotation of the root, xyzw.
 
     Returns:
-        (..., J, 3) m; the x axis is where the root heads, z is up, body 0 is at the origin.
+        (..., J, 3) m; the x axis points along the heading, z up, body 0 is at the origin.
     """
     heading = calc_heading(root_rot_w).unsqueeze(-1)
     return rotate_about_z(heading.cos(), -heading.sin(), body_pos_w - body_pos_w[..., :1, :])
@@ -74,7 +74,7 @@ class ReferencePoses:
     def from_motion_lib(cls, motion_lib: MotionLib, dt_s: float) -> ReferencePoses:
         """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... < its length.
 
-        The end is left out: in a clip that closes, the last pose is the first one.
+        The end is left out, because the last pose of a clip that closes is the first one.
         """
         clips = []
         for motion_id in range(motion_lib.num_motions()):
@@ -104,17 +104,16 @@ class Episode:
 class EpisodeRecorder:
     """Collects episodes of a fixed set of environments, the same number from each.
 
-    The same number, because whoever takes the episodes in the order of their ends takes the
-    short ones. What an environment does after its last episode is not kept.
+    The same number, because the episodes that end first are the short ones. What an environment
+    does after its last episode is not stored.
 
     Args:
-        num_envs: environments N, rows of what `record` gets.
+        num_envs: environments N, rows of the arguments of `record`.
         num_bodies: bodies J.
-        max_steps: longest episode in control steps; later steps of an episode are not kept.
+        max_steps: longest episode in control steps; later steps of an episode are dropped.
         device: where the tensors given to `record` are.
-        episodes_per_env: how many episodes to keep of each environment.
-        wait_for_reset: begin with the environment's next episode: for environments that are in
-            the middle of one.
+        episodes_per_env: episodes to store from each environment.
+        wait_for_reset: begin with the next episode of an environment, not in the middle of one.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class EpisodeRecorder:
     ) -> None:
         self.episodes: list[Episode] = []
         self._max_steps = max_steps
-        # The slot after the last one takes what is not kept, so that `record` needs no branch.
+        # The slot after the last one receives what is dropped, so that `record` needs no branch.
         shape = (num_envs, max_steps + 1)
         self._body_pos_w = torch.zeros(*shape, num_bodies, 3, device=device)
         self._root_rot_w = torch.zeros(*shape, 4, device=device)
@@ -139,17 +138,17 @@ class EpisodeRecorder:
 
     @property
     def complete(self) -> bool:
-        """Whether every environment has given its episodes."""
+        """Whether all episodes of every environment are stored."""
         return not any(self._left)
 
     def record(self, body_pos_w: Tensor, root_rot_w: Tensor) -> None:
-        """Keep one control step: (N, J, 3) m and (N, 4) xyzw, in the world. Call before resets."""
+        """Store one control step: (N, J, 3) m and (N, 4) xyzw, in the world. Call before resets."""
         self._body_pos_w[self._rows, self._slots] = body_pos_w
         self._root_rot_w[self._rows, self._slots] = root_rot_w
         self._slots.add_(1).clamp_(max=self._max_steps)
 
     def finish(self, env_ids: Tensor, fell: Tensor) -> None:
-        """End the episodes of the environments `env_ids` (n,); `fell` (n,) bool tells how."""
+        """End the episodes of the environments `env_ids` (n,); `fell` (n,) bool: by a fall."""
         if self.complete or env_ids.numel() == 0:
             return
         slots = self._slots.tolist()
@@ -169,14 +168,14 @@ class EpisodeRecorder:
 
 @dataclass(frozen=True, eq=False)
 class ImitationResult:
-    """What `PoseErrorMetric` found; nan where no episode could be measured.
+    """The result of `PoseErrorMetric`; nan where no episode could be measured.
 
     Attributes:
         pose_error_m: mean of `per_episode` in m, over the episodes that could be measured.
         per_episode: (E,) m; nan for an episode with poses that are not finite.
         nearest_clip: (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
         tempo: mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a
-            frozen pose, at most about 2. A low pose error says little when this is near 0.
+            frozen pose, at most about 2. A low pose error means little when this is near 0.
         no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
             not be measured counts as a fall.
         mean_episode_steps: mean length in control steps.
@@ -195,7 +194,7 @@ class ImitationResult:
         return f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}, {self.falls()}"
 
     def falls(self) -> str:
-        """Return for users how the episodes ended."""
+        """Return, for users, how the episodes ended."""
         return (
             f"{self.no_fall_share:.0%} of {self.num_episodes} episodes without a fall, "
             f"{self.mean_episode_steps:.0f} steps on average"
@@ -203,7 +202,7 @@ class ImitationResult:
 
 
 class PoseErrorMetric:
-    """The pose error of episodes against reference clips; an episode counts with its nearest.
+    """Measures the pose error of episodes against reference clips; the nearest clip counts.
 
     Args:
         reference: the clips, sampled at the episodes' control step.

@@ -1,8 +1,8 @@
-"""Whether a skill policy shows all clips of its data set: which clip each of its moments is like.
+"""Measures how many clips of its data set a skill policy shows.
 
-As the nearest-neighbour analysis of Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill
-Embeddings" (arXiv 2205.01906): every window of generated motion goes to the clip that holds the
-most similar window, and a clip counts as covered when it gets a fair share of them.
+The method is the nearest-neighbour analysis of Peng et al. 2022, "ASE: Large-Scale Reusable
+Adversarial Skill Embeddings" (arXiv 2205.01906): every window of generated motion belongs to the
+clip with the most similar window, and a clip counts as covered if it has a fair share of them.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import torch
 from torch import Tensor
 
 COVERED_SHARE = 0.01
-"""Share of the generated windows from which on a clip counts as covered."""
+"""Least share of the generated windows for a clip that counts as covered."""
 
 _CHUNK_ROWS = 1024
-# Features that hardly vary in the clips are not blown up: their smallest scale, in units of the
-# feature (m, m/s, rad/s, or parts of a unit vector).
+# Smallest scale of a feature in its unit (m, m/s, rad/s, or parts of a unit vector), so that
+# features that hardly vary in the clips are not magnified.
 _LEAST_SCALE = 0.01
 
 
 @dataclass(frozen=True)
 class ClipShares:
-    """Of which clips generated motion reminds.
+    """Which clips generated motion is most similar to.
 
     Attributes:
         shares: clip -> share of the windows, 0 to 1, all clips, the largest first.
-        num_windows: that were judged.
+        num_windows: number of windows.
     """
 
     shares: dict[str, float]

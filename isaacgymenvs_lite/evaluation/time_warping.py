@@ -1,4 +1,4 @@
-"""Subsequence dynamic time warping of many episodes at once.
+"""Aligns many episodes with a reference at once, by subsequence dynamic time warping.
 
 References:
     Müller, "Information Retrieval for Music and Motion", 2007, chapter 4.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-# What a path cell and a reference frame moved count in the imaginary part of a path's cost.
+# What a path cell and a step in the reference add to the imaginary part of a path's cost.
 _CELL = 1.0
 _ADVANCE = 2.0**-24
 
@@ -62,8 +62,8 @@ def align(
 
     # A path's cost and, as the imaginary part, its cells and its advance in one number: numpy
     # orders complex numbers by the real and then by the imaginary part, which is the tie rule.
-    # Row 0 stands before the episode: there every path begins, at no cost. The cells of one
-    # anti-diagonal depend on the two before it only, hence three arrays that take turns.
+    # Row 0 is before the episode: every path begins there at no cost. The cells of an
+    # anti-diagonal depend only on the two before it, hence three arrays that take turns.
     older, old, new = (np.full((num_rows + 1, num_episodes), np.inf + 0j) for _ in range(3))
     for diagonal in (older, old, new):
         diagonal[0] = 0.0

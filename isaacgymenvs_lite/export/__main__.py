@@ -4,9 +4,9 @@
     python -m isaacgymenvs_lite.export checkpoint=last format=torchscript out=policy.pt
     python -m isaacgymenvs_lite.export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
 
-Raw observations in, actions within the task's limits out, normalisers inside. `checkpoint` is a
-.pth file, `last`, or a shipped policy. Task and train settings are those of the run; other words
-override them as on the command line of train.py.
+The file takes raw observations and returns actions within the task's limits; the normalisers are
+part of it. `checkpoint` is a .pth file, `last`, or a shipped policy. Task and train settings are
+read from the run; other words override them as on the command line of train.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import dataclasses
 import sys
 
 from isaacgymenvs_lite.command_line import run_command
-from isaacgymenvs_lite.export.session import ExportSettings, export_policy
+from isaacgymenvs_lite.export.export import ExportSettings, export_policy
 
 _OWN_KEYS = tuple(field.name for field in dataclasses.fields(ExportSettings))
 

@@ -1,4 +1,4 @@
-"""Which configuration belongs to a checkpoint that is exported."""
+"""Finds the configuration that belongs to a checkpoint, for its export."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from isaacgymenvs_lite.errors import ConfigError
 log = logging.getLogger(__name__)
 
 _NUM_ENVS = 2
-# What a policy needs nothing of, whatever its training had.
+# Settings of the training that an export replaces.
 _PLAIN = {
     "test": True,
     "num_envs": _NUM_ENVS,
@@ -38,6 +38,8 @@ _PLAIN = {
     "viewer": "",
     "capture_video": False,
     "wandb_activate": False,
+    "seed": 1,
+    "torch_deterministic": False,
     "latent": "",
     "sigma": "",
     "experiment": "",
@@ -47,11 +49,11 @@ _PLAIN = {
 def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> DictConfig:
     """Return the tree that a policy is played with, on the CPU, in a few environments.
 
-    A shipped policy says itself what it needs, a checkpoint in a run folder has the config.yaml
-    there. `train=`, or the `task=` of another task, stand for a configuration of their own.
+    A shipped policy holds its settings, a checkpoint in a run folder belongs to the config.yaml
+    there. With `train=`, or `task=` of another task, the tree is composed anew.
 
     Args:
-        checkpoint: a path, `last` as train.py takes it (the newest of the task that the overrides
+        checkpoint: a path, `last` as in train.py (the newest of the task that the overrides
             name, or of the default one), or the name of a shipped policy.
         overrides: of the configuration, as on the command line of train.py.
         runs: folder of the runs that `last` looks at.
@@ -66,17 +68,17 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
         )
     typed = dict(word.split("=", 1) for word in overrides if "=" in word)
     is_shipped = checkpoint in shipped_policies()
-    # What train.py would play with these words: which task, and what `last` means.
-    asked = compose(overrides) if checkpoint == "last" or "task" in typed else None
-    if asked is None or is_shipped:
+    # What train.py would play with these words: it decides the task, and what `last` means.
+    composed = compose(overrides) if checkpoint == "last" or "task" in typed else None
+    if composed is None or is_shipped:
         path = resolve_checkpoint(checkpoint, runs, "")
     else:
-        path = checkpoint_of_tree(asked, checkpoint, runs)
+        path = checkpoint_of_tree(composed, checkpoint, runs)
     file = run_config_file(Path(path))
     if not is_shipped and file.is_file() and "train" not in typed:
         model = load_checkpoint(path).get("model", {})
         cfg = OmegaConf.create(read_run_config(file, model))
-        if asked is None or asked.task.name == cfg.task.name:
+        if composed is None or composed.task.name == cfg.task.name:
             log.info("task and train settings: %s", file)
             return _plain(_changed(cfg, overrides), path)
     named = checkpoint if is_shipped else as_override(path)

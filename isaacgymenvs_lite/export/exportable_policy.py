@@ -1,8 +1,7 @@
-"""Trained policies as plain functions of tensors, to be written into files of other runtimes.
+"""Turns trained policies into plain functions of tensors, which other runtimes can run.
 
-A graph is what a player does in a step without its surroundings: deterministic, in float32, on one
-thread, with the task's clamp of observations and the normalisers inside. It shares its parameters
-with the player.
+A graph computes one step of a player: deterministic, in float32, on one thread, including the
+task's clamp of observations and the normalisers. It shares its parameters with the player.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ class TensorSpec:
 
     Attributes:
         name: of the tensor.
-        shape: with n left out.
-        batch_axis: where n stands in the shape.
+        shape: without n.
+        batch_axis: position of n in the shape.
         dtype: of the tensor.
     """
 
@@ -52,7 +51,7 @@ class PolicyGraph(nn.Module):
     """A function of tensors: `forward` takes the inputs and returns the outputs, in their order.
 
     Args:
-        player: an rl_games player whose policy it is.
+        player: the rl_games player of the policy.
 
     Attributes:
         inputs: the first is `obs`, (n, O), raw as the task returns it.
@@ -65,7 +64,7 @@ class PolicyGraph(nn.Module):
     def __init__(self, player: Any) -> None:
         super().__init__()
         env = player.env
-        # rl_games' normalisers are scripted, which no exporter reads.
+        # rl_games' normalisers are TorchScript, which no exporter reads.
         replace_normalizers(player.model)
         self._clip_obs = env.clip_obs
         self._clip_actions = env.clip_actions
@@ -80,7 +79,7 @@ class PolicyGraph(nn.Module):
 
 
 class _MeanActor(nn.Module):
-    """Raw observations (n, O), and latents (n, Z) if the network hears any, to mean actions (n, A).
+    """Maps raw observations (n, O), and latents (n, Z) of skills, to mean actions (n, A).
 
     Args:
         model: an rl_games model with `norm_obs` and `a2c_network`.
@@ -164,8 +163,8 @@ class SkillGraph(PolicyGraph):
 class HierarchyGraph(PolicyGraph):
     """HRL, both levels: obs, latent, decide -> action, latent.
 
-    Where `decide` (n,) bool is True the high level chooses a new latent (n, Z); elsewhere the one
-    that came in stays. It shall be True in the first step of an episode and in every `llc_steps`-th
+    Where `decide` (n,) bool is True the high level chooses a new latent (n, Z); elsewhere the input
+    latent stays. It must be True in the first step of an episode and in every `llc_steps`-th step
     after it.
     """
 
@@ -193,7 +192,7 @@ class HierarchyGraph(PolicyGraph):
 class RecurrentGraph(PolicyGraph):
     """PPO with memory; states (layers, n, units) are zero at the start of an episode.
 
-    A network whose critic has a memory of its own keeps it in the training.
+    The memory of a separate critic is left out.
     """
 
     state_names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The formats of exported policies: how a graph is written, and how a file is run.
+"""Writes exported policies in several formats, and runs their files.
 
 policy = load_policy("walk.onnx")
 action = policy({"obs": observations})["action"]      # numpy, (n, O) -> (n, A)
@@ -26,15 +26,15 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-# Rows of the inputs that exporters see; neither 0 nor 1, which they take for constants.
+# Rows of the example inputs; exporters treat 0 and 1 as constants.
 _EXAMPLE_ROWS = 3
 _METADATA_FILE = "metadata.json"
-_TALKATIVE = ("torch.onnx", "onnxscript", "onnx_ir")
+_VERBOSE_LOGGERS = ("torch.onnx", "onnxscript", "onnx_ir")
 
 
 @dataclass(frozen=True)
 class ExportedPolicy:
-    """A file that was read back.
+    """An exported policy that can be called.
 
     Attributes:
         metadata: see `metadata.describe`.
@@ -51,11 +51,11 @@ class ExportedPolicy:
 
 @dataclass(frozen=True)
 class Format:
-    """One format.
+    """A format of exported policies.
 
     Attributes:
         suffix: of its files.
-        packages: that writing and running need beside torch.
+        packages: needed for writing and running, beside torch.
         write: graph, metadata -> bytes of the file.
         load: file -> policy.
     """
@@ -76,7 +76,7 @@ class Format:
 
 
 def load_policy(file: str | Path) -> ExportedPolicy:
-    """Read an exported policy; its suffix tells the format.
+    """Read an exported policy in the format of its suffix.
 
     Raises:
         ConfigError: no such file, or another suffix.
@@ -95,8 +95,8 @@ def load_policy(file: str | Path) -> ExportedPolicy:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep to itself what torch's exporters say of their own future and of missing packages."""
-    loggers = [logging.getLogger(name) for name in _TALKATIVE]
+    """Hide the warnings of torch's exporters about deprecations and missing packages."""
+    loggers = [logging.getLogger(name) for name in _VERBOSE_LOGGERS]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.ERROR)
@@ -110,7 +110,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _example(graph: PolicyGraph) -> tuple[torch.Tensor, ...]:
-    return tuple(port.sample(_EXAMPLE_ROWS) for port in graph.inputs)
+    return tuple(spec.sample(_EXAMPLE_ROWS) for spec in graph.inputs)
 
 
 # --- ONNX -----------------------------------------------------------------------------------------
@@ -124,12 +124,12 @@ def _write_onnx(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
             _example(graph),
             dynamo=True,
             verbose=False,
-            input_names=[port.name for port in graph.inputs],
-            output_names=[port.name for port in graph.outputs],
-            dynamic_shapes=tuple({port.batch_axis: batch} for port in graph.inputs),
+            input_names=[spec.name for spec in graph.inputs],
+            output_names=[spec.name for spec in graph.outputs],
+            dynamic_shapes=tuple({spec.batch_axis: batch} for spec in graph.inputs),
         )
     assert program is not None
-    # Strings only: text as it is, all else as JSON.
+    # ONNX stores strings only: text as it is, other values as JSON.
     program.model.metadata_props.update(
         {
             key: value if isinstance(value, str) else json.dumps(value)
@@ -167,7 +167,7 @@ def _write_torchscript(graph: PolicyGraph, metadata: dict[str, Any]) -> bytes:
     file = io.BytesIO()
     with _quiet(), torch.no_grad():
         traced = torch.jit.trace(graph, _example(graph), check_trace=False)
-        frozen = torch.jit.freeze(traced)  # without what a player needs for training only
+        frozen = torch.jit.freeze(traced)  # drops what only a training needs
         torch.jit.save(frozen, file, _extra_files={_METADATA_FILE: json.dumps(metadata)})
     return file.getvalue()
 
@@ -177,8 +177,8 @@ def _load_torchscript(file: Path) -> ExportedPolicy:
     with _quiet():
         module = torch.jit.load(str(file), map_location="cpu", _extra_files=extra)
     metadata = json.loads(extra[_METADATA_FILE])
-    inputs_in_order = [port["name"] for port in metadata["inputs"]]
-    outputs_in_order = [port["name"] for port in metadata["outputs"]]
+    inputs_in_order = [spec["name"] for spec in metadata["inputs"]]
+    outputs_in_order = [spec["name"] for spec in metadata["outputs"]]
 
     def run(inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
         with torch.no_grad():

@@ -1,4 +1,4 @@
-"""What a file says of the policy in it, so that a robot can be driven by nothing but the file."""
+"""Describes an exported policy, so that the file is all that it takes to drive a robot."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import mujoco
+from omegaconf import DictConfig
 
 from isaacgymenvs_lite import __version__
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, TensorSpec
@@ -19,34 +20,28 @@ FORMAT_VERSION = 1
 
 
 def describe(
-    task_name: str,
-    task: VecTask,
-    player: Any,
-    graph: PolicyGraph,
-    params: Mapping[str, Any],
-    state: Mapping[str, Any],
+    cfg: DictConfig, player: Any, graph: PolicyGraph, state: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the metadata of an exported policy; all values can be written as JSON.
 
     Args:
-        task_name: as `task=`.
-        task: that it acts in.
+        cfg: the composed tree that the policy is played with.
         player: of the policy.
         graph: of the policy.
-        params: the section `params` of its train file.
         state: of its checkpoint.
     """
+    task: VecTask = player.env
     described: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "project": "isaacgymenvs_lite",
         "project_version": __version__,
-        "task": task_name,
-        "algorithm": params["algo"]["name"],
+        "task": str(cfg.task.name),
+        "algorithm": str(cfg.train.params.algo.name),
         "frames": int(state.get("frame", 0)),
         "epochs": int(state.get("epoch", 0)),
         "control_rate_hz": 1.0 / task.simulation.dt,
-        "inputs": [_tensor_spec(port) for port in graph.inputs],
-        "outputs": [_tensor_spec(port) for port in graph.outputs],
+        "inputs": [_described(spec) for spec in graph.inputs],
+        "outputs": [_described(spec) for spec in graph.outputs],
         "observations": _observations(task),
         "observation_limit": _finite(task.clip_obs),
         "actions": _action_names(task),
@@ -60,10 +55,10 @@ def describe(
     return described
 
 
-def _tensor_spec(port: TensorSpec) -> dict[str, Any]:
-    axis = port.batch_axis
-    shape = [*port.shape[:axis], "batch", *port.shape[axis:]]
-    return {"name": port.name, "shape": shape, "dtype": str(port.dtype).removeprefix("torch.")}
+def _described(spec: TensorSpec) -> dict[str, Any]:
+    axis = spec.batch_axis
+    shape = [*spec.shape[:axis], "batch", *spec.shape[axis:]]
+    return {"name": spec.name, "shape": shape, "dtype": str(spec.dtype).removeprefix("torch.")}
 
 
 def _finite(limit: float) -> float | None:

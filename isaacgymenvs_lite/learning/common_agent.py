@@ -63,6 +63,7 @@ from isaacgymenvs_lite.env_interface import Env
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards

@@ -74,6 +74,8 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         # rl_games' other agents call it before they make their TensorBoard writer.
         name = config.get("full_experiment_name") or config["name"]
         config["features"]["observer"].before_init(base_name, config, name)
+        # rl_games takes over an environment that exists in its other agents only.
+        self.vec_env = config.get("vec_env")
         super().__init__(base_name, params)
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
         self._step = 0

@@ -1,12 +1,12 @@
-"""What a training run shows: progress, scalars, the imitation metric, advice when it goes wrong.
+"""What belongs to one run: its folder, its stop, and the observers that show and log it.
 
-Observers are rl_games' `AlgoObserver`s; `MultiObserver` makes one of several.
+The observers are rl_games' `AlgoObserver`s; `TrainingObservers` are all of them together.
 """
 
-from isaacgymenvs_lite.run.diagnostics_observer import DiagnosticsObserver
+from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.imitation import ImitationObserver
 from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
-from isaacgymenvs_lite.run.multi_observer import MultiObserver
+from isaacgymenvs_lite.run.observers import MultiObserver, TrainingObservers
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 
@@ -18,4 +18,5 @@ __all__ = [
     "MultiObserver",
     "ProgressObserver",
     "TaskScalarsObserver",
+    "TrainingObservers",
 ]

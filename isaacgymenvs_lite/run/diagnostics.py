@@ -1,36 +1,46 @@
-"""What is known to go wrong in a training with a discriminator, and the keys to turn.
+"""Warns when a training with a discriminator goes wrong in a known way, and says what to change.
 
-Numbers in, sentences out: no agent, no log, no clock. `docs/reading_a_run.md` lists the sentences.
-The limits lie far from what trainings that came out well showed at any time, because a wrong alarm
-costs more than a late one.
+`Diagnostics` holds the rules: numbers in, warnings out, without an agent, a log or a clock.
+`DiagnosticsObserver` gives it the numbers of a training and logs its warnings, which
+`docs/reading_a_run.md` lists. The limits are far from what any good training has shown, because a
+false alarm costs more than a late one.
 """
 
 from __future__ import annotations
 
+import logging
 import math
+import statistics
+import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from isaacgymenvs_lite.run.history import Measurement, RunHistory
-from isaacgymenvs_lite.run.metrics import EpochMetrics
+from rl_games.common.algo_observer import AlgoObserver
+
+from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
+
+log = logging.getLogger(__name__)
 
 # A fault must last this long. The discriminator always wins the first 0.5 M frames.
 WINDOW_FRAMES = 3_000_000
 # The same for small rollouts and large ones: learning needs updates as well as samples.
 WINDOW_EPOCHS = 100
-# Medians over the window are taken every so many epochs only.
+# The rules are checked every so many epochs.
 CHECK_EPOCHS = 10
-# A sentence comes again after this time if nothing was done about it.
+# A warning is repeated after this time if its fault lasts.
 REPEAT_S = 30 * 60.0
 
-# A training that learns to stand makes episodes longer by a third and more in a window.
+# While a policy learns to stand, episodes get longer by a third and more in a window.
 MIN_GROWTH = 1.1
-# A discriminator wins against good policies as well (0.999 on both sides, and a style reward of a
-# few hundredths of `disc_reward_scale` where the gradient penalty is low), so that the policy must
-# be bad, too. With a bad one that learned, the reward was at least 0.07 of its scale.
+# A discriminator also wins against good policies (accuracies of 0.999, and a style reward of a few
+# hundredths of `disc_reward_scale` where the gradient penalty is low), so the policy must be bad
+# too. With bad policies that learned, the reward was at least 0.07 of its scale.
 WON_ACCURACY = 0.99
 WON_REWARD = 0.1
-# Below this share the reward is flat, whatever the accuracy.
+# Below this share of its scale the reward is flat, whatever the accuracy.
 NO_REWARD = 0.02
 MOSTLY_FALLS = 0.5
 # As a multiple of a good pose error.
@@ -47,7 +57,7 @@ MIN_IMPROVEMENT = 0.02
 MIN_STUCK_FRAMES = 5_000_000
 MIN_STUCK_MEASUREMENTS = 6
 
-# 1 is the clip's tempo, 0 a frozen pose. Slow motion that was seen to get better had 0.2 and more.
+# 1 is the clip's tempo, 0 a frozen pose. Slow motion that later improved had 0.2 and more.
 STANDING_TEMPO = 0.2
 STANDING_MEASUREMENTS = 3
 # Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
@@ -59,20 +69,129 @@ EARLY_FALL_SHARE = 0.1
 NEARLY_ALL_FALL = 0.9
 
 
-class Diagnostics:
-    """Judges a training from its figures.
+@dataclass(frozen=True)
+class Measurement:
+    """One measurement of the mean policy against the clips.
+
+    Attributes:
+        frame: environment steps trained before it.
+        pose_error_m: see `ImitationResult`; nan if no episode could be measured.
+        tempo: see `ImitationResult`.
+        no_fall_share: share of the episodes without a fall, 0 to 1.
+        clip_spread_m: of `imitation.clip_spread_m`; about 0 where a clip does not move.
+    """
+
+    frame: int
+    pose_error_m: float
+    tempo: float
+    no_fall_share: float
+    clip_spread_m: float
+
+
+class RunHistory:
+    """Stores the last epochs of a training, and all measurements of the pose error.
 
     Args:
-        config: `train.params.config`, for the values that a sentence proposes.
+        window_frames: least number of environment steps in the window.
+        window_epochs: least number of epochs in the window.
+    """
+
+    def __init__(self, window_frames: int, window_epochs: int) -> None:
+        self._window_frames = window_frames
+        self._window_epochs = window_epochs
+        self._window: deque[EpochMetrics] = deque()
+        self._first_frame = 0
+        self.measurements: list[Measurement] = []
+
+    def add_epoch(self, metrics: EpochMetrics) -> None:
+        """Append an epoch, and drop those that the window no longer needs."""
+        if not self._window:
+            self._first_frame = metrics.frame
+        self._window.append(metrics)
+        while len(self._window) > 1 and self._reaches_back_to(self._window[1]):
+            self._window.popleft()
+
+    def _reaches_back_to(self, epoch: EpochMetrics) -> bool:
+        newest = self._window[-1]
+        return (
+            newest.frame - epoch.frame >= self._window_frames
+            and newest.epoch - epoch.epoch >= self._window_epochs
+        )
+
+    @property
+    def newest(self) -> EpochMetrics:
+        """The newest epoch; there must be one."""
+        return self._window[-1]
+
+    @property
+    def window_is_full(self) -> bool:
+        """Whether the run is as long as the window."""
+        return len(self._window) > 0 and self._reaches_back_to(self._window[0])
+
+    @property
+    def window_frames(self) -> int:
+        """Environment steps in the window."""
+        return self._window[-1].frame - self._window[0].frame
+
+    @property
+    def frames_trained(self) -> int:
+        """Environment steps of this run; a resumed one counts its own."""
+        return self._window[-1].frame - self._first_frame
+
+    def median(self, metric: Callable[[EpochMetrics], float | None]) -> float:
+        """Return the median of a metric over the window; nan if it is unknown."""
+        return _median([metric(epoch) for epoch in self._window])
+
+    def growth(self, metric: Callable[[EpochMetrics], float | None]) -> float:
+        """Return a metric's median over the window's last third, divided by the first third's.
+
+        Nan if the metric is unknown or 0 in the first third.
+        """
+        values = [metric(epoch) for epoch in self._window]
+        third = max(1, len(values) // 3)
+        before = _median(values[:third])
+        return _median(values[-third:]) / before if before != 0 else math.nan
+
+    def measured(self, after: float = -math.inf, until: float = math.inf) -> list[Measurement]:
+        """Return the measurements at frames in (after, until] that have a pose error."""
+        return [
+            measurement
+            for measurement in self.measurements
+            if after < measurement.frame <= until and math.isfinite(measurement.pose_error_m)
+        ]
+
+    def pose_error_improved_since(self, frame: float, by: float) -> bool:
+        """Return whether the best pose error after `frame` is lower than before, by the share `by`.
+
+        Also True while one of the two is unknown.
+        """
+        before = [measurement.pose_error_m for measurement in self.measured(until=frame)]
+        after = [measurement.pose_error_m for measurement in self.measured(after=frame)]
+        return not before or not after or min(after) < (1.0 - by) * min(before)
+
+
+def _median(values: list[float | None]) -> float:
+    known = [value for value in values if value is not None]
+    return statistics.median(known) if known else math.nan
+
+
+class Diagnostics:
+    """Finds known faults of a training in its metrics.
+
+    Args:
+        config: `train.params.config`, for the values that a warning proposes.
         max_episode_steps: the task's time limit in control steps.
+
+    Attributes:
+        history: what the rules read.
     """
 
     def __init__(self, config: Mapping[str, Any], max_episode_steps: int) -> None:
         self._config = config
         self._max_episode_steps = max_episode_steps
-        self._history = RunHistory(WINDOW_FRAMES, WINDOW_EPOCHS)
-        self._told_s: dict[str, float] = {}
-        # The first that applies is told: the later ones may be its consequences.
+        self.history = RunHistory(WINDOW_FRAMES, WINDOW_EPOCHS)
+        self._warned_s: dict[str, float] = {}
+        # The first that applies is the warning: the later ones may be its consequences.
         self._rules: dict[str, Callable[[], str | None]] = {
             "discriminator won": self._discriminator_won,
             "discriminator fooled": self._discriminator_fooled,
@@ -81,38 +200,38 @@ class Diagnostics:
             "no improvement": self._no_improvement,
         }
 
-    def add_epoch(self, figures: EpochMetrics) -> None:
-        """Take the figures of the next epoch."""
-        self._history.add_epoch(figures)
+    def add_epoch(self, metrics: EpochMetrics) -> None:
+        """Store the metrics of the next epoch."""
+        self.history.add_epoch(metrics)
 
     def add_measurement(self, measurement: Measurement) -> None:
-        """Take a measurement of the pose error."""
-        self._history.measurements.append(measurement)
+        """Store a measurement of the pose error."""
+        self.history.measurements.append(measurement)
 
-    def sentence(self, now_s: float) -> str | None:
-        """Return what is wrong and what to do, or None.
+    def next_warning(self, now_s: float) -> str | None:
+        """Return what is wrong and what to do about it, or None.
 
         Args:
-            now_s: any clock; what was told less than `REPEAT_S` ago is not told again.
+            now_s: time of any clock; a warning is repeated after `REPEAT_S`.
         """
-        if self._history.newest.epoch % CHECK_EPOCHS != 0 or not self._history.window_is_full:
+        if self.history.newest.epoch % CHECK_EPOCHS != 0 or not self.history.window_is_full:
             return None
         for kind, rule in self._rules.items():
-            told = rule()
-            if told is not None:
-                return told if self._may_tell(kind, now_s) else None
+            warning = rule()
+            if warning is not None:
+                return warning if self._is_due(kind, now_s) else None
         return None
 
-    def _may_tell(self, kind: str, now_s: float) -> bool:
-        if now_s - self._told_s.get(kind, -math.inf) < REPEAT_S:
+    def _is_due(self, kind: str, now_s: float) -> bool:
+        if now_s - self._warned_s.get(kind, -math.inf) < REPEAT_S:
             return False
-        self._told_s[kind] = now_s
+        self._warned_s[kind] = now_s
         return True
 
     # --- rules -----------------------------------------------------------------------------
 
     def _discriminator_won(self) -> str | None:
-        history = self._history
+        history = self.history
         if self._config.get("disc_reward_w", 1.0) == 0 or self._policy_learns():
             return None
         scale = float(self._config.get("disc_reward_scale", 1.0)) or 1.0
@@ -123,8 +242,9 @@ class Diagnostics:
         if not (certain or reward / scale < NO_REWARD) or not self._policy_is_bad():
             return None
         return (
-            f"the discriminator has won: for {_millions(history.window_frames)} frames it knew"
-            f" {agent:.1%} of the policy's and {demo:.1%} of the clips' samples, the style reward"
+            f"the discriminator has won: for {_millions(history.window_frames)} frames it"
+            f" recognised {agent:.1%} of the policy's and {demo:.1%} of the clips' samples, the"
+            " style reward"
             f" was {reward:.3f} and episodes did not get longer ({self._steps():.0f} steps), so"
             " that the policy cannot see what would be better; start again with"
             f" {self._turn('disc_grad_penalty', 2.0)}, {self._turn(self._disc_rate, 0.5)} or"
@@ -132,7 +252,7 @@ class Diagnostics:
         )
 
     def _discriminator_fooled(self) -> str | None:
-        history = self._history
+        history = self.history
         accuracy = history.median(lambda epoch: epoch.disc_accuracy)
         if not accuracy < FOOLED_ACCURACY or self._policy_learns():
             return None
@@ -153,8 +273,8 @@ class Diagnostics:
         )
 
     def _standing_still(self) -> str | None:
-        last = self._history.measured()[-STANDING_MEASUREMENTS:]
-        if len(last) < STANDING_MEASUREMENTS or not all(_stands(one) for one in last):
+        last = self.history.measured()[-STANDING_MEASUREMENTS:]
+        if len(last) < STANDING_MEASUREMENTS or not all(_is_still(one) for one in last):
             return None
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
@@ -165,7 +285,7 @@ class Diagnostics:
         )
 
     def _early_falls(self) -> str | None:
-        history = self._history
+        history = self.history
         if history.frames_trained < EARLY_FALL_FRAMES or self._episodes_get_longer():
             return None
         short = self._steps() < EARLY_FALL_SHARE * self._max_episode_steps
@@ -173,14 +293,14 @@ class Diagnostics:
             return None
         return (
             f"after {_millions(history.frames_trained)} frames of this run episodes still end in a"
-            f" fall after {self._steps():.0f} of {self._max_episode_steps} steps; see to it that"
+            f" fall after {self._steps():.0f} of {self._max_episode_steps} steps; make sure that"
             " task.env.contactBodies has every body with which the clip touches the ground, or"
             " lower task.env.terminationHeight, then try"
             f" {self._turn('disc_grad_penalty', 2.0)} or {self._turn('learning_rate', 0.5)}"
         )
 
     def _no_improvement(self) -> str | None:
-        history = self._history
+        history = self.history
         third = history.frames_trained / 3
         since = history.newest.frame - third
         late = history.measured(after=since)
@@ -203,33 +323,33 @@ class Diagnostics:
     # --- parts of rules --------------------------------------------------------------------
 
     def _episodes_get_longer(self) -> bool:
-        return self._history.growth(lambda epoch: epoch.episode_steps) >= MIN_GROWTH
+        return self.history.growth(lambda epoch: epoch.episode_steps) >= MIN_GROWTH
 
     def _policy_learns(self) -> bool:
-        """Return whether episodes get longer or, where it is measured, the pose error better."""
-        history = self._history
+        """Return whether episodes get longer or, where it is measured, the pose error lower."""
+        history = self.history
         since = history.newest.frame - history.window_frames
         return self._episodes_get_longer() or (
             bool(history.measured()) and history.pose_error_improved_since(since, MIN_IMPROVEMENT)
         )
 
     def _policy_is_bad(self) -> bool:
-        """Return whether most episodes end in a fall, or nothing like the clip is shown."""
-        measured = self._history.measured()
+        """Return whether most episodes end in a fall, or the pose error is high."""
+        measured = self.history.measured()
         unlike = bool(measured) and measured[-1].pose_error_m > BAD_POSE_ERROR * _good_m(
             measured[-1]
         )
         return self._fall_rate() > MOSTLY_FALLS or unlike
 
     def _fall_rate(self) -> float:
-        return self._history.median(lambda epoch: epoch.fall_rate)
+        return self.history.median(lambda epoch: epoch.fall_rate)
 
     def _steps(self) -> float:
-        return self._history.median(lambda epoch: epoch.episode_steps)
+        return self.history.median(lambda epoch: epoch.episode_steps)
 
     @property
     def _disc_rate(self) -> str:
-        """The key of the discriminator's step size: its own, or the one that it shares."""
+        """The key of the discriminator's learning rate: its own, or the shared one."""
         return "disc_learning_rate" if self._config.get("disc_learning_rate") else "learning_rate"
 
     def _turn(self, key: str, factor: float) -> str:
@@ -241,7 +361,7 @@ class Diagnostics:
         return f"{name}={factor * value:g} (now {value:g})"
 
 
-def _stands(measurement: Measurement) -> bool:
+def _is_still(measurement: Measurement) -> bool:
     return (
         measurement.tempo < STANDING_TEMPO
         and measurement.no_fall_share > MOSTLY_FALLS
@@ -250,10 +370,71 @@ def _stands(measurement: Measurement) -> bool:
 
 
 def _good_m(measurement: Measurement) -> float:
-    """Return the pose error that needs no advice; the limit is wider where the clip moves more."""
+    """Return the pose error in m that is good enough; larger where the clip moves more."""
     wide_m = GOOD_SHARE_OF_SPREAD * measurement.clip_spread_m
     return max(GOOD_POSE_ERROR_M, wide_m) if math.isfinite(wide_m) else GOOD_POSE_ERROR_M
 
 
 def _millions(frames: float) -> str:
     return f"{frames / 1e6:.1f} M"
+
+
+class DiagnosticsObserver(AlgoObserver):
+    """Logs the warnings of `Diagnostics`, and writes them to TensorBoard as the text `advice`.
+
+    It must come after the observers that it reads. Numbers that are not finite end the run before
+    (`learning.safeguards`).
+
+    Args:
+        metrics: the epochs' metrics.
+        imitation: the measured pose error, if any.
+        max_episode_steps: the task's time limit in control steps.
+
+    Attributes:
+        diagnostics: the rules; set once there is an agent.
+    """
+
+    def __init__(
+        self,
+        metrics: MetricsObserver,
+        imitation: ImitationObserver | None,
+        max_episode_steps: int,
+    ) -> None:
+        super().__init__()
+        self._metrics = metrics
+        self._imitation = imitation
+        self._max_episode_steps = max_episode_steps
+
+    def after_init(self, algo: Any) -> None:
+        """Store the agent."""
+        self._algo = algo
+        self.diagnostics = Diagnostics(algo.config, self._max_episode_steps)
+        self._measured_at: int | None = None
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """Pass on what is new, and log the warning that is due."""
+        if self._metrics.latest is None:
+            return
+        self.diagnostics.add_epoch(self._metrics.latest)
+        self._add_measurement()
+        warning = self.diagnostics.next_warning(time.monotonic())
+        if warning is not None:
+            log.warning("%s", warning)
+            self._algo.writer.add_text("advice", warning, frame)
+
+    def _add_measurement(self) -> None:
+        observer = self._imitation
+        if observer is None or observer.last_frame == self._measured_at:
+            return
+        self._measured_at = observer.last_frame
+        result = observer.last.imitation if observer.last is not None else None
+        if result is not None and observer.last_frame is not None:
+            self.diagnostics.add_measurement(
+                Measurement(
+                    frame=observer.last_frame,
+                    pose_error_m=result.pose_error_m,
+                    tempo=result.tempo,
+                    no_fall_share=result.no_fall_share,
+                    clip_spread_m=observer.clip_spread_m,
+                )
+            )

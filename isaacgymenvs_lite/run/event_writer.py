@@ -1,8 +1,12 @@
 """Writes TensorBoard events without ever blocking or stopping a training run.
 
-tensorboardX hands events to a thread through a queue of ten. When the disk is full the thread
-dies, and then `add_scalar` waits for ever, and so does the end of the process. Here events are
-written by the caller, a failure is logged once, and what was not written is tried again later.
+tensorboardX passes events to a thread through a queue of ten. When the disk is full the thread
+dies, and then `add_scalar` waits for ever, and so does the end of the process. Here the caller
+writes the events, a failure is logged once, and the events are kept and written later.
+
+Records are framed here and not by tensorboardX's `RecordWriter`: it writes a record in four parts,
+so that a full disk would leave half a record, which ends the file for every reader, and it cannot
+repeat the record.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
 
-# Events that wait for a full disk, in bytes; later ones are dropped. About 20,000 scalars.
+# Most bytes of events that wait for a full disk, about 20,000 scalars; later ones are dropped.
 _MAX_WAITING_BYTES = 2**20
 _FLUSH_S = 10.0
 # An event file of tensorboardX without any scalar is smaller than this.
@@ -29,10 +33,10 @@ _HEADER_BYTES = 100
 
 
 class RetryingEventWriter:
-    """Stands in for tensorboardX's `EventFileWriter`; see `install`.
+    """Replaces tensorboardX's `EventFileWriter`; see `install`.
 
     Args:
-        logdir: folder of the event file; made again if it vanishes.
+        logdir: folder of the event file; made again if somebody removes it.
     """
 
     def __init__(self, logdir: str | os.PathLike[str]) -> None:
@@ -49,7 +53,7 @@ class RetryingEventWriter:
         return str(self._logdir)
 
     def add_event(self, event: Event) -> None:
-        """Take an event; it reaches the file within ten seconds, or when the disk has room."""
+        """Add an event, which is written within ten seconds, or once the disk has room."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
             self._waiting += _record(event.SerializeToString())
         else:
@@ -58,7 +62,7 @@ class RetryingEventWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write what waits. An OSError is logged when it begins and when it is over."""
+        """Write the events that wait. The first OSError is logged, and the end of the failure."""
         self._next_flush = time.monotonic() + _FLUSH_S
         try:
             self._write()
@@ -82,14 +86,14 @@ class RetryingEventWriter:
         self._close_file()
 
     def reopen(self) -> None:
-        """Begin a new file at the next flush."""
+        """Close the file; the next flush makes a new one."""
         self._close_file()
         version = Event(wall_time=time.time(), file_version="brain.Event:2")
         self._header = _record(version.SerializeToString())
 
     def _write(self) -> None:
         if self._fd is not None and os.fstat(self._fd).st_nlink == 0:
-            self._close_file()  # somebody removed the file: what goes there is lost
+            self._close_file()  # somebody removed the file: what is written to it is lost
         if not self._waiting:
             return
         if self._fd is None:
@@ -118,10 +122,10 @@ class RetryingEventWriter:
 
 
 def install(writer: Any) -> None:
-    """Let a tensorboardX `SummaryWriter` write through an `RetryingEventWriter`, its API unchanged.
+    """Make a tensorboardX `SummaryWriter` write through a `RetryingEventWriter`.
 
-    Its own event file, which holds a header only so far, is closed and removed. Call it before the
-    first scalar.
+    Call it before the first scalar: the event file of tensorboardX, which holds only a header, is
+    closed and removed.
 
     Args:
         writer: rl_games' `agent.writer`.
@@ -135,7 +139,7 @@ def install(writer: Any) -> None:
         for header in Path(old.get_logdir()).glob("events.out.tfevents.*"):
             if header.stat().st_size <= _HEADER_BYTES:
                 header.unlink()
-    # FileWriter's exit handler closes `event_writer`: from now on this one, which cannot hang.
+    # FileWriter's exit handler closes `event_writer`, and the new one cannot hang.
     file_writer.event_writer = RetryingEventWriter(old.get_logdir())
 
 

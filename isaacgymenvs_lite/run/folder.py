@@ -1,4 +1,4 @@
-"""The folder of one training run: `<train_dir>/<run name>/` with config.yaml, nn/, summaries/."""
+"""Makes and finds run folders: `<train_dir>/<run name>/` with config.yaml, nn/, summaries/."""
 
 from __future__ import annotations
 
@@ -14,21 +14,29 @@ from isaacgymenvs_lite.errors import ConfigError
 
 
 class RunFolder:
-    """Created before anything long starts; removed again if a mistake ends the run at once.
+    """The folder of one training run.
+
+    It is made before anything long starts, and removed if a mistake ends the run at once.
 
     Args:
         train_dir: folder of all runs.
-        run_name: name of this one; rl_games is given the same, so that all files land in it.
+        run_name: name of this one; rl_games gets the same name and writes into the same folder.
+
+    Attributes:
+        name: of the run.
+        path: of the folder.
+        checkpoints: path of its folder of checkpoints.
     """
 
     def __init__(self, train_dir: Path, run_name: str) -> None:
         self._train_dir = train_dir
+        self.name = run_name
         self.path = train_dir / run_name
         self.checkpoints = self.path / "nn"
         self._was_there = True
 
     def create(self, cfg: DictConfig) -> None:
-        """Make the folders and write the composed tree, its interpolations unresolved.
+        """Make the folders and write the composed tree with its interpolations unresolved.
 
         Raises:
             ConfigError: the folder cannot be written, or is part of another run.
@@ -54,21 +62,18 @@ class RunFolder:
             ) from error
 
     def remove_if_unused(self) -> None:
-        """Remove what `create` made if no checkpoint was written; never a folder of before."""
+        """Remove what `create` made if there is no checkpoint; never a folder from before."""
         if not self._was_there and self.newest_checkpoint() is None:
             shutil.rmtree(self.path, ignore_errors=True)
 
     def newest_checkpoint(self) -> Path | None:
-        """Return the checkpoint that was written last."""
+        """Return the checkpoint that was written last, None without one."""
         files = self.checkpoints.glob("*.pth")
         return max(files, key=lambda file: file.stat().st_mtime, default=None)
 
 
 def run_folders(train_dir: Path) -> Iterator[Path]:
-    """Yield the run folders below `train_dir`, those in folders of their own included.
-
-    A folder with a config.yaml is one; nothing is looked for inside of it.
-    """
+    """Yield the run folders at any depth below `train_dir`: those with a config.yaml."""
     for folder, below, files in os.walk(train_dir, followlinks=True):
         if "config.yaml" in files and Path(folder) != train_dir:
             below.clear()

@@ -1,4 +1,4 @@
-"""The imitation metric, measured now and then in training."""
+"""Measures the pose error of the policy now and then during a training."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ log = logging.getLogger(__name__)
 def clip_spread_m(reference: ReferencePoses) -> float:
     """Return the mean distance in m of a clip's poses from their average; the least of all clips.
 
-    Near 0 where a clip stands still, so that a policy that does may imitate it.
+    It is near 0 for a clip that does not move, which a policy that stands still imitates well.
     """
     return min((clip - clip.mean(dim=0)).norm(dim=-1).mean().item() for clip in reference.clips)
 
 
 class ImitationObserver(AlgoObserver):
-    """Every so many epochs plays the mean policy and writes `imitation/pose_error_m`.
+    """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
 
-    The episodes start from the same states each time (a fixed seed of their own), on simulations
-    of their own, so that training is not disturbed and numbers compare over time. The first one
-    tells what an evaluation costs; later ones are put off while all together would take more than
-    2% of the time trained.
+    The episodes have their own simulation, so that the training is not disturbed, and a fixed seed,
+    so that they start from the same states each time and numbers compare over time. An evaluation
+    is put off while all of them together would take more than 2% of the training time; the cost is
+    estimated from the ones before.
 
     Args:
-        make_env: makes the evaluation's task, given its number of environments.
+        make_env: receives a number of environments and returns the evaluation's task.
         frequency: epochs between evaluations; 0 = never.
         num_episodes: episodes of one evaluation, all at the same time.
 
@@ -63,30 +63,30 @@ class ImitationObserver(AlgoObserver):
         self.clip_spread_m = math.nan
 
     def after_init(self, algo: Any) -> None:
-        """Take the agent and start the clock."""
+        """Store the agent and start the clock."""
         self._algo = algo
         self._start_s = time.monotonic()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Evaluate if it is time."""
-        del total_time
         if self._frequency == 0:
             return
         self._epochs += 1
         self._due |= self._epochs % self._frequency == 0
         trained_s = time.monotonic() - self._start_s - self._spent_s
-        # The last evaluation tells what the next one will cost.
+        # The next one will cost what the others cost on average.
         expected_s = self._spent_s / max(1, self._evaluations)
         if not self._due or self._spent_s + expected_s > self.MAX_TIME_SHARE * trained_s:
             return
         self._due = False
         start = time.monotonic()
-        self.last, self.last_frame = self._evaluate(), frame
+        self.last, self.last_frame = self.measure(), frame
         self._spent_s += time.monotonic() - start
         self._evaluations += 1
         self._write(self.last, frame)
 
-    def _evaluate(self) -> EvaluationResult:
+    def measure(self) -> EvaluationResult:
+        """Play the episodes of one evaluation with the mean policy, on the simulation for them."""
         with torch.random.fork_rng(enabled=True):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)

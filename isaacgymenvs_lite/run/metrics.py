@@ -1,4 +1,4 @@
-"""The figures of an epoch, read from the agent once for all who show or judge them."""
+"""The metrics of an epoch, read from the agent once for all observers that show or check them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class EpochMetrics:
-    """What is known after an epoch; None where the agent or the task does not have it.
+    """What is measured in an epoch; None where the agent or the task does not have it.
 
     Attributes:
         epoch: number of the epoch.
-        frame: environment steps trained before it, those of resumed runs included.
+        frame: environment steps trained before it, including those before a resumed run.
         episode_steps: mean length of the last episodes in control steps.
         episode_reward: mean sum of the task's rewards of the last episodes.
         fall_rate: share of the last episodes that ended before the time limit, 0 to 1.
@@ -38,12 +38,12 @@ class EpochMetrics:
 
     @property
     def disc_agent_acc(self) -> float | None:
-        """Share of the policy's samples that the discriminator takes for the policy's."""
+        """Share of the policy's samples that the discriminator classifies as the policy's."""
         return self.train_info.get("disc_agent_acc")
 
     @property
     def disc_demo_acc(self) -> float | None:
-        """Share of the clips' samples that the discriminator takes for the clips'."""
+        """Share of the clips' samples that the discriminator classifies as the clips'."""
         return self.train_info.get("disc_demo_acc")
 
     @property
@@ -55,19 +55,19 @@ class EpochMetrics:
 
 
 class MetricsObserver(AlgoObserver):
-    """Keeps the newest `EpochMetrics` and writes `info/fall_rate` and `info/disc_acc`.
+    """Stores the newest `EpochMetrics` and writes `info/fall_rate` and `info/disc_acc`.
 
     Falls are averaged over the same last episodes as rl_games' mean length and reward
-    (`games_to_track`). Stands before the observers that read `latest`.
+    (`games_to_track`). It must come before the observers that read `latest`.
 
     Attributes:
-        latest: figures of the newest epoch, None before the first one has ended.
+        latest: metrics of the newest epoch, None before the first one has ended.
     """
 
     latest: EpochMetrics | None = None
 
     def after_init(self, algo: Any) -> None:
-        """Take the agent."""
+        """Store the agent."""
         self._algo = algo
         self._falls = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
 
@@ -80,12 +80,11 @@ class MetricsObserver(AlgoObserver):
             self._falls.update(~infos["time_outs"][rows].bool().unsqueeze(1))
 
     def after_clear_stats(self) -> None:
-        """Forget the episodes, as the agent's meters just did."""
+        """Drop the episodes, as the agent's meters just did."""
         self._falls.clear()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Read the figures of the epoch."""
-        del total_time
+        """Read the metrics of the epoch."""
         algo = self._algo
         has_episodes = algo.game_lengths.current_size > 0
         self.latest = latest = EpochMetrics(

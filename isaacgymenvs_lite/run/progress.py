@@ -1,4 +1,4 @@
-"""How far a training is: a progress bar or lines, and the stop at Ctrl-C."""
+"""Shows how far a training is, as a progress bar or lines, and ends it at Ctrl-C."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from isaacgymenvs_lite.run.stop_request import StopRequest
 
 log = logging.getLogger(__name__)
 
-# tqdm's own without elapsed time and rate, whose room the figures need.
+# tqdm's default without elapsed time and rate, to make room for the metrics.
 _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfix}]"
 
 
 class ProgressObserver(AlgoObserver):
-    """A progress bar on a terminal, a line every few seconds elsewhere; and the stop at Ctrl-C.
+    """Shows a progress bar on a terminal, a line every few seconds elsewhere; stops at Ctrl-C.
 
-    Elsewhere the first and the last epoch have their lines, however short the training is.
+    Without a terminal the first and the last epoch always get a line.
 
     Args:
-        stop: asked for by the user; the epoch that hears of it is made the last one.
-        figures: what is shown; stands before this observer.
-        imitation: whose newest pose error and tempo are shown, if any.
+        stop: the user's request; the epoch in which it arrives becomes the last one.
+        metrics: what is shown; it must come before this observer.
+        imitation: its newest pose error and tempo are shown, if there is one.
         line_interval_s: seconds between lines where the output is no terminal.
     """
 
     def __init__(
         self,
         stop: StopRequest,
-        figures: MetricsObserver,
+        metrics: MetricsObserver,
         imitation: ImitationObserver | None = None,
         line_interval_s: float = 10.0,
     ) -> None:
         super().__init__()
         self._stop = stop
-        self._figures = figures
+        self._metrics = metrics
         self._imitation = imitation
         self._line_interval_s = line_interval_s
         self._bar: tqdm | None = None
@@ -51,7 +51,7 @@ class ProgressObserver(AlgoObserver):
         self._total = 0
 
     def after_init(self, algo: Any) -> None:
-        """Take the agent."""
+        """Store the agent and start the clock."""
         self._algo = algo
         self._start_s = self._last_line_s = self._last_epoch_s = time.monotonic()
         self._first_line = True
@@ -59,8 +59,7 @@ class ProgressObserver(AlgoObserver):
         self._frames_per_s = AverageMeter(1, 10)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """Show how far the training is; end it if a stop was asked for."""
-        del frame, total_time
+        """Show how far the training is; end it if the user requested a stop."""
         algo = self._algo
         self._total = algo.max_epochs  # before a stop makes this epoch the last one
         now = time.monotonic()
@@ -76,25 +75,25 @@ class ProgressObserver(AlgoObserver):
         else:
             self._unwritten_epoch = epoch_num
         if self._stop.requested:
-            # rl_games ends at max_epochs by saving a last checkpoint: just what is wanted.
+            # rl_games saves a last checkpoint when it ends at max_epochs.
             algo.max_epochs = epoch_num
 
     def _epoch_values(self) -> dict[str, str]:
-        """Return the epoch's figures as texts, as far as they are known."""
-        figures, shown = self._figures.latest, {}
-        if figures is None:
+        """Return the epoch's metrics as texts; those that do not exist are left out."""
+        metrics, shown = self._metrics.latest, dict[str, str]()
+        if metrics is None:
             return shown
-        if figures.episode_steps is not None:
-            shown["episode length"] = f"{figures.episode_steps:.0f}"
-        if figures.fall_rate is not None:
-            shown["falls"] = f"{figures.fall_rate:.0%}"
-        # A task's reward that the agent does not learn from would only take room.
-        if figures.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
-            shown["reward"] = f"{figures.episode_reward:.2f}"
-        if figures.style_reward is not None:
-            shown["style reward"] = f"{figures.style_reward:.2f}"
-        if figures.disc_accuracy is not None:
-            shown["disc accuracy"] = f"{figures.disc_accuracy:.0%}"
+        if metrics.episode_steps is not None:
+            shown["episode length"] = f"{metrics.episode_steps:.0f}"
+        if metrics.fall_rate is not None:
+            shown["falls"] = f"{metrics.fall_rate:.0%}"
+        # A task's reward that the agent does not learn from is not worth the room.
+        if metrics.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
+            shown["reward"] = f"{metrics.episode_reward:.2f}"
+        if metrics.style_reward is not None:
+            shown["style reward"] = f"{metrics.style_reward:.2f}"
+        if metrics.disc_accuracy is not None:
+            shown["disc accuracy"] = f"{metrics.disc_accuracy:.0%}"
         return shown
 
     def _measured_values(self) -> dict[str, str]:
@@ -116,7 +115,7 @@ class ProgressObserver(AlgoObserver):
             total = self._algo.max_epochs if self._algo.max_epochs > 0 else None
             first = epoch_num - 1
             self._bar = tqdm(total=total, initial=first, dynamic_ncols=True, bar_format=_BAR_FORMAT)
-        # tqdm cuts off what the terminal has no room for: the least important comes last.
+        # tqdm cuts off at the width of the terminal, so the least important comes last.
         shown = {**self._measured_values(), **self._epoch_values(), "fps": self._fps()}
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update(epoch_num - self._bar.n)
@@ -136,7 +135,7 @@ class ProgressObserver(AlgoObserver):
         log.info("%s", ", ".join(parts))
 
     def close(self) -> None:
-        """Leave the terminal in order; write a line of the last epoch if there is none yet."""
+        """Close the progress bar; write a line for the last epoch if there is none yet."""
         if self._bar is not None:
             self._bar.close()
         if self._unwritten_epoch is not None:

@@ -1,4 +1,4 @@
-"""Ending a run on request: Ctrl-C, SIGTERM and the end of the session finish the epoch and save."""
+"""Ends a run on request: Ctrl-C, SIGTERM or the end of the session finish the epoch and save."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ _HANGUP = getattr(signal, "SIGHUP", None)
 
 
 class StopRequest:
-    """While active, turns the first Ctrl-C or SIGTERM into a request and the second into a stop.
+    """Turns the first Ctrl-C or SIGTERM into a request, the second into a KeyboardInterrupt.
 
-    A SIGHUP is a request, too, and never more than that: a session that ends may send several. Who
-    was started by nohup, which ignores it, goes on.
+    Use it in a `with` statement, which installs the signal handlers. SIGHUP is always a request,
+    because a session that ends may send several. A process started by nohup ignores SIGHUP and goes
+    on.
 
     Attributes:
-        requested: whether somebody asked for the end.
+        requested: whether the run should end after this epoch.
     """
 
     def __init__(self) -> None:
@@ -31,19 +32,18 @@ class StopRequest:
         self._former: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._former = _handle_all((signal.SIGINT, signal.SIGTERM), self._handle)
+        self._former = _install_handlers((signal.SIGINT, signal.SIGTERM), self._handle)
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        _put_back(self._former)
+        _restore_handlers(self._former)
 
-    def ask(self) -> None:
-        """Ask for the end, as the first signal does."""
+    def request(self) -> None:
+        """Request the end, as the first signal does."""
         self.requested = True
         log.warning("ending after this epoch with a checkpoint")
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        del frame
         if self.requested:
             if number == _HANGUP:
                 return
@@ -55,28 +55,27 @@ class StopRequest:
 
 @contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does: raise KeyboardInterrupt, once.
+    """Make SIGTERM and SIGHUP raise KeyboardInterrupt once, as Ctrl-C does.
 
-    For trainings in loops of others, which save when they see it.
+    For the training loops of other libraries, which save at a KeyboardInterrupt.
     """
     raised = False
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal raised
-        del number, frame
         if not raised:
             raised = True
             raise KeyboardInterrupt
 
-    former = _handle_all((signal.SIGTERM,), handle)
+    former = _install_handlers((signal.SIGTERM,), handle)
     try:
         yield
     finally:
-        _put_back(former)
+        _restore_handlers(former)
 
 
-def _handle_all(numbers: tuple[int, ...], handler: Any) -> dict[int, Any]:
-    """Let `handler` have signals, SIGHUP too unless it is ignored; return who had them before."""
+def _install_handlers(numbers: tuple[int, ...], handler: Any) -> dict[int, Any]:
+    """Install a handler of signals and, unless it is ignored, of SIGHUP; return the former ones."""
     if threading.current_thread() is not threading.main_thread():
         return {}  # only the main thread may handle signals
     if _HANGUP is not None and signal.getsignal(_HANGUP) is not signal.SIG_IGN:
@@ -84,6 +83,6 @@ def _handle_all(numbers: tuple[int, ...], handler: Any) -> dict[int, Any]:
     return {number: signal.signal(number, handler) for number in numbers}
 
 
-def _put_back(former: dict[int, Any]) -> None:
+def _restore_handlers(former: dict[int, Any]) -> None:
     for number, handler in former.items():
         signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""Scalars that tasks put into infos."""
+"""Writes the scalars of a task's infos to TensorBoard."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class TaskScalarsObserver(AlgoObserver):
-    """Writes what tasks put into infos, as IsaacGymEnvs' RLGPUAlgoObserver.
+    """Writes a task's infos to TensorBoard, with the tags of IsaacGymEnvs' RLGPUAlgoObserver.
 
     `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
     of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
@@ -18,7 +18,7 @@ class TaskScalarsObserver(AlgoObserver):
     """
 
     def after_init(self, algo: Any) -> None:
-        """Take the agent's writer and device."""
+        """Store the agent, and begin without values."""
         self._algo = algo
         self._episode_infos: list[dict[str, Any]] = []
         self._scalars: dict[str, float] = {}
@@ -26,10 +26,10 @@ class TaskScalarsObserver(AlgoObserver):
         self._finished: dict[str, list[float]] = {}
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Collect; infos must be a dictionary.
+        """Collect the values of a step.
 
         Raises:
-            TypeError: it is not.
+            TypeError: infos are no dictionary.
         """
         if not isinstance(infos, dict):
             raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")

@@ -1,4 +1,4 @@
-"""Weights & Biases: opens a run that mirrors TensorBoard, with the published keys."""
+"""Opens a run of Weights & Biases that mirrors TensorBoard, with the published keys."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _ATTEMPTS = 3
 
 
 class WandbObserver(AlgoObserver):
-    """Initialises wandb before the agent makes its TensorBoard writer, so that it is mirrored.
+    """Opens a run before the agent makes its TensorBoard writer, which wandb then mirrors.
 
-    A failure (no network, no login) is logged and the training goes on without.
+    A failure (no network, no login) is logged, and the training goes on without wandb.
 
     Args:
         cfg: the composed tree, stored with the run.
         settings: the keys wandb_project, _entity, _group, _name, _tags, _logcode_dir.
-        run_name: name of the run folder. The run has it, too, unless `wandb_name` was set to
-            something else than the train file's name.
+        run_name: name of the run folder, and of the run unless `wandb_name` differs from the train
+            file's name.
     """
 
     def __init__(self, cfg: DictConfig, settings: LaunchSettings, run_name: str) -> None:
@@ -38,7 +38,6 @@ class WandbObserver(AlgoObserver):
 
     def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
         """Open the run; up to three attempts with growing pauses."""
-        del base_name, config, experiment_name
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 self._open()
@@ -51,7 +50,7 @@ class WandbObserver(AlgoObserver):
         log.error("wandb could not be opened; training goes on without it")
 
     def close(self) -> None:
-        """Write what is left, and end the run, so that another may begin in this process."""
+        """Upload what is left and end the run, so that this process can open another."""
         if self._run is None:
             return
         try:
@@ -85,7 +84,7 @@ class WandbObserver(AlgoObserver):
 
 
 def log_video(path: Path) -> None:
-    """Add a video to the open run; one that cannot be added is reported and left out."""
+    """Add a video to the open run; a failure is logged."""
     import wandb  # type: ignore[import-not-found]
 
     if wandb.run is None:

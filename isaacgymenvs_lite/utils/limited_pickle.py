@@ -56,7 +56,7 @@ class LimitedUnpickler(_PythonUnpickler):
         """Give an object its state; raise ValueError for one that takes none."""
 
     def load_build(self) -> None:
-        """Give the newest object its state."""
+        """Set the state of the newest object."""
         state = self.stack.pop()
         self.build(self.stack[-1], state)
 

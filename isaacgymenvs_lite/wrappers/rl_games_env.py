@@ -34,9 +34,19 @@ class RLGPUEnv(IVecEnv):
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
         creator = env_configurations.configurations[config_name]["env_creator"]
         with trainer_sets_threads():  # rl_games has the key torch_threads
-            self.env: VecTask = creator(**kwargs)
-        release_torch_threads(self.env)  # of a task that was made before
-        self.reset_mode = self.env.reset_mode
+            self._wrap(creator(**kwargs))
+
+    @classmethod
+    def from_task(cls, task: VecTask) -> RLGPUEnv:
+        """Return the vectorised environment of a task that exists already."""
+        vec_env = cls.__new__(cls)
+        vec_env._wrap(task)
+        return vec_env
+
+    def _wrap(self, task: VecTask) -> None:
+        self.env = task
+        release_torch_threads(task)  # of a task that was made before
+        self.reset_mode = task.reset_mode
         if self.reset_mode is ResetMode.ON_REQUEST:
             self.reset_mode = ResetMode.SAME_STEP
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tensorboardX import SummaryWriter
 
-from isaacgymenvs_lite.run import event_writer as event_sink
+from isaacgymenvs_lite.run import event_writer
 from isaacgymenvs_lite.run.event_writer import install
 
 FRAMES_PER_EPOCH = 100
@@ -51,7 +51,7 @@ def write_events(monkeypatch: pytest.MonkeyPatch) -> WriteEvents:
         poses: dict[int, float] | None = None,
     ) -> None:
         clock = Clock(start_s)
-        monkeypatch.setattr(event_sink, "time", clock)
+        monkeypatch.setattr(event_writer, "time", clock)
         writer: Any = SummaryWriter(str(summaries))
         install(writer)
         for epoch, length in enumerate(lengths, start=first_epoch):

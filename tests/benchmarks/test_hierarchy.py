@@ -92,7 +92,7 @@ def test_nobody_judges_the_style_of_another_humanoid() -> None:
         action_space=box(-1, 1, (31,)),
         rl_device="cpu",
     )
-    assert hierarchy._shipped_judge(env) is None
+    assert hierarchy.shipped_judge(env) is None
     found = hierarchy.GoalReached(task_return=0.5, no_fall_share=1.0, style_reward=None)
     assert str(found) == "task return 0.500, without a fall 1.00"
 

@@ -187,9 +187,9 @@ def test_stop_ends_a_process_before_its_time(start):
 
 def test_ctrl_c_at_the_terminal_reaches_the_process_through_us_only(start):
     training = start(60.0, HandClock())
-    assert os.getpgid(training._process.pid) != os.getpgid(0)
+    assert os.getpgid(training.process.pid) != os.getpgid(0)
     training.close()
-    assert training._process.returncode == 0
+    assert training.process.returncode == 0
     training.close()  # harmless
 
 

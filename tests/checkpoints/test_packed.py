@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints import packed
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
@@ -15,41 +13,22 @@ from isaacgymenvs_lite.checkpoints.packed import MAX_BYTES, pack_policy, read_po
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.registration import build_runner
-from isaacgymenvs_lite.runner import Session
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
+from isaacgymenvs_lite.runner import load_player
 
 
-class Recording(Session):
-    """A play of five steps: actions and style rewards."""
-
-    def __init__(self, cfg: DictConfig) -> None:
-        super().__init__(cfg, check_config(cfg), 1)
-
-    def _play(self) -> None:
-        runner = build_runner()
-        with contextlib.redirect_stdout(io.StringIO()):
-            runner.load({"params": self._params})
-            player: Any = runner.create_player()
-        player.restore(self._checkpoint)
+def play(cfg: DictConfig) -> tuple[list[Tensor], EvaluationResult]:
+    """Four episodes of at most five steps: all actions, and what was measured."""
+    cfg.task.env.episodeLength = 6
+    with load_player(cfg) as player:
+        actions, act = list[Tensor](), player.act
+        player.act = lambda obs: actions.append(act(obs)) or actions[-1]
+        player.games_num = 4
         seed_everything(5)
-        env: Any = self._task
-        env.reset()
-        self.actions, self.rewards = [], []
-        for _ in range(5):
-            obs, _ = env.reset_done()
-            self.actions.append(player.act(obs))
-            infos = env.step(self.actions[-1])[3]
-            if (judge := player._style_reward_function()) is not None:
-                self.rewards.append(judge(infos["amp_obs"]))
-
-
-def play(cfg: DictConfig) -> Recording:
-    session = Recording(cfg)
-    session.run()
-    return session
+        player.run()
+        return actions, player.result
 
 
 def test_a_packed_policy_acts_and_judges_as_the_checkpoint(full_checkpoint, shipped_dir):
@@ -59,12 +38,13 @@ def test_a_packed_policy_acts_and_judges_as_the_checkpoint(full_checkpoint, ship
     assert isinstance(stored, DictConfig)
     stored.update({"test": True, "checkpoint": str(full_checkpoint)})
     fixed = ("test=True", "checkpoint=tiny", "num_envs=4", "num_threads=1", "rl_device=cpu")
-    full, tiny = play(stored), play(compose([*playing_overrides("tiny"), *fixed]))
-    assert full._checkpoint != tiny._checkpoint
-    for name in ("actions", "rewards"):
-        for expected, value in zip(getattr(full, name), getattr(tiny, name), strict=True):
-            assert torch.equal(expected, value), name
-    assert full.actions[0].abs().sum() > 0
+    expected_actions, expected = play(stored)
+    actions, found = play(compose([*playing_overrides("tiny"), *fixed]))
+    for one, other in zip(expected_actions, actions, strict=True):
+        assert torch.equal(one, other)
+    assert actions[0].abs().sum() > 0
+    assert (found.reward, found.steps) == (expected.reward, expected.steps)
+    assert found.style_reward == expected.style_reward is not None
 
 
 def test_a_packed_policy_holds_no_state_of_its_training(full_checkpoint, shipped_dir):
@@ -168,5 +148,5 @@ def test_a_shipped_policy_plays_anywhere(name):
     assert not Path(info.clip).is_absolute()
     assert info.frames > 0
     fixed = ("test=True", f"checkpoint={name}", "num_envs=2", "num_threads=1", "rl_device=cpu")
-    actions = torch.stack(play(compose([*playing_overrides(name), *fixed])).actions)
-    assert actions.isfinite().all()
+    actions, _ = play(compose([*playing_overrides(name), *fixed]))
+    assert torch.stack(actions).isfinite().all()

@@ -7,16 +7,13 @@ files are read as a user names them, in this process through `compose` and throu
 
 from __future__ import annotations
 
-import logging
 import os
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import train
@@ -26,6 +23,7 @@ from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
+from tests.train_command import make_train_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 VARIABLE = "ISAACGYMENVS_LITE_TEST"
@@ -88,30 +86,9 @@ Write = Callable[[str, str], Path]
 @pytest.fixture
 def call(monkeypatch, tmp_path) -> Callable[..., int]:
     """Run train.py's command line in an empty folder, without a runner; returns its exit code."""
-
-    def run(cfg: object, command: object) -> None:
-        del cfg, command
-        (tmp_path / "trained").touch()
-
-    stand_in = types.ModuleType("isaacgymenvs_lite.runner")
-    stand_in.run = run  # type: ignore[attr-defined]
-    (tmp_path / "working").mkdir()
-    monkeypatch.chdir(tmp_path / "working")
-    monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-    monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
-    monkeypatch.setattr(logging.getLogger(), "handlers", [])
-
-    def call_main(*arguments: str) -> int:
-        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
-        try:
-            train.main()
-        except SystemExit as error:
-            return int(error.code or 0)
-        return 0
-
-    return call_main
+    folder = tmp_path / "working"
+    folder.mkdir()
+    return make_train_command(monkeypatch, folder, lambda *_: (tmp_path / "trained").touch())
 
 
 def assert_refused(call: Callable[..., int], capsys, tmp_path: Path, *arguments: str) -> str:

@@ -1,4 +1,4 @@
-"""`learning.policy_graphs`: graphs do what players do, of every kind of agent."""
+"""Exportable policies act as the players of every kind of agent."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_memory_comes_in_and_goes_out(kind, make_player) -> None:
     assert all(state.abs().max() > 0.0 for state in states)
 
 
-def test_skills_hear_a_latent_of_any_length(make_player: Callable[[str], Any]) -> None:
+def test_skills_take_a_latent_of_any_length(make_player: Callable[[str], Any]) -> None:
     player = make_player("gen_amp")
     graph = make_exportable_policy(player)
     assert isinstance(graph, SkillGraph)
@@ -81,7 +81,7 @@ def test_skills_hear_a_latent_of_any_length(make_player: Callable[[str], Any]) -
     assert (graph(obs, -latent) - expected).abs().max() > 1e-3
 
 
-def test_a_hierarchy_decides_when_it_is_told_to(make_player: Callable[[str], Any]) -> None:
+def test_a_hierarchy_decides_where_its_input_says_so(make_player: Callable[[str], Any]) -> None:
     player = make_player("hrl")
     graph = make_exportable_policy(player)
     assert isinstance(graph, HierarchyGraph)

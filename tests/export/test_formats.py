@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
@@ -18,12 +19,12 @@ from isaacgymenvs_lite.export.metadata import describe
 from tests.export.conftest import KINDS
 
 ROWS = 1000
-PARAMS = {"algo": {"name": "some"}}
+CFG = OmegaConf.create({"task": {"name": "Task"}, "train": {"params": {"algo": {"name": "some"}}}})
 
 
 def write(player: Any, name: str, folder: Path) -> tuple[PolicyGraph, Path]:
     graph, kind = make_exportable_policy(player), FORMATS[name]
-    metadata = describe("Task", player.env, player, graph, PARAMS, {"frame": 7})
+    metadata = describe(CFG, player, graph, {"frame": 7})
     path = folder / f"policy{kind.suffix}"
     path.write_bytes(kind.write(graph, metadata))
     return graph, path

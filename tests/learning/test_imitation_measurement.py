@@ -26,7 +26,7 @@ def observed(make_agent, make_runner) -> tuple[Any, ImitationObserver]:
 
 
 def numbers(observer: ImitationObserver) -> tuple[float, float, float]:
-    result = observer._evaluate()
+    result = observer.measure()
     assert result.imitation is not None
     return result.steps, result.reward, result.imitation.pose_error_m
 

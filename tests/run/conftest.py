@@ -1,4 +1,4 @@
-"""As much of an agent as observers look at, and a clock of their own."""
+"""As much of an agent as observers read, and a clock that a test sets."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from rl_games.algos_torch.torch_ext import AverageMeter
 
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.evaluation.pose_error import ImitationResult
-from isaacgymenvs_lite.run import diagnostics_observer as advice_observer
-from isaacgymenvs_lite.run import imitation, progress
+from isaacgymenvs_lite.run import diagnostics, imitation, progress
 
 
 class Writer:
@@ -30,7 +29,7 @@ class Writer:
 
 
 class Agent:
-    """An AMP agent, as observers see it."""
+    """What observers read of an AMP agent."""
 
     def __init__(self) -> None:
         self.writer = Writer()
@@ -80,9 +79,9 @@ def result() -> EvaluationResult:
 
 @pytest.fixture
 def clock(monkeypatch) -> Any:
-    """Seconds that pass only when a test says so."""
+    """Seconds that pass only when a test adds them."""
     fake = types.SimpleNamespace(now_s=100.0)
     fake.monotonic = lambda: fake.now_s
-    for module in (advice_observer, imitation, progress):
+    for module in (diagnostics, imitation, progress):
         monkeypatch.setattr(module, "time", fake)
     return fake

@@ -1,15 +1,21 @@
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-from isaacgymenvs_lite.run import EpochMetrics
-from isaacgymenvs_lite.run.diagnostics import REPEAT_S, Diagnostics
-from isaacgymenvs_lite.run.history import Measurement
+from isaacgymenvs_lite.run import (
+    DiagnosticsObserver,
+    EpochMetrics,
+    ImitationObserver,
+    MetricsObserver,
+)
+from isaacgymenvs_lite.run.diagnostics import REPEAT_S, Diagnostics, Measurement, RunHistory
 
 EPOCH_FRAMES = 16384
 EPOCH_S = 4.0
@@ -91,7 +97,7 @@ def measuring(
     return lambda _: values
 
 
-def figures(epoch: int, frame: int, values: dict[str, float]) -> EpochMetrics:
+def metrics(epoch: int, frame: int, values: dict[str, float]) -> EpochMetrics:
     info = {
         "disc_reward_mean": values["style"],
         "disc_agent_acc": values["agent"],
@@ -100,7 +106,7 @@ def figures(epoch: int, frame: int, values: dict[str, float]) -> EpochMetrics:
     return EpochMetrics(epoch, frame, values["steps"], values["steps"], values["falls"], info)
 
 
-def told(
+def warnings_of(
     epoch_values: Callable[[float], dict[str, float]],
     measured: Callable[[float], dict[str, float]] | None = measured_walk,
     frames: int = 8_000_000,
@@ -108,18 +114,20 @@ def told(
     config: dict[str, Any] | None = None,
     first_frame: int = 0,
 ) -> list[tuple[int, str]]:
-    """[(frame, sentence)] of a run; a measurement every 50 epochs."""
-    advisor = Diagnostics(CONFIG if config is None else config, max_episode_steps=300)
-    sentences = []
+    """[(frame, warning)] of a run; a measurement every 50 epochs."""
+    diagnostics = Diagnostics(CONFIG if config is None else config, max_episode_steps=300)
+    warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
         frame = first_frame + (epoch - 1) * EPOCH_FRAMES
-        advisor.add_epoch(figures(epoch, frame, epoch_values(frame)))
+        diagnostics.add_epoch(metrics(epoch, frame, epoch_values(frame)))
         if measured is not None and epoch % 50 == 0:
-            advisor.add_measurement(Measurement(frame, clip_spread_m=spread_m, **measured(frame)))
-        sentence = advisor.sentence(epoch * EPOCH_S)
-        if sentence is not None:
-            sentences.append((frame, sentence))
-    return sentences
+            diagnostics.add_measurement(
+                Measurement(frame, clip_spread_m=spread_m, **measured(frame))
+            )
+        warning = diagnostics.next_warning(epoch * EPOCH_S)
+        if warning is not None:
+            warnings.append((frame, warning))
+    return warnings
 
 
 # --- trainings that come out well -------------------------------------------------------------
@@ -127,35 +135,35 @@ def told(
 
 @pytest.mark.parametrize("slowness", [1.0, 3.0])
 def test_a_training_that_learns_to_walk_is_not_disturbed(slowness):
-    said = told(
+    warnings = warnings_of(
         lambda frame: walk(frame / slowness),
         lambda frame: measured_walk(frame / slowness),
         frames=int(40_000_000 * slowness),
     )
-    assert said == []
+    assert warnings == []
 
 
 def test_a_good_pose_error_need_not_improve():
-    assert told(walking, measuring(0.045), frames=40_000_000) == []
+    assert warnings_of(walking, measuring(0.045), frames=40_000_000) == []
 
 
 def test_the_limit_is_wider_where_the_clip_moves_more():
-    assert told(walking, measuring(0.11), frames=40_000_000, spread_m=0.25) == []
-    assert told(walking, measuring(0.11), frames=40_000_000, spread_m=0.1) != []
+    assert warnings_of(walking, measuring(0.11), frames=40_000_000, spread_m=0.25) == []
+    assert warnings_of(walking, measuring(0.11), frames=40_000_000, spread_m=0.1) != []
 
 
 def test_a_discriminator_that_guesses_about_a_good_policy_is_right():
     guessing = {**walk(7e6), "agent": 0.5, "demo": 0.5}
-    assert told(lambda _: guessing, measuring(0.03), frames=20_000_000) == []
+    assert warnings_of(lambda _: guessing, measuring(0.03), frames=20_000_000) == []
 
 
-def test_figures_of_an_agent_without_a_discriminator_say_nothing():
-    advisor = Diagnostics({}, 300)
+def test_an_agent_without_a_discriminator_gets_no_warning():
+    diagnostics = Diagnostics({}, 300)
     for epoch in range(1, 1000):
-        advisor.add_epoch(
+        diagnostics.add_epoch(
             EpochMetrics(epoch, epoch * EPOCH_FRAMES, 20.0, 1.0, 0.5, {"actor_loss": 0.1})
         )
-        assert advisor.sentence(epoch * EPOCH_S) is None
+        assert diagnostics.next_warning(epoch * EPOCH_S) is None
 
 
 # --- the discriminator has won ----------------------------------------------------------------
@@ -166,10 +174,10 @@ LOST = {"steps": 6.5, "falls": 1.0, "style": 0.09, "agent": 0.999, "demo": 1.0}
 
 
 def test_a_discriminator_that_wins_for_long():
-    (frame, sentence), *rest = told(lambda _: LOST, None)
-    assert sentence == (
-        "the discriminator has won: for 3.0 M frames it knew 99.9% of the policy's and 100.0% of"
-        " the clips' samples, the style reward was 0.090 and episodes did not get longer (6"
+    (frame, warning), *rest = warnings_of(lambda _: LOST, None)
+    assert warning == (
+        "the discriminator has won: for 3.0 M frames it recognised 99.9% of the policy's and 100.0%"
+        " of the clips' samples, the style reward was 0.090 and episodes did not get longer (6"
         " steps), so that the policy cannot see what would be better; start again with"
         " train.params.config.disc_grad_penalty=10 (now 5),"
         " train.params.config.learning_rate=0.0001 (now 0.0002) or"
@@ -179,49 +187,49 @@ def test_a_discriminator_that_wins_for_long():
     assert rest == []  # eight million frames are less than half an hour here
 
 
-def test_a_measured_one_is_told_when_there_is_something_to_compare_with():
-    assert 3_000_000 < told(lambda _: LOST, BAD)[0][0] < 4_500_000
+def test_a_measured_one_is_reported_once_there_is_something_to_compare_with():
+    assert 3_000_000 < warnings_of(lambda _: LOST, BAD)[0][0] < 4_500_000
 
 
-def test_a_pose_error_that_improves_shows_that_the_reward_says_something():
-    assert told(lambda _: LOST, lambda frame: measuring(0.3 - frame / 1e8)(frame)) == []
+def test_a_pose_error_that_improves_shows_that_the_reward_is_useful():
+    assert warnings_of(lambda _: LOST, lambda frame: measuring(0.3 - frame / 1e8)(frame)) == []
 
 
 def test_a_discriminator_with_a_learning_rate_of_its_own():
-    sentence = told(lambda _: LOST, BAD, config={**CONFIG, "disc_learning_rate": 5e-5})[0][1]
-    assert "train.params.config.disc_learning_rate=2.5e-05 (now 5e-05)" in sentence
-    assert "config.learning_rate" not in sentence
+    warning = warnings_of(lambda _: LOST, BAD, config={**CONFIG, "disc_learning_rate": 5e-5})[0][1]
+    assert "train.params.config.disc_learning_rate=2.5e-05 (now 5e-05)" in warning
+    assert "config.learning_rate" not in warning
 
 
-def test_one_that_wins_only_at_first_is_not_told():
-    assert told(lambda frame: LOST if frame < 1_500_000 else walk(frame), None) == []
+def test_one_that_wins_only_at_first_is_not_warnings_of():
+    assert warnings_of(lambda frame: LOST if frame < 1_500_000 else walk(frame), None) == []
 
 
-def test_episodes_that_get_longer_show_that_the_reward_says_something():
-    assert told(lambda frame: {**LOST, "steps": 6.5 * 1.1 ** (frame / 1e6)}, None) == []
+def test_episodes_that_get_longer_show_that_the_reward_is_useful():
+    assert warnings_of(lambda frame: {**LOST, "steps": 6.5 * 1.1 ** (frame / 1e6)}, None) == []
 
 
 FLAT = {"steps": 299.0, "falls": 0.0, "style": 0.03, "agent": 0.98, "demo": 0.98}
 
 
-def test_a_reward_near_zero_is_told_whatever_the_accuracy():
-    """With enableEarlyTermination: False nobody falls, and the pose error tells."""
-    assert "discriminator has won" in told(lambda _: FLAT, measuring(0.25))[0][1]
+def test_a_reward_near_zero_is_reported_whatever_the_accuracy():
+    """With enableEarlyTermination: False nobody falls, and the pose error decides."""
+    assert "discriminator has won" in warnings_of(lambda _: FLAT, measuring(0.25))[0][1]
 
 
 @pytest.mark.parametrize("values", [FLAT, {**LOST, "steps": 290.0, "falls": 0.05}])
 def test_a_discriminator_may_win_against_a_good_policy(values):
     """A low gradient penalty did that to a policy with a pose error of 0.055 m."""
-    assert told(lambda _: values, measuring(0.055), frames=12_000_000) == []
+    assert warnings_of(lambda _: values, measuring(0.055), frames=12_000_000) == []
 
 
 def test_without_a_weight_the_style_reward_does_not_matter():
     config = {**CONFIG, "disc_reward_w": 0.0}
-    assert told(lambda _: LOST, None, config=config) == []
+    assert warnings_of(lambda _: LOST, None, config=config) == []
 
 
 def test_the_reward_is_compared_with_its_scale():
-    assert told(lambda _: LOST, None, config={**CONFIG, "disc_reward_scale": 0.5}) == []
+    assert warnings_of(lambda _: LOST, None, config={**CONFIG, "disc_reward_scale": 0.5}) == []
 
 
 # --- the discriminator is fooled --------------------------------------------------------------
@@ -231,14 +239,14 @@ GUESSING = {"steps": 40.0, "falls": 1.0, "style": 1.4, "agent": 0.55, "demo": 0.
 
 @pytest.mark.parametrize("measured", [BAD, None])
 def test_a_discriminator_that_guesses(measured):
-    sentence = told(lambda _: GUESSING, measured)[0][1]
-    assert sentence.startswith("the discriminator is fooled")
-    assert "disc_grad_penalty=2.5 (now 5)" in sentence
-    assert ("0.200 m" if measured else "100% of the episodes") in sentence
+    warning = warnings_of(lambda _: GUESSING, measured)[0][1]
+    assert warning.startswith("the discriminator is fooled")
+    assert "disc_grad_penalty=2.5 (now 5)" in warning
+    assert ("0.200 m" if measured else "100% of the episodes") in warning
 
 
 def test_guessing_is_no_fault_while_the_pose_error_improves():
-    assert told(lambda _: GUESSING, lambda frame: measuring(0.3 - frame / 1e8)(frame)) == []
+    assert warnings_of(lambda _: GUESSING, lambda frame: measuring(0.3 - frame / 1e8)(frame)) == []
 
 
 # --- standing still ---------------------------------------------------------------------------
@@ -248,18 +256,18 @@ STILL = measuring(0.04, tempo=0.03)
 
 
 def test_a_policy_that_stands_still():
-    sentence = told(walking, STILL)[0][1]
-    assert sentence.startswith("the policy stands still")
-    assert "tempo is 0.03" in sentence
-    assert "task.env.numAMPObsSteps=4" in sentence
+    warning = warnings_of(walking, STILL)[0][1]
+    assert warning.startswith("the policy stands still")
+    assert "tempo is 0.03" in warning
+    assert "task.env.numAMPObsSteps=4" in warning
 
 
-def test_a_policy_that_shall_stand_still():
-    assert told(walking, STILL, spread_m=0.005) == []
+def test_a_policy_of_a_clip_that_stands_still():
+    assert warnings_of(walking, STILL, spread_m=0.005) == []
 
 
 def test_a_policy_that_falls_does_not_stand():
-    assert told(walking, measuring(0.04, tempo=0.03, no_fall_share=0.1)) == []
+    assert warnings_of(walking, measuring(0.04, tempo=0.03, no_fall_share=0.1)) == []
 
 
 # --- early falls ------------------------------------------------------------------------------
@@ -268,37 +276,39 @@ FALLING = {"steps": 15.0, "falls": 1.0, "style": 0.7, "agent": 0.95, "demo": 1.0
 
 
 def test_episodes_that_stay_short():
-    frame, sentence = told(lambda _: FALLING, None, frames=12_000_000)[0]
+    frame, warning = warnings_of(lambda _: FALLING, None, frames=12_000_000)[0]
     assert frame >= 10_000_000
-    assert "a fall after 15 of 300 steps" in sentence
-    assert "task.env.contactBodies" in sentence
+    assert "a fall after 15 of 300 steps" in warning
+    assert "task.env.contactBodies" in warning
 
 
 def test_a_resumed_run_counts_its_own_frames():
     late = 50_000_000
-    assert told(lambda _: FALLING, None, frames=9_000_000, first_frame=late) == []
-    assert told(lambda _: FALLING, None, frames=12_000_000, first_frame=late) != []
+    assert warnings_of(lambda _: FALLING, None, frames=9_000_000, first_frame=late) == []
+    assert warnings_of(lambda _: FALLING, None, frames=12_000_000, first_frame=late) != []
 
 
 # --- no improvement ---------------------------------------------------------------------------
 
 
 def test_a_pose_error_that_stays():
-    said = told(
+    warnings = warnings_of(
         walking,
         lambda frame: measuring(max(0.08, 0.3 - frame / 2e7))(frame),
         frames=30_000_000,
     )
-    frame, sentence = said[0]
+    frame, warning = warnings[0]
     # the best came at 4.4 M: a third of the run ago at 6.6 M, and that third is 5 M at 15 M
     assert 15_000_000 <= frame < 16_000_000
-    assert "has not improved for 5.0 M frames" in sentence
-    assert "about 0.080 m, the best was 0.080 m" in sentence
+    assert "has not improved for 5.0 M frames" in warning
+    assert "about 0.080 m, the best was 0.080 m" in warning
 
 
 def test_a_pose_error_that_gets_worse():
-    said = told(walking, lambda frame: measuring(0.04 + frame / 2e8)(frame), frames=30_000_000)
-    assert "the best was 0.044 m after 0.8 M" in said[0][1]
+    warnings = warnings_of(
+        walking, lambda frame: measuring(0.04 + frame / 2e8)(frame), frames=30_000_000
+    )
+    assert "the best was 0.044 m after 0.8 M" in warnings[0][1]
 
 
 def test_few_measurements_prove_nothing():
@@ -307,27 +317,188 @@ def test_few_measurements_prove_nothing():
         known = frame // EPOCH_FRAMES % 250 == 49
         return measuring(0.2 if known else math.nan)(frame)
 
-    assert told(walking, seldom, frames=30_000_000) == []
+    assert warnings_of(walking, seldom, frames=30_000_000) == []
 
 
 # --- when ---------------------------------------------------------------------------------------
 
 
-def test_a_sentence_is_repeated_after_half_an_hour_and_ends_with_the_fault():
+def test_a_warning_is_repeated_after_half_an_hour_and_ends_with_the_fault():
     recovery = 20_000_000
-    said = told(lambda frame: LOST if frame < recovery else walk(7e6), None, frames=40_000_000)
-    assert len(said) >= 2
-    seconds = np.diff([frame for frame, _ in said]) / EPOCH_FRAMES * EPOCH_S
+    warnings = warnings_of(
+        lambda frame: LOST if frame < recovery else walk(7e6), None, frames=40_000_000
+    )
+    assert len(warnings) >= 2
+    seconds = np.diff([frame for frame, _ in warnings]) / EPOCH_FRAMES * EPOCH_S
     assert (seconds >= REPEAT_S).all()
     assert (seconds < REPEAT_S + 100.0).all()
-    assert said[-1][0] < recovery + 3_000_000
+    assert warnings[-1][0] < recovery + 3_000_000
 
 
-def test_the_cause_is_told_and_not_its_consequences():
+def test_the_cause_is_reported_and_not_its_consequences():
     """Nearly everything falls and nothing improves, too."""
-    said = told(lambda _: LOST, BAD, frames=30_000_000)
-    assert {sentence.split(":")[0] for _, sentence in said} == {"the discriminator has won"}
+    warnings = warnings_of(lambda _: LOST, BAD, frames=30_000_000)
+    assert {warning.split(":")[0] for _, warning in warnings} == {"the discriminator has won"}
 
 
 def test_a_short_run_is_not_judged():
-    assert told(lambda _: LOST, None, frames=3_000_000) == []
+    assert warnings_of(lambda _: LOST, None, frames=3_000_000) == []
+
+
+# --- the history --------------------------------------------------------------------------------
+
+
+def history_of(steps: list[float | None], frames: int = 100, epochs: int = 3) -> RunHistory:
+    """A history of epochs of 10 frames with these episode lengths."""
+    history = RunHistory(frames, epochs)
+    for index, length in enumerate(steps):
+        history.add_epoch(EpochMetrics(index + 1, 1000 + 10 * index, length))
+    return history
+
+
+def length(epoch: EpochMetrics) -> float | None:
+    return epoch.episode_steps
+
+
+def measurement(frame: int, pose_error_m: float) -> Measurement:
+    return Measurement(frame, pose_error_m, 1.0, 1.0, 0.1)
+
+
+def test_a_window_is_full_when_it_has_the_frames():
+    assert not history_of([1.0] * 10).window_is_full
+    assert history_of([1.0] * 11).window_is_full
+    assert history_of([1.0] * 11).window_frames == 100
+
+
+def test_a_window_is_full_when_it_has_the_epochs():
+    assert not history_of([1.0] * 15, frames=0, epochs=15).window_is_full
+    assert history_of([1.0] * 16, frames=0, epochs=15).window_is_full
+
+
+def test_no_epoch_makes_no_window():
+    assert not history_of([]).window_is_full
+
+
+def test_the_window_moves_on_and_the_run_is_counted_from_its_start():
+    history = history_of([float(index) for index in range(30)])
+    assert history.window_frames == 100
+    assert history.median(length) == 24.0  # of 19 ... 29
+    assert history.frames_trained == 290
+    assert history.newest.epoch == 30
+
+
+def test_growth_is_the_last_third_over_the_first():
+    # thirds of three: medians 2 and 8
+    history = history_of([1.0, 2.0, 3.0, 50.0, 50.0, 50.0, 7.0, 8.0, 9.0])
+    assert history.growth(length) == 4.0
+
+
+@pytest.mark.parametrize("steps", [[None, None, None], [0.0, 1.0, 2.0]])
+def test_growth_that_is_unknown(steps):
+    assert math.isnan(history_of(steps).growth(length))
+
+
+def test_unknown_metrics_are_left_out():
+    assert history_of([None, 4.0, 6.0]).median(length) == 5.0
+    assert math.isnan(history_of([None]).median(length))
+
+
+def test_measurements_of_a_part_of_the_run():
+    history = history_of([1.0])
+    for frame, error in ((10, 0.1), (20, math.nan), (30, 0.2), (40, 0.3)):
+        history.measurements.append(measurement(frame, error))
+    assert [one.frame for one in history.measured()] == [10, 30, 40]
+    assert [one.frame for one in history.measured(after=10)] == [30, 40]
+    assert [one.frame for one in history.measured(until=30)] == [10, 30]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "improved"),
+    [
+        ([0.2, 0.1], [0.15, 0.097], True),
+        ([0.2, 0.1], [0.15, 0.099], False),  # by 1% only
+        ([0.1], [], True),
+        ([], [0.1], True),
+    ],
+)
+def test_improvement_is_of_the_best(before, after, improved):
+    history = history_of([1.0])
+    for index, error in enumerate(before):
+        history.measurements.append(measurement(index, error))
+    for index, error in enumerate(after):
+        history.measurements.append(measurement(100 + index, error))
+    assert history.pose_error_improved_since(99, by=0.02) is improved
+
+
+# --- the observer -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def epoch_metrics(agent) -> MetricsObserver:
+    observer = MetricsObserver()
+    observer.after_init(agent)
+    return observer
+
+
+@pytest.fixture
+def imitation() -> ImitationObserver:
+    return ImitationObserver(lambda num_envs: None, 0, 16)
+
+
+@pytest.fixture
+def observer(agent, clock, epoch_metrics, imitation) -> DiagnosticsObserver:
+    observer = DiagnosticsObserver(epoch_metrics, imitation, max_episode_steps=300)
+    observer.after_init(agent)
+    return observer
+
+
+def end_epoch(
+    epoch_metrics: MetricsObserver, observer: DiagnosticsObserver, number: int, frame: int
+) -> None:
+    for one in (epoch_metrics, observer):
+        one.after_print_stats(frame, number, 0.0)
+
+
+def test_a_discriminator_that_has_won_is_reported(observer, epoch_metrics, agent, clock, caplog):
+    agent.train_info = {
+        "disc_reward_mean": 0.02,
+        "disc_agent_acc": 0.999,
+        "disc_demo_acc": 1.0,
+    }
+    agent.game_lengths.update(torch.tensor([[6.0]]))
+    with caplog.at_level(logging.INFO):
+        for number in range(1, 200):
+            clock.now_s += 4.0
+            epoch_metrics.process_infos(
+                {"terminate": torch.ones(4, dtype=torch.bool)}, torch.arange(4).view(-1, 1)
+            )
+            end_epoch(epoch_metrics, observer, number, 16384 * number)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "disc_grad_penalty=10 (now 5)" in caplog.messages[0]
+    assert [text[:2] for text in agent.writer.texts] == [("advice", caplog.messages[0])]
+
+
+def test_each_measurement_is_passed_on_once(observer, epoch_metrics, imitation, result):
+    end_epoch(epoch_metrics, observer, 1, 1000)
+    imitation.last, imitation.last_frame, imitation.clip_spread_m = result, 2000, 0.1
+    end_epoch(epoch_metrics, observer, 2, 2000)
+    end_epoch(epoch_metrics, observer, 3, 3000)
+    imitation.last_frame = 4000
+    end_epoch(epoch_metrics, observer, 4, 4000)
+    assert observer.diagnostics.history.measurements == [
+        Measurement(2000, 0.123, 1.02, 0.9, 0.1),
+        Measurement(4000, 0.123, 1.02, 0.9, 0.1),
+    ]
+
+
+def test_a_task_without_references_is_checked_too(agent, epoch_metrics):
+    observer = DiagnosticsObserver(epoch_metrics, None, max_episode_steps=300)
+    observer.after_init(agent)
+    end_epoch(epoch_metrics, observer, 1, 1000)
+    assert observer.diagnostics.history.newest.epoch == 1
+
+
+def test_no_warning_before_an_epoch_has_ended(observer, caplog):
+    with caplog.at_level(logging.INFO):
+        observer.after_print_stats(1000, 1, 0.0)
+    assert caplog.messages == []

@@ -10,13 +10,13 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboardX import SummaryWriter
 
-from isaacgymenvs_lite.run import event_writer as event_sink
+from isaacgymenvs_lite.run import event_writer
 from isaacgymenvs_lite.run.event_writer import RetryingEventWriter, install
 
 
 @pytest.fixture
 def clock(monkeypatch) -> Any:
-    """Seconds that pass only when a test says so."""
+    """Seconds that pass only when a test adds them."""
 
     class Clock:
         now_s = 1000.0
@@ -31,7 +31,7 @@ def clock(monkeypatch) -> Any:
             return int(self.time() * 1e9)
 
     fake = Clock()
-    monkeypatch.setattr(event_sink, "time", fake)
+    monkeypatch.setattr(event_writer, "time", fake)
     return fake
 
 
@@ -85,11 +85,11 @@ def test_events_reach_the_file_within_ten_seconds(clock, tmp_path):
     assert scalars(tmp_path)["x"][-1] == (3, 4.0)
 
 
-def test_protecting_twice_changes_nothing(writer):
-    sink = writer.file_writer.event_writer
-    assert isinstance(sink, RetryingEventWriter)
+def test_installing_twice_changes_nothing(writer):
+    events = writer.file_writer.event_writer
+    assert isinstance(events, RetryingEventWriter)
     install(writer)
-    assert writer.file_writer.event_writer is sink
+    assert writer.file_writer.event_writer is events
 
 
 def test_the_empty_file_of_tensorboardx_is_removed_and_no_other(tmp_path):
@@ -106,9 +106,9 @@ def test_the_empty_file_of_tensorboardx_is_removed_and_no_other(tmp_path):
 
 
 def test_closing_twice_and_writing_nothing_are_harmless(tmp_path):
-    sink = RetryingEventWriter(tmp_path / "none")
-    sink.close()
-    sink.close()
+    events = RetryingEventWriter(tmp_path / "none")
+    events.close()
+    events.close()
     assert not (tmp_path / "none").exists()
 
 
@@ -133,7 +133,7 @@ def test_a_full_disk_stops_nothing_and_loses_nothing(room, clock, tmp_path, monk
     install(writer)
     writer.add_scalar("x", 0.0, 0)
     disk = FullDisk(room)
-    monkeypatch.setattr(event_sink.os, "write", disk)
+    monkeypatch.setattr(event_writer.os, "write", disk)
     for step in range(1, 50):
         clock.now_s += 11.0
         writer.add_scalar("x", float(step), step)
@@ -152,11 +152,11 @@ def test_a_full_disk_stops_nothing_and_loses_nothing(room, clock, tmp_path, monk
 
 
 def test_waiting_events_are_limited(clock, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(event_sink, "_MAX_WAITING_BYTES", 500)
+    monkeypatch.setattr(event_writer, "_MAX_WAITING_BYTES", 500)
     writer = SummaryWriter(str(tmp_path))
     install(writer)
     disk = FullDisk(0)
-    monkeypatch.setattr(event_sink.os, "write", disk)
+    monkeypatch.setattr(event_writer.os, "write", disk)
     for step in range(100):
         clock.now_s += 11.0
         writer.add_scalar("x", float(step), step)
@@ -185,9 +185,9 @@ def test_a_folder_that_vanished_is_made_again(clock, tmp_path):
 
 def test_a_folder_that_is_a_file_stops_nothing(clock, tmp_path, caplog):
     (tmp_path / "taken").write_text("a file")
-    sink = RetryingEventWriter(tmp_path / "taken")
+    events = RetryingEventWriter(tmp_path / "taken")
     writer: Any = SummaryWriter(str(tmp_path / "summaries"))
-    writer.file_writer.event_writer = sink
+    writer.file_writer.event_writer = events
     writer.add_scalar("x", 1.0, 1)
     writer.close()
     assert len(caplog.records) == 1

@@ -19,7 +19,7 @@ class TimedImitation(ImitationObserver):
         self.clock, self.result, self.cost_s = clock, result, cost_s
         self.evaluated_at: list[float] = []
 
-    def _evaluate(self) -> EvaluationResult:
+    def measure(self) -> EvaluationResult:
         self.clock.now_s += self.cost_s
         self.evaluated_at.append(self.clock.now_s)
         return self.result
@@ -78,7 +78,7 @@ def test_frequency_zero_means_never(clock, agent, result):
 
 def test_a_task_without_references_has_no_pose_error(clock, agent, result):
     observer = TimedImitation(clock, result, 1, 0.0)
-    observer._evaluate = lambda: EvaluationResult(16, 100.0, 90.5, None, None)
+    observer.measure = lambda: EvaluationResult(16, 100.0, 90.5, None, None)
     train(observer, agent, epochs=1, epoch_s=1.0)
     assert set(agent.writer.scalars) == {"imitation/episode_steps"}
 

@@ -1,51 +1,54 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from typing import Any
 
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import ImitationObserver, MetricsObserver, ProgressObserver
+from isaacgymenvs_lite.run import (
+    ImitationObserver,
+    MetricsObserver,
+    MultiObserver,
+    ProgressObserver,
+)
 from isaacgymenvs_lite.run.stop_request import StopRequest
 
 
-class Told(ProgressObserver):
-    """With the figures of each epoch, as in a MultiObserver."""
+class Progress(MultiObserver):
+    """The observer of progress, after that of the metrics which it shows."""
 
-    def after_init(self, algo: Any) -> None:
-        self._figures.after_init(algo)
-        super().after_init(algo)
-
-    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        self._figures.after_print_stats(frame, epoch_num, total_time)
-        super().after_print_stats(frame, epoch_num, total_time)
+    def __init__(self, stop: StopRequest, **kwargs: Any) -> None:
+        self.stop, self.metrics = stop, MetricsObserver()
+        progress = ProgressObserver(stop, self.metrics, **kwargs)
+        super().__init__([self.metrics, progress])
+        self.close = progress.close
 
 
-def make_progress(agent: Any, **kwargs: Any) -> Told:
-    kwargs = {"stop": StopRequest(), "figures": MetricsObserver(), **kwargs}
-    observer = Told(**kwargs)
+def make_progress(agent: Any, **kwargs: Any) -> Progress:
+    observer = Progress(**{"stop": StopRequest(), **kwargs})
     observer.after_init(agent)
     return observer
 
 
 @pytest.fixture
-def progress(agent, clock, monkeypatch) -> ProgressObserver:
+def progress(agent, clock, monkeypatch) -> Progress:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     return make_progress(agent, line_interval_s=10.0)
 
 
-def tell(observer: ProgressObserver, clock: Any, epoch: int, seconds: float) -> None:
+def end_epoch(observer: Progress, clock: Any, epoch: int, seconds: float) -> None:
     clock.now_s += seconds
     observer.after_print_stats(0, epoch, 0.0)
 
 
-def finish_episodes(progress: Told, agent: Any) -> None:
+def finish_episodes(progress: Progress, agent: Any) -> None:
     """Two episodes, of which one fell."""
     agent.game_lengths.update(torch.tensor([[100.0], [110.0]]))
     agent.game_rewards.update(torch.tensor([[5.0], [6.0]]))
-    progress._figures.process_infos(
+    progress.metrics.process_infos(
         {"terminate": torch.tensor([True, False])}, torch.tensor([[0], [1]])
     )
 
@@ -53,7 +56,7 @@ def finish_episodes(progress: Told, agent: Any) -> None:
 def test_a_line_of_progress(progress, agent, clock, caplog):
     finish_episodes(progress, agent)
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 5, 2.0)
+        end_epoch(progress, clock, 5, 2.0)
     # 15 epochs of 2 s are left; 1000 frames in 2 s
     assert caplog.messages == [
         "epoch 5/20, ETA 0:00:30, fps 500, episode length 105, falls 50%, style reward 0.46,"
@@ -65,7 +68,7 @@ def test_a_task_reward_is_shown_where_it_counts(progress, agent, clock, caplog):
     agent.config["task_reward_w"] = 0.5
     finish_episodes(progress, agent)
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 5, 2.0)
+        end_epoch(progress, clock, 5, 2.0)
     assert "falls 50%, reward 5.50, style reward 0.46" in caplog.messages[0]
 
 
@@ -73,7 +76,7 @@ def test_an_agent_without_a_discriminator(progress, agent, clock, caplog):
     agent.config, agent.train_info = {}, {"actor_loss": 0.1}
     finish_episodes(progress, agent)
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 5, 2.0)
+        end_epoch(progress, clock, 5, 2.0)
     assert caplog.messages == [
         "epoch 5/20, ETA 0:00:30, fps 500, episode length 105, falls 50%, reward 5.50"
     ]
@@ -85,14 +88,14 @@ def test_a_line_without_anything_known(clock, agent, monkeypatch, caplog):
     observer = ProgressObserver(StopRequest(), MetricsObserver())
     observer.after_init(agent)
     with caplog.at_level(logging.INFO):
-        tell(observer, clock, 5, 2.0)
+        end_epoch(observer, clock, 5, 2.0)
     assert caplog.messages == ["epoch 5/20, ETA 0:00:30, fps 500"]
 
 
 def test_lines_come_at_intervals(progress, clock, caplog):
     with caplog.at_level(logging.INFO):
         for epoch in range(1, 13):
-            tell(progress, clock, epoch, 2.0)
+            end_epoch(progress, clock, epoch, 2.0)
     # the first at once, then every ten seconds: after 2, 12 and 22 s
     assert [message.split(",")[0] for message in caplog.messages] == [
         "epoch 1/20",
@@ -105,15 +108,15 @@ def test_lines_come_at_intervals(progress, clock, caplog):
 def test_without_a_last_epoch_there_is_no_eta(progress, agent, clock, caplog):
     agent.max_epochs = -1
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 3, 1.0)
+        end_epoch(progress, clock, 3, 1.0)
     assert caplog.messages[0].startswith("epoch 3, fps 1,000")
 
 
 def test_a_resumed_training_counts_its_own_epochs(progress, agent, clock, caplog):
     agent.max_epochs = 1010
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 1001, 1.0)
-        tell(progress, clock, 1002, 11.0)
+        end_epoch(progress, clock, 1001, 1.0)
+        end_epoch(progress, clock, 1002, 11.0)
     # two epochs in 12 s, eight left
     assert "ETA 0:00:48" in caplog.messages[-1]
 
@@ -123,9 +126,9 @@ def test_the_pose_error_is_shown_once_known(agent, clock, result, monkeypatch, c
     imitation = ImitationObserver(lambda num_envs: None, 0, 16)
     observer = make_progress(agent, imitation=imitation, line_interval_s=0.0)
     with caplog.at_level(logging.INFO):
-        tell(observer, clock, 1, 1.0)
+        end_epoch(observer, clock, 1, 1.0)
         imitation.last = result
-        tell(observer, clock, 2, 1.0)
+        end_epoch(observer, clock, 2, 1.0)
     assert "pose error" not in caplog.messages[0]
     assert caplog.messages[1].endswith("pose error 0.123 m, tempo 1.02")
 
@@ -134,10 +137,10 @@ def test_a_request_makes_the_epoch_the_last_one(agent, clock, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     stop = StopRequest()
     observer = make_progress(agent, stop=stop)
-    tell(observer, clock, 1, 1.0)
+    end_epoch(observer, clock, 1, 1.0)
     assert agent.max_epochs == 20
     stop.requested = True
-    tell(observer, clock, 2, 1.0)
+    end_epoch(observer, clock, 2, 1.0)
     assert agent.max_epochs == 2
 
 
@@ -147,15 +150,12 @@ def test_a_terminal_gets_a_bar(progress, agent, clock, monkeypatch, caplog, caps
     agent.game_rewards.update(torch.tensor([[5.0]]))
     with caplog.at_level(logging.INFO):
         for epoch in (11, 12, 13):
-            tell(progress, clock, epoch, 1.0)
+            end_epoch(progress, clock, epoch, 1.0)
     assert caplog.messages == []
-    assert progress._bar is not None
-    assert progress._bar.n == 13
-    assert progress._bar.total == 20
-    assert progress._bar.initial == 10
     progress.close()
     shown = capsys.readouterr().err
-    assert "13/20" in shown
+    assert re.findall(r"\d+/20", shown)[0] == "10/20"  # epochs of a resumed run count
+    assert re.findall(r"\d+/20", shown)[-1] == "13/20"
     assert "episode length=100" in shown
     assert "style reward=0.46, disc accuracy=80%, fps=1,000" in shown
 
@@ -167,7 +167,7 @@ def test_closing_without_a_bar_is_harmless(progress):
 def test_a_bar_without_a_last_epoch(progress, agent, clock, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     agent.max_epochs = -1
-    tell(progress, clock, 1, 1.0)
+    end_epoch(progress, clock, 1, 1.0)
     progress.close()
     assert "1/?" in capsys.readouterr().err
 
@@ -175,7 +175,7 @@ def test_a_bar_without_a_last_epoch(progress, agent, clock, monkeypatch, capsys)
 def test_a_short_training_ends_with_its_last_epoch(progress, clock, caplog):
     with caplog.at_level(logging.INFO):
         for epoch in range(18, 21):
-            tell(progress, clock, epoch, 1.0)
+            end_epoch(progress, clock, epoch, 1.0)
         assert [message.split(",")[0] for message in caplog.messages] == ["epoch 18/20"]
         clock.now_s += 100.0  # what it takes to end does not count
         progress.close()
@@ -183,18 +183,18 @@ def test_a_short_training_ends_with_its_last_epoch(progress, clock, caplog):
     assert caplog.messages[1:] == ["epoch 20/20, fps 1,000, style reward 0.46, disc accuracy 80%"]
 
 
-def test_a_training_that_is_stopped_ends_with_its_last_epoch(progress, clock, caplog):
+def test_a_training_that_is_stopped_ends_with_its_last_epoch(progress, agent, clock, caplog):
     with caplog.at_level(logging.INFO):
         for epoch in (3, 4):
-            progress._stop.requested = epoch == 4
-            tell(progress, clock, epoch, 1.0)
+            progress.stop.requested = epoch == 4
+            end_epoch(progress, clock, epoch, 1.0)
         progress.close()
-    assert progress._algo.max_epochs == 4
+    assert agent.max_epochs == 4
     assert caplog.messages[-1].startswith("epoch 4/20, fps")
 
 
 def test_the_last_epoch_is_not_written_twice(progress, clock, caplog):
     with caplog.at_level(logging.INFO):
-        tell(progress, clock, 20, 1.0)
+        end_epoch(progress, clock, 20, 1.0)
         progress.close()
     assert len(caplog.messages) == 1

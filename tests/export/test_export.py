@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,15 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
-from isaacgymenvs_lite.export import session
+from isaacgymenvs_lite.export import export
 from isaacgymenvs_lite.export.__main__ import main
 from isaacgymenvs_lite.export.configuration import configuration_of
+from isaacgymenvs_lite.export.export import ExportSettings, export_policy
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
-from isaacgymenvs_lite.export.session import ExportSession, ExportSettings, export_policy
-from isaacgymenvs_lite.runner import Session, run
+from isaacgymenvs_lite.runner import load_player, run
 from tests.tiny import CONFIG, TINY_PPO
 
 CARTPOLE = (
@@ -65,27 +65,17 @@ def checkpoint(project: Path) -> Path:
     return file
 
 
-class Play(ExportSession):
-    """Plays an episode in each environment with a policy, or with the player if there is none."""
-
-    policy: Callable[[dict[str, Tensor]], Tensor] | None = None
-    result: EvaluationResult
-
-    def _play(self) -> None:
-        player = self.make_player()
-        seed_everything(3)
-        self.result = evaluate(self._task, self.policy or player.act, self._task.num_envs)
-
-
 def play(cfg: Any, num_envs: int, policy: ExportedPolicy | None = None) -> EvaluationResult:
+    """An episode in each environment with a policy, or with the player if there is none."""
     cfg.task.env.numEnvs = num_envs
-    played = Play(cfg)
-    if policy is not None:
-        played.policy = lambda obs: torch.from_numpy(
-            policy({"obs": obs["obs"].numpy()})["action"].copy()
-        )
-    played.run()
-    return played.result
+    with load_player(cfg) as player:
+        act = player.act if policy is None else numpy_policy(policy)
+        seed_everything(3)
+        return evaluate(player.env, act, num_envs)
+
+
+def numpy_policy(policy: ExportedPolicy) -> Callable[[dict[str, Tensor]], Tensor]:
+    return lambda obs: torch.from_numpy(policy({"obs": obs["obs"].numpy()})["action"].copy())
 
 
 def test_a_run_that_is_watched_is_exported_without(checkpoint):
@@ -96,7 +86,7 @@ def test_a_run_that_is_watched_is_exported_without(checkpoint):
 
 
 def test_an_export_that_differs_is_not_left_behind(checkpoint, tmp_path, monkeypatch):
-    monkeypatch.setattr(session, "_TOLERANCE", -1.0)  # nothing is as near as that
+    monkeypatch.setattr(export, "_TOLERANCE", -1.0)  # nothing is as near as that
     out = tmp_path / "policy.pt"
     with pytest.raises(ConfigError, match=r"policy\.pt: not written, it would differ"):
         export_policy(
@@ -211,20 +201,24 @@ def test_a_mistake_is_one_line(words, message, project, monkeypatch, capsys) -> 
     assert re.search(f"^error: .*{message}", line), line
 
 
-def test_last_is_the_same_file_for_all(project, checkpoint, monkeypatch) -> None:
+@pytest.mark.parametrize("by_file", [False, True])
+def test_last_is_the_same_file_for_all(
+    by_file, project, checkpoint, tmp_path, monkeypatch, caplog
+) -> None:
     """Going on with a training, playing and exporting, by the same words."""
-    monkeypatch.chdir(project)
-    own = project / "own"
-    own.mkdir(exist_ok=True)
-    file = own / "mine.yaml"
+    folder = tmp_path / "project"
+    shutil.copytree(project, folder)
+    expected = str(folder / checkpoint.relative_to(project))
+    file = tmp_path / "mine.yaml"
     file.write_text("defaults: [Cartpole, _self_]\n")
-    for task in ("Cartpole", str(file)):
-        words = [f"task={task}", "train=CartpolePPO", "checkpoint=last", *CARTPOLE[1:]]
-        for changes in ([], ["test=True"]):
-            cfg = compose([*words, *changes])
-            assert Session(cfg, check_config(cfg), 1)._checkpoint == str(checkpoint)
-        cfg = configuration_of("last", words[:2], "runs")
-        assert cfg.checkpoint == str(checkpoint)
+    monkeypatch.chdir(folder)
+    words = [f"task={file if by_file else 'Cartpole'}", "train=CartpolePPO"]
+    assert configuration_of("last", words, "runs").checkpoint == expected
+    for change in ("test=True", "max_iterations=4"):  # the training makes a newer one
+        caplog.clear()
+        with caplog.at_level(logging.INFO):
+            run(compose([*words, *CARTPOLE[1:], "checkpoint=last", change]))
+        assert f"checkpoint: {expected}" in caplog.messages
 
 
 def test_last_without_any_run(tmp_path) -> None:

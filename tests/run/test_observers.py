@@ -9,35 +9,35 @@ from isaacgymenvs_lite.run import MultiObserver
 
 
 def test_calls_reach_all_observers_in_order():
-    heard = []
+    calls_made = []
 
-    class Listener(AlgoObserver):
+    class Recorder(AlgoObserver):
         def __init__(self, name: str) -> None:
             super().__init__()
             self.name = name
 
         def before_init(self, *args: Any) -> None:
-            heard.append((self.name, "before_init", args))
+            calls_made.append((self.name, "before_init", args))
 
         def after_init(self, *args: Any) -> None:
-            heard.append((self.name, "after_init", args))
+            calls_made.append((self.name, "after_init", args))
 
         def process_infos(self, *args: Any) -> None:
-            heard.append((self.name, "process_infos", args))
+            calls_made.append((self.name, "process_infos", args))
 
         def after_steps(self) -> None:
-            heard.append((self.name, "after_steps", ()))
+            calls_made.append((self.name, "after_steps", ()))
 
         def after_clear_stats(self) -> None:
-            heard.append((self.name, "after_clear_stats", ()))
+            calls_made.append((self.name, "after_clear_stats", ()))
 
         def after_print_stats(self, *args: Any) -> None:
-            heard.append((self.name, "after_print_stats", args))
+            calls_made.append((self.name, "after_print_stats", args))
 
-    class Deaf(AlgoObserver):
+    class Plain(AlgoObserver):
         """rl_games' base class has no after_clear_stats."""
 
-    both = MultiObserver([Listener("a"), Deaf(), Listener("b")])
+    both = MultiObserver([Recorder("a"), Plain(), Recorder("b")])
     calls = {
         "before_init": ("run", {}, "name"),
         "after_init": ("algo",),
@@ -48,4 +48,4 @@ def test_calls_reach_all_observers_in_order():
     }
     for name, args in calls.items():
         getattr(both, name)(*args)
-    assert heard == [(who, name, args) for name, args in calls.items() for who in ("a", "b")]
+    assert calls_made == [(who, name, args) for name, args in calls.items() for who in ("a", "b")]

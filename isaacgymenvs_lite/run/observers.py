@@ -1,0 +1,114 @@
+"""Puts the observers of a training together, in the order in which they need each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omegaconf import DictConfig
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
+from isaacgymenvs_lite.run.event_writer import install
+from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.progress import ProgressObserver
+from isaacgymenvs_lite.run.stop_request import StopRequest
+from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
+
+
+class MultiObserver(AlgoObserver):
+    """Passes every call on to several observers, in order."""
+
+    def __init__(self, observers: list[AlgoObserver]) -> None:
+        super().__init__()
+        self.observers = observers
+
+    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
+        """Before the agent builds anything."""
+        for observer in self.observers:
+            observer.before_init(base_name, config, experiment_name)
+
+    def after_init(self, algo: Any) -> None:
+        """The agent is complete."""
+        for observer in self.observers:
+            observer.after_init(algo)
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        """After each environment step."""
+        for observer in self.observers:
+            observer.process_infos(infos, done_indices)
+
+    def after_steps(self) -> None:
+        """After each rollout."""
+        for observer in self.observers:
+            observer.after_steps()
+
+    def after_clear_stats(self) -> None:
+        """The agent's meters were cleared."""
+        for observer in self.observers:
+            # rl_games calls it on the outermost observer, but its base class lacks it.
+            getattr(observer, "after_clear_stats", lambda: None)()
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        """After each epoch."""
+        for observer in self.observers:
+            observer.after_print_stats(frame, epoch_num, total_time)
+
+
+class TrainingObservers(MultiObserver):
+    """All observers of a training: what it shows, and what it writes besides checkpoints.
+
+    Args:
+        cfg: the composed tree.
+        settings: its root.
+        run_name: name of the run folder.
+        imitation: measures the pose error, if the task has reference motions.
+        max_episode_steps: the task's time limit in control steps.
+        stop: the user's request to end the training.
+
+    Attributes:
+        agent: the agent that rl_games' Runner makes and does not return; None before.
+    """
+
+    def __init__(
+        self,
+        cfg: DictConfig,
+        settings: LaunchSettings,
+        run_name: str,
+        imitation: ImitationObserver | None,
+        max_episode_steps: int,
+        stop: StopRequest,
+    ) -> None:
+        metrics = MetricsObserver()
+        self.agent: Any = None
+        self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
+        self._wandb = None
+        observers: list[AlgoObserver] = [TaskScalarsObserver()]
+        if settings.wandb_activate:
+            from isaacgymenvs_lite.run.wandb_observer import WandbObserver
+
+            self._wandb = WandbObserver(cfg, settings, run_name)
+            observers.append(self._wandb)
+        if imitation is not None:
+            observers.append(imitation)
+        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
+        super().__init__([*observers, metrics, self._progress, diagnostics])
+
+    def after_init(self, algo: Any) -> None:
+        """Store the agent, and guard its TensorBoard writer before the first scalar."""
+        self.agent = algo
+        install(algo.writer)
+        super().after_init(algo)
+
+    def close_log(self) -> None:
+        """End the display of progress, and write the scalars that wait."""
+        self._progress.close()
+        if self.agent is not None:
+            self.agent.writer.flush()
+
+    def close_wandb(self) -> None:
+        """End the run of Weights & Biases, if there is one."""
+        if self._wandb is not None:
+            self._wandb.close()

@@ -1,0 +1,46 @@
+"""train.py's command line in the test's own process, with a stand-in for the runner."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from isaacgymenvs_lite import train
+
+
+def make_train_command(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, run: Callable[[Any, Any], None]
+) -> Callable[..., int]:
+    """Return call(*words), which runs the command line in a folder and returns its exit code.
+
+    Args:
+        monkeypatch: takes back what this changes in the process.
+        folder: the working folder.
+        run: is called in place of `runner.run`.
+    """
+    stand_in = types.ModuleType("isaacgymenvs_lite.runner")
+    stand_in.run = run  # type: ignore[attr-defined]
+    monkeypatch.chdir(folder)
+    monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # restored afterwards; the command line sets it
+    monkeypatch.setenv("OMP_WAIT_POLICY", os.environ.get("OMP_WAIT_POLICY", "PASSIVE"))
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+
+    def call(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+        try:
+            train.main()
+        except SystemExit as error:
+            return int(error.code or 0)
+        return 0
+
+    return call
