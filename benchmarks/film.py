@@ -17,8 +17,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.viewers.reference_track import reference_track
-
 from benchmarks.played import find_targets
 from benchmarks.protocol import SEED, play_checkpoint
 from benchmarks.runs import DEFAULT_RUNS_DIR
@@ -27,6 +25,7 @@ from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
 from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
 from isaacgymenvs_lite.rendering.view import View
+from isaacgymenvs_lite.viewers.reference_overlay import reference_track
 
 PANEL = (400, 300)
 """Width and height of a panel, pixels; half as wide where there are several."""

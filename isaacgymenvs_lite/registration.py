@@ -24,11 +24,11 @@ from rl_games.torch_runner import Runner
 import isaacgymenvs_lite
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.train_params import KnownNames
+from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous, LeastSquaresAMPPlayer
-from isaacgymenvs_lite.learning.flat_config import AGENT_KEYS
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
