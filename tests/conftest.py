@@ -1,4 +1,4 @@
-"""What tests of several rooms share: a small clip of each humanoid, a machine that can draw."""
+"""Fixtures of several test folders: a small clip of each humanoid, a machine that can draw."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NUM_FRAMES = 46  # 1.5 s
 
 @pytest.fixture(autouse=True)
 def _log_as_before() -> Iterator[None]:
-    """Take back what commands that a test calls in this process do to the root logger."""
+    """Restore the root logger after commands that a test calls in this process."""
     root = logging.getLogger()
     level, last_resort = root.level, logging.lastResort
     handlers = list(root.handlers)
@@ -37,8 +37,8 @@ def _log_as_before() -> Iterator[None]:
 def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return `walk.npz`, 1.5 s at 30 Hz of the humanoid going forward on a curve, limbs swinging.
 
-    The root is at x = t, y = 0, z = 0.88 + 0.05 t (m, s): the height tells the time. Velocities
-    are those that the library computes from the poses.
+    The root is at x = t, y = 0, z = 0.88 + 0.05 t (m, s): the height is a clock. The library
+    computes the velocities from the poses.
     """
     path = tmp_path_factory.mktemp("motions") / "walk.npz"
     return save_npz(path, _walk(skeleton_for_num_dofs(28)))
@@ -46,7 +46,7 @@ def walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def armed_walk_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the same of the humanoid with sword and shield."""
+    """Return the same clip of the humanoid with sword and shield."""
     path = tmp_path_factory.mktemp("armed_motions") / "walk.npz"
     return save_npz(path, _walk(skeleton_for_num_dofs(31)))
 

@@ -32,8 +32,8 @@ def test_a_clip_of_the_armed_humanoid_is_shown_on_it(armed_walk_clip, tmp_path, 
 
 
 def test_without_out_a_display_is_needed(walk_clip, monkeypatch, capsys):
-    def refuse(asked: str, instead: str) -> None:
-        raise ConfigError(f"{asked}: no display; {instead}")
+    def refuse(setting: str, instead: str) -> None:
+        raise ConfigError(f"{setting}: no display; {instead}")
 
     monkeypatch.setattr(view, "check_display", refuse)
     with pytest.raises(SystemExit) as stop:

@@ -22,7 +22,7 @@ except RenderingError as error:
 
 
 def choose(**environment: str) -> str:
-    """What a new process says; PyOpenGL can be bound to a library once only."""
+    """Return the output of a new process: PyOpenGL can be bound to a library once only."""
     package = str(Path(isaacgymenvs_lite.__file__).parents[1])
     cleared = ("MUJOCO_GL", "PYOPENGL_PLATFORM")
     inherited = {name: value for name, value in os.environ.items() if name not in cleared}

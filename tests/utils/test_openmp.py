@@ -1,4 +1,4 @@
-"""How torch's idle threads wait, by the order of imports and by what the user says."""
+"""How torch's idle threads wait, by the order of imports and the user's settings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-# Every name that says how OpenMP waits or how many threads there are.
+# Every variable for how OpenMP waits or how many threads there are.
 NAMES = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 

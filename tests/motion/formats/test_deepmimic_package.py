@@ -117,7 +117,7 @@ def test_real_data_sets_give_finite_states(
     run = [lib.get_motion(i).name for i in range(num_clips)].index("deepmimic:humanoid3d_run")
     torch.manual_seed(0)
     ids = lib.sample_motions(9000)
-    # Running is the only clip of its kind: its share is that of a kind, within 5 sigma.
+    # Running is the only clip of its kind: it has the whole share of the kind, within 5 sigma.
     share = (ids == run).float().mean().item()
     assert share == pytest.approx(1 / num_kinds, abs=5 * np.sqrt(1 / (num_kinds * 9000)))
     state = lib.get_motion_state(ids, lib.sample_time(ids))

@@ -43,7 +43,7 @@ def test_round_trip_of_the_armed_humanoid(tmp_path, humanoid, armed, make_humano
     clip = make_humanoid_clip(num_frames=3, skeleton=armed)
     clip.local_rotation[:, armed.body_names.index("right_hand")] = about("x", [0.3, 0.4, 0.5])
     path = save_joint_csv(tmp_path / "clip.csv", clip, armed)
-    again = load_joint_csv(path, [humanoid, armed])  # told apart by the columns
+    again = load_joint_csv(path, [humanoid, armed])  # distinguished by the columns
     np.testing.assert_allclose(again.local_rotation, clip.local_rotation, atol=1e-11)
 
 

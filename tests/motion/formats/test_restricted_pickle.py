@@ -190,7 +190,7 @@ def test_pickles_that_are_made_to_break_a_reader_are_one_line(pickled, tmp_path)
 
 
 def test_lists_that_name_each_other_are_not_written_out(tmp_path):
-    """40 lists of ten times the one before: a small file that stands for 10^40 values."""
+    """40 lists of ten times the one before: a small file with 10^40 values."""
     lists: list[Any] = [0]
     for _ in range(40):
         lists = [lists] * 10

@@ -130,7 +130,7 @@ LAFAN1 = Rig(
     ),
     frames={
         **dict.fromkeys(("pelvis", "torso", "head"), _axes("+y", "+x")),
-        # The bones of the limbs are the x axes of their joints; that of a foot slopes by 25 deg.
+        # The bones of the limbs are the x axes of their joints; a foot's slopes by 25 deg.
         **_sides(
             lambda side, sign: [
                 (f"{side}_{part}", _axes("-y", "-x"))
@@ -169,7 +169,7 @@ def _write_bvh(
         path: of the file.
         clip: the motion.
         rig: the skeleton.
-        size: its size by the humanoid's; it stands as much higher over its ground.
+        size: its size divided by the humanoid's; its height over the ground scales too.
         arms: the length of its arms, by what the humanoid's would be at this size.
         order: of the rotation channels; "": the rig's.
     """

@@ -54,7 +54,7 @@ def test_position_channels_may_stand_last(walk_file: Path) -> None:
 
 
 def with_all_positions(text: str, places) -> str:
-    """Give all joints position channels; `places(offset, frame)` says what they hold."""
+    """Give all joints position channels; `places(offset, frame)` returns their values."""
     head, rows = text.split("MOTION\n")
     offsets = [
         np.array(found[1].split(), dtype=float)

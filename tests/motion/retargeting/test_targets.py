@@ -1,4 +1,4 @@
-"""What a source motion asks of the humanoid: size, ground, soles."""
+"""Targets of a source motion: size, ground, soles."""
 
 from __future__ import annotations
 
