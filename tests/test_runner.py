@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 from rl_games.common import env_configurations
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+import isaacgymenvs_lite
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
@@ -554,8 +555,8 @@ def start_training(clip: Path, *before: str, **kwargs: Any) -> subprocess.Popen[
     """A process of its own that trains until somebody ends it."""
     command = [*before, sys.executable, "-m", "isaacgymenvs_lite.train", *TINY]
     arguments = [f"task.env.motion_file={clip}", "max_iterations=100000"]
-    package = str(Path(checkpoints.__file__).parents[1])
-    env = {**os.environ, "PYTHONPATH": package}
+    repository = str(Path(isaacgymenvs_lite.__file__).parents[1])
+    env = {**os.environ, "PYTHONPATH": repository}
     return subprocess.Popen([*command, *arguments], env=env, text=True, **kwargs)
 
 
