@@ -258,7 +258,7 @@ def _least_s(part: Callable[[], None]) -> float:
 
 def published_loop(args: argparse.Namespace) -> None:
     """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
-    common_agent.attach_executor = lambda network, device, precision: NetworkExecutor(device)
+    common_agent.parallelize = lambda model, device, precision: NetworkExecutor(device)
     AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
     reset = AMPAgent.env_reset
 

@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from rl_games.algos_torch.players import rescale_actions
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.learning.cpu.parallel import serial_network
 from isaacgymenvs_lite.learning.gen_amp_players import GenAMPPlayerContinuous
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
 from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticNetwork
@@ -96,19 +97,17 @@ class _MeanActor(nn.Module):
         self.register_buffer("_high", high)
 
     def forward(self, obs: Tensor, *latents: Tensor) -> Tensor:
-        network, obs = self._model.a2c_network, self._model.norm_obs(obs)
-        # The class's own functions: those of an instance may be a `NetworkExecutor`'s.
+        network, obs = serial_network(self._model.a2c_network), self._model.norm_obs(obs)
         if isinstance(network, ActorCriticNetwork):
-            mu, _ = type(network).eval_actor(network, obs, *latents)
+            mu, _ = network.eval_actor(obs, *latents)
         else:
-            mu = type(network).forward(network, {"obs": obs, "is_train": False})[0]
+            mu = network.forward({"obs": obs, "is_train": False})[0]
         return self.within_limits(mu)
 
     def step(self, obs: Tensor, states: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the actions and the next states of a recurrent network."""
-        network, obs = self._model.a2c_network, self._model.norm_obs(obs)
-        inputs = {"obs": obs, "is_train": False, "rnn_states": states}
-        outputs = type(network).forward(network, inputs)
+        network, obs = serial_network(self._model.a2c_network), self._model.norm_obs(obs)
+        outputs = network.forward({"obs": obs, "is_train": False, "rnn_states": states})
         return self.within_limits(outputs[0]), outputs[-1]
 
     def within_limits(self, mu: Tensor) -> Tensor:

@@ -24,7 +24,6 @@ Hooks that this agent adds, for agents with other rewards or rows:
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -37,8 +36,9 @@ from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_masked
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    DiscriminatorParts,
-    StyleDiscriminator,
+    DiscriminatorTrainer,
+    LossFunctions,
+    StyleRewards,
     accuracies,
     disc_obs_size,
 )
@@ -50,7 +50,7 @@ from isaacgymenvs_lite.learning.restoring import Parts
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
-class AMPAgent(CommonAgent):
+class AMPAgent(StyleRewards, CommonAgent):
     """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
 
     A script that registers this class as `amp_agent`, as IsaacGymEnvs does, gets the same reward;
@@ -60,9 +60,10 @@ class AMPAgent(CommonAgent):
         default_disc_reward: the style reward when the key `disc_reward` is absent.
         params_class: the keys that it reads beside PPO's.
         env_contract: the members that it needs of a task.
-        discriminator: normaliser, loss and reward.
+        discriminator: buffers, normaliser, loss and reward.
     """
 
+    discriminator: DiscriminatorTrainer
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
     env_contract: ClassVar[Any] = AMPEnv
@@ -115,7 +116,7 @@ class AMPAgent(CommonAgent):
 
     def _build_modules(self) -> None:
         super()._build_modules()
-        self.discriminator = StyleDiscriminator(
+        self.discriminator = DiscriminatorTrainer(
             self.model.a2c_network,
             self._amp_obs_size,
             self._amp,
@@ -151,10 +152,23 @@ class AMPAgent(CommonAgent):
                 self.horizon_length, self.num_actors, device=self.ppo_device
             )
             self.tensor_list += ["rand_action_mask"]
-        self._amp_obs_demo_buffer = ReplayBuffer(
-            self._amp.amp_obs_demo_buffer_size, self.ppo_device
-        )
-        self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
+        self.discriminator.make_buffers()
+
+    @property
+    def _amp_obs_demo_buffer(self) -> ReplayBuffer:
+        return self.discriminator.demo_buffer
+
+    @_amp_obs_demo_buffer.setter
+    def _amp_obs_demo_buffer(self, buffer: ReplayBuffer) -> None:
+        self.discriminator.demo_buffer = buffer
+
+    @property
+    def _amp_replay_buffer(self) -> ReplayBuffer:
+        return self.discriminator.replay_buffer
+
+    @_amp_replay_buffer.setter
+    def _amp_replay_buffer(self, buffer: ReplayBuffer) -> None:
+        self.discriminator.replay_buffer = buffer
 
     @property
     def demo_buffer(self) -> ReplayBuffer:
@@ -178,9 +192,7 @@ class AMPAgent(CommonAgent):
 
     def _init_amp_demo_buf(self) -> None:
         """Fill the buffer of demonstrations."""
-        size = self._amp_obs_demo_buffer.get_buffer_size()
-        for _ in range(math.ceil(size / self._amp.amp_batch_size)):
-            self._store_demos()
+        self.discriminator.fill_demo_buffer(self._store_demos)
 
     def _update_amp_demos(self) -> None:
         """Add new demonstrations to the buffer; called once per epoch."""
@@ -188,15 +200,11 @@ class AMPAgent(CommonAgent):
 
     def _store_demos(self) -> None:
         demos = self._fetch_amp_obs_demo(self._amp.amp_batch_size)
-        self._amp_obs_demo_buffer.store({"amp_obs": self._truncate_amp_obs(demos)})
+        self.discriminator.store_demos({"amp_obs": demos})
 
     def _fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, F) of the reference motions."""
         return self._env.fetch_amp_obs_demo(num_samples)
-
-    def _truncate_amp_obs(self, amp_obs: Tensor) -> Tensor:
-        """Return the part of AMP observations (..., F) that discriminator and encoder get."""
-        return amp_obs[..., : self._amp_obs_size].to(self.ppo_device)
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -210,7 +218,8 @@ class AMPAgent(CommonAgent):
         return result
 
     def _record_step(self, n: int, infos: dict[str, Any]) -> None:
-        self.experience_buffer.update_data("amp_obs", n, self._truncate_amp_obs(infos["amp_obs"]))
+        amp_obs = self.discriminator.truncate(infos["amp_obs"])
+        self.experience_buffer.update_data("amp_obs", n, amp_obs)
         if self._masks_exploration:
             self.experience_buffer.update_data("rand_action_mask", n, self._explored)
 
@@ -220,36 +229,9 @@ class AMPAgent(CommonAgent):
         self._rollout_rewards = {"task_rewards": task_rewards, **amp_rewards}
         return self._combine_rewards(task_rewards, amp_rewards)
 
-    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
-        """Return {"disc_rewards": (..., 1)}, the style rewards of raw AMP observations (..., F)."""
-        return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
-
-    def _reward_latents(self) -> tuple[Tensor, ...]:
-        """Return the inputs of the rewards beside the rollout's AMP observations."""
-        return ()
-
-    def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return style rewards (..., 1) of raw AMP observations (..., F)."""
-        return self.discriminator.reward_from_logits(self._eval_disc(amp_obs, *latents))
-
-    def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return logits (..., 1) of raw AMP observations, without gradients."""
-        return self.discriminator.logits(amp_obs, *latents)
-
-    def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
-        """Return the inputs of discriminator and encoder for raw AMP observations (n, F).
-
-        They are normalised. Several threads call it at the same time: it must not change the agent.
-        `_normalizer_inputs` updates the statistics.
-        """
-        return self.discriminator.normalize(amp_obs)
-
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
-        return (
-            self._amp.task_reward_w * task_rewards
-            + self._amp.disc_reward_w * amp_rewards["disc_rewards"]
-        )
+        return self.discriminator.total_reward(task_rewards, amp_rewards["disc_rewards"])
 
     # --- update ----------------------------------------------------------------------------
 
@@ -258,10 +240,8 @@ class AMPAgent(CommonAgent):
         self._log_rewards()
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
-        batch_dict |= self._demo_disc_batch(self._amp_obs_demo_buffer.sample(rows))
-        replayed = self._agent_disc_batch(batch_dict)
-        if self._amp_replay_buffer.get_total_count() > 0:
-            replayed = self._amp_replay_buffer.sample(rows)
+        batch_dict |= self._demo_disc_batch(self.discriminator.sample_demos(rows))
+        replayed = self.discriminator.sample_replay(self._agent_disc_batch(batch_dict))
         for name, values in replayed.items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
@@ -299,10 +279,10 @@ class AMPAgent(CommonAgent):
         if self._masks_exploration:
             mask = input_dict["rand_action_mask"]
             rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
-        if self._amp.disc_input_noise != 0.0:
-            for name in _AMP_OBS_KINDS:
-                noise = torch.randn_like(input_dict[name])
-                rows[f"{name}_noise"] = self._amp.disc_input_noise * noise
+        for name in _AMP_OBS_KINDS:
+            noise = self.discriminator.sample_noise(input_dict[name])
+            if noise is not None:
+                rows[f"{name}_noise"] = noise
         return rows
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
@@ -353,7 +333,7 @@ class AMPAgent(CommonAgent):
         obs_demo: Tensor,
         disc_demo_gradient: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Return the discriminator's loss and its parts; see `StyleDiscriminator.loss`.
+        """Return the discriminator's loss and its parts; see `DiscriminatorTrainer.loss`.
 
         Several threads call it, as `_extra_losses`. With the published three arguments the
         gradient of `disc_demo_logit` by `obs_demo` is computed here.
@@ -363,7 +343,7 @@ class AMPAgent(CommonAgent):
             disc_demo_logit,
             obs_demo,
             disc_demo_gradient,
-            DiscriminatorParts(self._disc_loss_neg, self._disc_loss_pos, self._compute_disc_acc),
+            LossFunctions(self._disc_loss_neg, self._disc_loss_pos, self._compute_disc_acc),
         )
 
     def _disc_loss_neg(self, disc_logits: Tensor) -> Tensor:
@@ -386,8 +366,7 @@ class AMPAgent(CommonAgent):
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
         """Store AMP observations (n, F), and other columns of the same rows."""
-        rows = {"amp_obs": amp_obs, **others}
-        self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
+        self.discriminator.store_replay({"amp_obs": amp_obs, **others})
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]
@@ -399,23 +378,20 @@ class AMPAgent(CommonAgent):
 
     def _parts(self) -> Parts:
         parts = super()._parts()
-        if self.discriminator.normalizer is None:
-            return parts
-        own = {"amp_input_mean_std": self.discriminator.normalizer}
+        own = self.discriminator.checkpoint_modules
         return replace(parts, modules={**parts.modules, **own})
 
     def get_stats_weights(self, model_stats: bool = False) -> dict[str, Any]:
         """Return normaliser statistics; AMP's have a key of their own, as in IsaacGymEnvs."""
-        state = super().get_stats_weights(model_stats)
-        if self.discriminator.normalizer is not None:
-            state["amp_input_mean_std"] = self.discriminator.normalizer.state_dict()
-        return state
+        own = self.discriminator.checkpoint_modules
+        states = {key: module.state_dict() for key, module in own.items()}
+        return {**super().get_stats_weights(model_stats), **states}
 
     def set_stats_weights(self, weights: dict[str, Any]) -> None:
         """Load the statistics of a checkpoint."""
         super().set_stats_weights(weights)
-        if self.discriminator.normalizer is not None:
-            self.discriminator.normalizer.load_state_dict(weights["amp_input_mean_std"])
+        for key, module in self.discriminator.checkpoint_modules.items():
+            module.load_state_dict(weights[key])
 
 
 def exploration_probs(num_envs: int) -> Tensor:

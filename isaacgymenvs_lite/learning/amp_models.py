@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from rl_games.algos_torch.models import BaseModel, ModelA2CContinuousLogStd
+
+from isaacgymenvs_lite.learning.modules.discriminator import eval_discriminator
 
 
 class ModelAMPContinuous(ModelA2CContinuousLogStd):
@@ -13,8 +14,9 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
 
     With `amp_obs`, `amp_obs_replay` and `amp_obs_demo` (normalised, (K, F) each) in a training
     input, the output has `disc_agent_logit`, `disc_agent_replay_logit` and `disc_demo_logit`
-    (K, 1), and `disc_demo_gradient` (K, F), beside the outputs of `ModelA2CContinuousLogStd`.
-    `amp_obs_noise` and so on (K, F), if they are given, are added to the discriminator's inputs.
+    (K, 1), and `disc_demo_gradient` (K, F), beside the outputs of `ModelA2CContinuousLogStd`. If
+    `amp_obs_noise`, `amp_obs_replay_noise`, `amp_obs_demo_noise` (K, F) are given, they are added
+    to the discriminator's inputs.
     """
 
     def __init__(self, network: Any) -> None:
@@ -28,24 +30,12 @@ class ModelAMPContinuous(ModelA2CContinuousLogStd):
             """Act (`is_train` False) or evaluate a minibatch; see the class docstring."""
             result = super().forward(input_dict)
             if input_dict.get("is_train", True) and "amp_obs" in input_dict:
-                result |= self._eval_discriminator(input_dict)
+                kinds = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
+                inputs = (self._disc_inputs(input_dict, kind) for kind in kinds)
+                result |= eval_discriminator(self.a2c_network, *inputs)
             return result
 
-        def _eval_discriminator(self, input_dict: dict[str, Any]) -> dict[str, Any]:
-            agent = self._disc_inputs(input_dict, "amp_obs")
-            replay = self._disc_inputs(input_dict, "amp_obs_replay")
-            fakes = [torch.cat(pair) for pair in zip(agent, replay, strict=True)]
-            agent_logit, replay_logit = self.a2c_network.eval_disc(*fakes).split(len(agent[0]))
-            demo = self._disc_inputs(input_dict, "amp_obs_demo")
-            demo_logit, gradient = self.a2c_network.eval_disc_with_gradient(*demo)
-            return {
-                "disc_agent_logit": agent_logit,
-                "disc_agent_replay_logit": replay_logit,
-                "disc_demo_logit": demo_logit,
-                "disc_demo_gradient": gradient,
-            }
-
         def _disc_inputs(self, input_dict: dict[str, Any], kind: str) -> tuple[Any, ...]:
-            """Return the discriminator's inputs for the rows of a kind."""
+            """Return the arguments of `eval_disc` for the rows of a kind."""
             rows, noise = input_dict[kind], input_dict.get(f"{kind}_noise")
             return (rows if noise is None else rows + noise,)

@@ -10,7 +10,7 @@ from torch import nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.modules.actor_critic_network import ActorCriticNetwork
-from isaacgymenvs_lite.learning.modules.discriminator_layers import (
+from isaacgymenvs_lite.learning.modules.discriminator import (
     DISC_LOGIT_INIT_SCALE,
     DiscriminatorLayers,
 )
@@ -100,5 +100,4 @@ class AMPBuilder(A2CBuilder):
 
     def build(self, name: str, **kwargs: Any) -> AMPBuilder.Network:
         """Build the network; rl_games calls this through the model."""
-        del name
         return AMPBuilder.Network(self.params, **kwargs)

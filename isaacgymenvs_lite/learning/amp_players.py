@@ -16,6 +16,7 @@ from isaacgymenvs_lite.learning.common_player import CommonPlayer
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     StyleDiscriminator,
+    StyleRewards,
     disc_obs_size,
 )
 from isaacgymenvs_lite.learning.published_names import ReadOnly
@@ -24,7 +25,7 @@ from isaacgymenvs_lite.learning.restoring import Parts
 log = logging.getLogger(__name__)
 
 
-class AMPPlayerContinuous(CommonPlayer):
+class AMPPlayerContinuous(StyleRewards, CommonPlayer):
     """The player of `amp_continuous` and `amp`.
 
     Keys beside CommonPlayer's: `print_disc_prediction` in `params.config` logs the discriminator's
@@ -62,9 +63,7 @@ class AMPPlayerContinuous(CommonPlayer):
 
     def _parts(self) -> Parts:
         parts = super()._parts()
-        if self.discriminator.normalizer is None:
-            return parts
-        own = {"amp_input_mean_std": self.discriminator.normalizer}
+        own = self.discriminator.checkpoint_modules
         return replace(parts, modules={**parts.modules, **own})
 
     def style_reward_function(self) -> Callable[[Tensor], Tensor] | None:
@@ -79,26 +78,6 @@ class AMPPlayerContinuous(CommonPlayer):
     def _disc_latents(self) -> tuple[Tensor, ...]:
         """Return the discriminator's inputs beside the current AMP observations (N, F)."""
         return ()
-
-    def _reward_latents(self) -> tuple[Tensor, ...]:
-        """Return the inputs of the rewards beside the current AMP observations (N, F)."""
-        return ()
-
-    def _calc_amp_rewards(self, amp_obs: Tensor) -> dict[str, Tensor]:
-        """Return {"disc_rewards": (..., 1)} of raw AMP observations (..., F)."""
-        return {"disc_rewards": self._calc_disc_rewards(amp_obs)}
-
-    def _calc_disc_rewards(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return style rewards (..., 1) of raw AMP observations (..., F)."""
-        return self.discriminator.reward_from_logits(self._eval_disc(amp_obs, *latents))
-
-    def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return logits (..., 1) of raw AMP observations (..., F)."""
-        return self.discriminator.logits(amp_obs, *latents)
-
-    def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
-        """Return the discriminator's inputs, normalised, for raw AMP observations (n, F)."""
-        return self.discriminator.normalize(amp_obs)
 
     def _post_step(self, info: dict[str, Any]) -> None:
         super()._post_step(info)

@@ -63,7 +63,7 @@ from isaacgymenvs_lite.env_interface import Env
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
@@ -185,7 +185,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
         replace_normalizers(self.model)
-        self.executor = attach_executor(self.model.a2c_network, self.ppo_device, mixed_precision)
+        self.executor = parallelize(self.model, self.ppo_device, mixed_precision)
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:

@@ -81,7 +81,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self._amp.clip_latents,
             self._amp.latent_dim,
             read=lambda amp_obs: self._eval_enc(amp_obs),
-            fetch=lambda n: self._amp_obs_demo_buffer.sample(n)["amp_obs"],
+            fetch=lambda n: self.discriminator.sample_demos(n)["amp_obs"],
             sample=lambda n: self._sample_latents(n),
         )
         self.schedule = make_schedule(
@@ -129,8 +129,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if not self._needs_pairs:
             super()._store_demos()
             return
-        pairs = self._truncate_amp_obs(self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size))
-        self._amp_obs_demo_buffer.store({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
+        pairs = self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size)
+        self.discriminator.store_demos({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
@@ -152,7 +152,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
             self.schedule.restart(env_ids)
             return
-        amp_obs = self._truncate_amp_obs(self._clips.amp_obs_of(env_ids))
+        amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
         self.schedule.restart(env_ids, self._clip_latents.for_starts(amp_obs))
 
     def _before_step(self) -> None:
@@ -253,7 +253,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(input_dict["amp_latents"]))
         if self._amp.encodes_clips:
-            demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
+            demos = self.discriminator.sample_demos(max(1, self._amp_minibatch_size // 2))
             pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
             # Rows are drawn at random, so that the next one is a random other one.
             others = pairs[:, :1].roll(1, dims=0)

@@ -1,4 +1,4 @@
-"""The GenAMP network: AMP's, whose actor and critic also hear a skill latent, and an encoder.
+"""The GenAMP network: AMP's with a skill latent as input of actor and critic, and an encoder.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
 Parameter names are ASE's, so that its checkpoints load.
@@ -95,9 +95,9 @@ class GenAMPBuilder(AMPBuilder):
             params: the section `network:`. `enc.separate` False lets the encoder share the
                 discriminator's layers (`enc.units` is ignored then). This project's are
                 `style.units`, layers over the latent, by default ASE's [512, 256]; `latent_scale`,
-                by default 1, how long the latents are that actor, critic and a conditional
-                discriminator hear; `disc.conditional`, by default False: the discriminator hears
-                the latent, too, and judges whether the motion is what it stands for (CALM, Tessler
+                by default 1, the length of the latents as inputs of actor, critic and a conditional
+                discriminator; `disc.conditional`, by default False: the latent is an input of the
+                discriminator, too, which learns whether the motion shows that skill (CALM, Tessler
                 et al. 2023, arXiv 2305.02195, section 4.2).
             kwargs: AMPBuilder's, and `amp_latent_shape` (or ASE's `ase_latent_shape`), (Z,).
 
@@ -106,7 +106,7 @@ class GenAMPBuilder(AMPBuilder):
                 conditional discriminator that shares layers with the encoder.
 
         Attributes:
-            disc_is_conditional: whether `eval_disc` wants latents.
+            disc_is_conditional: whether `eval_disc` takes latents.
         """
 
         row_functions = (*AMPBuilder.Network.row_functions, "eval_enc", "eval_enc_with_gradient")
@@ -117,7 +117,7 @@ class GenAMPBuilder(AMPBuilder):
             (obs_size,), (amp_obs_size,) = kwargs["input_shape"], kwargs["amp_input_shape"]
             if not params.get("separate", False):
                 raise ConfigError(
-                    "train.params.network.separate=False: the actor hears the latent as a style,"
+                    "train.params.network.separate=False: the actor gets the latent as a style,"
                     " the critic as it is, so that they share no layers; set it to True"
                 )
             # Before the discriminator is built; modules cannot be set here yet, numbers can.
@@ -176,8 +176,8 @@ class GenAMPBuilder(AMPBuilder):
             if self.disc_is_conditional:
                 if not self._enc_separate:
                     raise ConfigError(
-                        "train.params.network.disc.conditional=True: such a discriminator hears the"
-                        " latent, which the encoder must find out by itself, so that they share no"
+                        "train.params.network.disc.conditional=True: the latent is an input of the"
+                        " discriminator, and the encoder has to infer it, so that they share no"
                         " layers; set enc.separate=True"
                     )
                 input_shape = (input_shape[0] + self._latent_dim,)
@@ -251,8 +251,8 @@ class GenAMPBuilder(AMPBuilder):
                 amp_obs: (n, F), normalised.
                 latents: (n, Z) if the discriminator is conditional, else none.
             """
-            heard = (self._latent_scale * z for z in latents)
-            return super().eval_disc(torch.cat((amp_obs, *heard), dim=-1))
+            scaled = (self._latent_scale * z for z in latents)
+            return super().eval_disc(torch.cat((amp_obs, *scaled), dim=-1))
 
         def eval_enc(self, amp_obs: Tensor) -> Tensor:
             """Return the latents (n, Z), unit vectors, that normalised AMP observations suggest."""
@@ -285,7 +285,6 @@ class GenAMPBuilder(AMPBuilder):
 
     def build(self, name: str, **kwargs: Any) -> GenAMPBuilder.Network:
         """Build the network; rl_games calls this through the model."""
-        del name
         return GenAMPBuilder.Network(self.params, **kwargs)
 
 

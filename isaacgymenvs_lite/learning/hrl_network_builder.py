@@ -31,5 +31,4 @@ class HRLBuilder(A2CBuilder):
 
     def build(self, name: str, **kwargs: Any) -> HRLBuilder.Network:
         """Build the network; rl_games calls this through the model."""
-        del name
         return HRLBuilder.Network(self.params, **kwargs)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
-from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
@@ -20,7 +20,7 @@ from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
 
-    On a CPU a `NetworkExecutor` evaluates its networks, the asymmetric critic's too, as in
+    On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in
     CommonAgent; on a GPU it is rl_games' agent as it is.
 
     Args:
@@ -52,7 +52,7 @@ class PPOAgent(PPOSafeguards):
             models.append(self.central_value_net.model)
         for model in models:
             replace_normalizers(model)
-            attach_executor(model.a2c_network, device, precision)
+            parallelize(model, device, precision)
         if self.normalize_value:
             self.value_mean_std = models[-1].value_mean_std
 

@@ -46,6 +46,12 @@ class ReplayBuffer(PublishedNames):
         """Return the rows stored since the start or the last `reset`, overwritten ones included."""
         return self._total_count
 
+    @property
+    def rows(self) -> dict[str, Tensor]:
+        """All stored rows, {name: (n, ...)}, in no particular order; do not change them."""
+        n = min(self._total_count, self._buffer_size)
+        return {name: ring[:n] for name, ring in self._data_buf.items()}
+
     def store(self, data: dict[str, Tensor]) -> None:
         """Append rows; the oldest are overwritten. Of more rows than fit the last ones stay.
 

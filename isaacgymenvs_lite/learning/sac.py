@@ -9,10 +9,10 @@ import torch
 from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
-from torch import Tensor, nn
+from torch import Tensor
 
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
-from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 
@@ -83,9 +83,9 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         if bfloat16 and on_cpu:
             network = self.model.sac_network
             for critic in (network.critic, network.critic_target):
-                compute_hidden_layers_in_bfloat16(critic.Q1)
-                compute_hidden_layers_in_bfloat16(critic.Q2)
-            compute_hidden_layers_in_bfloat16(network.actor.trunk)
+                critic.Q1 = BFloat16HiddenLayers(*critic.Q1)
+                critic.Q2 = BFloat16HiddenLayers(*critic.Q2)
+            network.actor.trunk = BFloat16HiddenLayers(*network.actor.trunk)
 
     @property
     def curr_frames(self) -> int:
@@ -183,22 +183,6 @@ def _played_parts(model: Any) -> Parts:
     if model.normalize_input:
         modules["running_mean_std"] = model.running_mean_std
     return Parts(modules, optional=frozenset({"running_mean_std"}))
-
-
-def compute_hidden_layers_in_bfloat16(network: nn.Sequential) -> None:
-    """Run all layers but the last under autocast to bfloat16, on a CPU; changes the network.
-
-    Parameters, their gradients and the outputs stay float32.
-    """
-    *hidden, last = network
-
-    def forward(inputs: Tensor) -> Tensor:
-        with torch.autocast("cpu", torch.bfloat16):
-            for layer in hidden:
-                inputs = layer(inputs)
-        return last(inputs.float())
-
-    network.forward = forward  # type: ignore[method-assign]
 
 
 class SACPlayer(EpisodePlayer, RestoringPlayer, RLGamesSACPlayer):

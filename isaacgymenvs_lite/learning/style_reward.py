@@ -4,13 +4,12 @@
     rewards = style.total(rewards, infos["amp_obs"])    # in each step
     style.update()                                      # after each rollout
 
-The discriminator is the AMP agent's (`discriminator.StyleDiscriminator`); what differs is that it
-has a network and an optimiser of its own.
+The discriminator is trained as the AMP agent's (`discriminator.DiscriminatorTrainer`), with a
+network and an optimiser of its own.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,11 +21,11 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    StyleDiscriminator,
+    DiscriminatorTrainer,
+    StyleNetwork,
     disc_obs_size,
+    eval_discriminator,
 )
-from isaacgymenvs_lite.learning.modules.discriminator_layers import StyleNetwork
-from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 
 _LEARNING_RATE = 5e-5
 
@@ -55,7 +54,7 @@ class StyleReward:
         device: where it learns.
 
     Attributes:
-        discriminator: normaliser, loss and reward.
+        discriminator: buffers, normaliser, loss and reward.
         network: the layers; with the normaliser all there is to save.
 
     Raises:
@@ -74,84 +73,81 @@ class StyleReward:
                 f"StyleReward: {type(task).__name__} has no reference motions; expected a task such"
                 " as HumanoidAMP"
             )
-        self._task, self._params, self._device = task, params, torch.device(device)
-        self._size = disc_obs_size(AMPObsShape.from_task(task), params)
-        self.network = StyleNetwork(self._size, units).to(device)
-        self.discriminator = StyleDiscriminator(
-            self.network, self._size, params, "logistic", device
-        )
+        self._task, self._params = task, params
+        size = disc_obs_size(AMPObsShape.from_task(task), params)
+        self.network = StyleNetwork(size, units).to(device)
+        self.discriminator = DiscriminatorTrainer(self.network, size, params, "logistic", device)
         rate = params.disc_learning_rate or _LEARNING_RATE
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=rate)
-        self._replay = ReplayBuffer(params.amp_replay_buffer_size, device)
-        self._demos = ReplayBuffer(params.amp_obs_demo_buffer_size, device)
-        for _ in range(math.ceil(params.amp_obs_demo_buffer_size / params.amp_batch_size)):
-            self._store_demos()
+        self.discriminator.make_buffers()
+        self.discriminator.fill_demo_buffer(self._store_demos)
         self._rollout: list[Tensor] = []
 
     def total(self, task_rewards: Tensor, amp_obs: Tensor) -> Tensor:
-        """Return task_reward_w * task + disc_reward_w * style (N,), and remember the motion.
+        """Return task_reward_w * task + disc_reward_w * style (N,), and keep the motion to learn.
 
         Args:
             task_rewards: (N,).
             amp_obs: (N, F), `infos["amp_obs"]` of the same step.
         """
-        seen = amp_obs[..., : self._size].to(self._device)
-        self._rollout.append(seen)
-        style = self.discriminator.reward(seen).squeeze(-1).to(task_rewards.device)
-        return self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style
+        amp_obs = self.discriminator.truncate(amp_obs)
+        self._rollout.append(amp_obs)
+        style = self.discriminator.reward(amp_obs).squeeze(-1).to(task_rewards.device)
+        return self.discriminator.total_reward(task_rewards, style)
 
     def update(self, epochs: int = 1) -> dict[str, float]:
-        """Learn to tell the motion since the last update from the clips'.
+        """Train the discriminator on the motion since the last update.
 
         Args:
             epochs: how often each row of that motion is seen.
 
         Returns:
-            means of what `StyleDiscriminator.loss` tells: `disc_agent_acc`, `disc_demo_acc`, ...;
-            nothing if nothing was rewarded.
+            means of what `DiscriminatorTrainer.loss` returns: `disc_agent_acc`, `disc_demo_acc`,
+            ...; nothing if nothing was rewarded.
         """
         if not self._rollout:
             return {}
         fakes = torch.cat(self._rollout)
         self._rollout = []
         self._store_demos()
-        told: list[dict[str, Tensor]] = []
+        infos: list[dict[str, Tensor]] = []
         size = min(self._params.amp_minibatch_size, len(fakes))
         for _ in range(epochs):
             order = torch.randperm(len(fakes), device=fakes.device)
             # Rows that fill no minibatch wait for another order.
             for rows in order[: len(fakes) // size * size].split(size):
-                told.append(self._learn(fakes[rows]))
-        self._replay.store_some({"amp_obs": fakes}, self._params.amp_replay_keep_prob)
-        return {name: _mean([one[name] for one in told]) for name in told[0]}
+                infos.append(self._learn(fakes[rows]))
+        self.discriminator.store_replay({"amp_obs": fakes})
+        return {name: _mean([info[name] for info in infos]) for name in infos[0]}
 
     def _learn(self, fakes: Tensor) -> dict[str, Tensor]:
         """Make a gradient step with fakes (n, F), as many replayed ones and demonstrations."""
-        replayed = fakes
-        if self._replay.get_total_count() > 0:
-            replayed = self._replay.sample(len(fakes))["amp_obs"]
-        demos = self._demos.sample(len(fakes))["amp_obs"]
-        kinds = (fakes, replayed, demos)
-        inputs = [self._with_noise(self.discriminator.normalize(rows)) for rows in kinds]
-        demo_logit, demo_gradient = self.network.eval_disc_with_gradient(inputs[2])
-        info = self.discriminator.loss(
-            self.network.eval_disc(torch.cat(inputs[:2])), demo_logit, inputs[2], demo_gradient
+        trainer = self.discriminator
+        replayed = trainer.sample_replay({"amp_obs": fakes})["amp_obs"]
+        kinds = (fakes, replayed, trainer.sample_demos(len(fakes))["amp_obs"])
+        agent, replay, demo = (self._inputs(rows) for rows in kinds)
+        outputs = eval_discriminator(self.network, (agent,), (replay,), (demo,))
+        info = trainer.loss(
+            torch.cat((outputs["disc_agent_logit"], outputs["disc_agent_replay_logit"])),
+            outputs["disc_demo_logit"],
+            demo,
+            outputs["disc_demo_gradient"],
         )
         self._optimizer.zero_grad()
         info["disc_loss"].backward()
         self._optimizer.step()
         # After the step: a first minibatch is normalised as it was when it was rewarded.
-        self.discriminator.normalize(torch.cat(kinds), update=True)
+        trainer.update_normalizer(torch.cat(kinds))
         return {name: value.detach() for name, value in info.items()}
 
-    def _with_noise(self, inputs: Tensor) -> Tensor:
-        if self._params.disc_input_noise == 0.0:
-            return inputs
-        return inputs + self._params.disc_input_noise * torch.randn_like(inputs)
+    def _inputs(self, amp_obs: Tensor) -> Tensor:
+        inputs = self.discriminator.normalize(amp_obs)
+        noise = self.discriminator.sample_noise(inputs)
+        return inputs if noise is None else inputs + noise
 
     def _store_demos(self) -> None:
         demos = self._task.fetch_amp_obs_demo(self._params.amp_batch_size)
-        self._demos.store({"amp_obs": demos[..., : self._size].to(self._device)})
+        self.discriminator.store_demos({"amp_obs": demos})
 
 
 def _mean(values: Sequence[Tensor]) -> float:

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
+from isaacgymenvs_lite.learning.cpu.parallel import ParallelNetwork
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from tests.learning.test_amp_network_builder import NETWORK as AMP_NETWORK
 
@@ -206,17 +206,16 @@ def test_several_threads_give_the_same(small):
     obs, latents = random(512, 5), unit(512, 4, seed=2)
     amp_obs = random(512, 11, seed=3)
 
-    def outputs() -> list[torch.Tensor]:
+    def outputs(network: Any) -> list[torch.Tensor]:
         return [
-            *small({"obs": obs, "amp_latents": latents})[:3],
-            small.eval_actor(obs, latents, use_hidden_latents=True)[0],
-            small.eval_critic(obs, ase_latents=latents),
-            *small.eval_enc_with_gradient(amp_obs, latents),
+            *network({"obs": obs, "amp_latents": latents})[:3],
+            network.eval_actor(obs, latents, use_hidden_latents=True)[0],
+            network.eval_critic(obs, ase_latents=latents),
+            *network.eval_enc_with_gradient(amp_obs, latents),
         ]
 
-    expected = outputs()
-    NetworkExecutor("cpu", num_threads=2).attach(small)
-    for own, other in zip(outputs(), expected, strict=True):
+    parallel = ParallelNetwork(small, "cpu", num_threads=2)
+    for own, other in zip(outputs(parallel), outputs(small), strict=True):
         torch.testing.assert_close(own, other, rtol=1e-5, atol=1e-6)
 
 

@@ -185,8 +185,23 @@ def test_every_override_of_the_buffers_is_called():
         assert all(hasattr(built, name) for name in same_attributes(type(built)))
 
 
+def test_buffers_of_ones_own_are_filled_and_sampled(make_own):
+    class Mine(AMPAgent):
+        def _build_amp_buffers(self) -> None:
+            super()._build_amp_buffers()
+            self._amp_obs_demo_buffer = ReplayBuffer(40, "cpu")
+            self._amp_replay_buffer = ReplayBuffer(50, "cpu")
+
+    agent = make_own(Mine)
+    agent.train()
+    agent.writer.close()
+    for buffer, size in ((agent._amp_obs_demo_buffer, 40), (agent._amp_replay_buffer, 50)):
+        assert buffer.get_buffer_size() == size
+        assert buffer.get_total_count() > 0
+
+
 def test_a_network_s_own_actor_and_critic_count_everywhere(make_agent):
-    network = make_agent().model.a2c_network
+    network = make_agent().model.a2c_network.serial
     obs = torch.randn(6, 105)
     plain = network.forward({"obs": obs})
 
@@ -198,7 +213,6 @@ def test_a_network_s_own_actor_and_critic_count_everywhere(make_agent):
             mu, sigma = super().eval_actor(obs)
             return mu + 2.0, sigma
 
-    del network.forward, network.eval_actor, network.eval_critic  # the executor's
     network.__class__ = Own
     mu, sigma, value, state = network.forward({"obs": obs})
     torch.testing.assert_close(mu, plain[0] + 2.0)

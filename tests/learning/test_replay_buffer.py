@@ -15,9 +15,8 @@ def rows(*numbers: int) -> dict[str, torch.Tensor]:
 
 
 def content(buffer: ReplayBuffer) -> list[int]:
-    """Sorted rows of a full buffer, from a pass that begins anew."""
-    buffer._reset_sample_idx()
-    return sorted(int(n) for n in buffer.sample(buffer.get_buffer_size())["x"][:, 0])
+    """The numbers of the stored rows, sorted."""
+    return sorted(int(n) for n in buffer.rows["x"][:, 0])
 
 
 def test_the_oldest_rows_are_overwritten():
@@ -37,7 +36,7 @@ def test_of_more_rows_than_fit_the_last_stay():
     buffer.store(rows(*range(11)))
     assert content(buffer) == [7, 8, 9, 10]
     assert buffer.get_total_count() == 12
-    # the head stands behind the newest row: the next two overwrite 7 and 8
+    # the next two rows overwrite the oldest, 7 and 8
     buffer.store(rows(11, 12))
     assert content(buffer) == [9, 10, 11, 12]
 

@@ -1,4 +1,4 @@
-"""How networks are evaluated: their precision and, on CPUs, one slice of rows per thread.
+"""Evaluates networks in a chosen precision and, on CPUs, one slice of the rows per thread.
 
 torch's own threads split every operation of a network and meet after each, some hundred times in
 a gradient step. Here each thread takes a slice of the rows through the whole network and, in the
@@ -10,6 +10,8 @@ physics needs.
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,27 +21,142 @@ import torch
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
-from isaacgymenvs_lite.learning.cpu.row_slices import (
-    join,
-    split_proportionally,
-    split_rows,
-    sum_of_slices,
-)
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 # Fewer rows than this are not worth another thread.
 _MIN_ROWS = 128
+# Rows that are evaluated at once without gradients: their activations fit into the cache.
+_CHUNK_ROWS = 8192
 # Layers whose rows depend on each other, or that draw random numbers.
 _UNSLICED_LAYERS = (nn.RNNBase, nn.Dropout, nn.modules.batchnorm._BatchNorm)
+# Where a module keeps its parameters, buffers and layers.
+_MODULE_STATE = ("_parameters", "_buffers", "_modules", "_non_persistent_buffers_set")
 
 RowFunction = Callable[..., tuple[Tensor, ...]]
-"""Tensors of n rows -> tensors of n rows, each row for itself."""
+"""Tensors of n rows -> tensors of n rows; rows are independent of each other."""
 LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
 """{name: rows} -> a loss, the mean over these rows, and values: such means, or tensors of rows."""
 
 
+def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) -> NetworkExecutor:
+    """Put a `ParallelNetwork` with as many threads as torch has into an rl_games model.
+
+    Args:
+        model: its `a2c_network` is replaced.
+        device: where the model is.
+        mixed_precision: the key `train.params.config.mixed_precision`.
+
+    Returns:
+        what evaluates the network.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
+    """
+    bfloat16 = resolve_mixed_precision(mixed_precision, device)
+    network = ParallelNetwork(model.a2c_network, device, bfloat16, torch.get_num_threads())
+    model.a2c_network = network
+    return network.executor
+
+
+class ParallelNetwork(nn.Module):
+    """An rl_games network that several threads compute, each of them a slice of the rows.
+
+    It takes the network's place in a model. Calls (a dictionary of rows in, a tuple of rows and
+    the recurrent state out) and the methods that the network lists in `row_functions` are computed
+    in slices; all other attributes are the network's own. Parameters, buffers and layers are
+    shared under the same names, so that checkpoints do not change.
+
+    Args:
+        network: to evaluate. With layers that mix rows (`_UNSLICED_LAYERS`) nothing is sliced.
+        device: where it is. Off the CPU nothing is sliced.
+        bfloat16: compute under autocast to bfloat16; results are float32 in any case.
+        num_threads: on a CPU; at least 1.
+
+    Attributes:
+        serial: the network itself, computed by the calling thread in the parameters' precision.
+        executor: evaluates it; agents differentiate their whole loss with it.
+    """
+
+    serial: nn.Module
+    executor: NetworkExecutor
+
+    def __init__(
+        self,
+        network: nn.Module,
+        device: str | torch.device,
+        bfloat16: bool = False,
+        num_threads: int = 1,
+    ) -> None:
+        super().__init__()
+        layers = list(network.modules())
+        if any(isinstance(layer, _UNSLICED_LAYERS) for layer in layers):
+            num_threads = 1
+        del vars(self)["training"]  # it is the network's
+        vars(self).update(
+            {name: vars(network)[name] for name in _MODULE_STATE},
+            serial=network,
+            executor=NetworkExecutor(device, bfloat16, num_threads),
+            _is_recurrent=any(isinstance(layer, nn.RNNBase) for layer in layers),
+        )
+
+    def forward(self, inputs: dict[str, Any]) -> tuple[Any, ...]:
+        """Return what the network returns; tensors with as many rows as `obs` are sliced."""
+        if self._is_recurrent or not isinstance(inputs["obs"], Tensor):
+            return self.executor.evaluate(self.serial, inputs)
+        num_rows = len(inputs["obs"])
+        names = [
+            name
+            for name, value in inputs.items()
+            if isinstance(value, Tensor) and value.ndim > 0 and len(value) == num_rows
+        ]
+        others = {name: value for name, value in inputs.items() if name not in names}
+
+        def function(*rows: Tensor) -> tuple[Tensor, ...]:
+            *outputs, _no_state = self.serial({**others, **dict(zip(names, rows, strict=True))})
+            return tuple(outputs)
+
+        return (*self.executor.run(self, function, *(inputs[name] for name in names)), None)
+
+    def __getattr__(self, name: str) -> Any:
+        # The second: while it is copied.
+        if name.startswith("__") or "serial" not in vars(self):
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        value = getattr(self.serial, name)
+        if name not in getattr(self.serial, "row_functions", ()):
+            return value
+        return functools.wraps(value)(functools.partial(self._call_row_function, value))
+
+    def _call_row_function(self, method: Callable[..., Any], *rows: Tensor, **named: Any) -> Any:
+        names = [name for name, value in named.items() if isinstance(value, Tensor)]
+        others = {name: value for name, value in named.items() if name not in names}
+        several = True
+
+        def function(*part: Tensor) -> tuple[Tensor, ...]:
+            nonlocal several
+            named_part = dict(zip(names, part[len(rows) :], strict=True))
+            result = method(*part[: len(rows)], **named_part, **others)
+            several = not isinstance(result, Tensor)
+            return tuple(result) if several else (result,)
+
+        outputs = self.executor.run(self, function, *rows, *(named[name] for name in names))
+        return outputs if several else outputs[0]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.serial, name, value)
+
+    def train(self, mode: bool = True) -> ParallelNetwork:
+        """Set the network's mode; `training` is the network's own."""
+        self.serial.train(mode)
+        return self
+
+
+def serial_network(network: nn.Module) -> Any:
+    """Return a network that other runtimes can trace: without threads and autocast."""
+    return network.serial if isinstance(network, ParallelNetwork) else network
+
+
 class NetworkExecutor:
-    """Evaluates networks in a chosen precision and, on a CPU, slice by slice on several threads.
+    """Evaluates functions of rows in a chosen precision, on a CPU by slices on several threads.
 
     Results do not depend on which thread is the faster one; a different number of threads changes
     the sums of gradients in the last bits.
@@ -59,63 +176,9 @@ class NetworkExecutor:
         self._others: ThreadPoolExecutor | None = None
         self._within = threading.local()
 
-    def attach(self, network: nn.Module) -> None:
-        """Let `network` be evaluated by this executor whoever calls it.
-
-        Covers `forward` of rl_games' networks (a dictionary of rows in, a tuple of rows and the
-        recurrent state out) and the methods that the network names in `row_functions`. With layers
-        that mix rows nothing is sliced from here on; the precision stays.
-        """
-        if any(isinstance(layer, _UNSLICED_LAYERS) for layer in network.modules()):
-            self.num_threads = 1
-        recurrent = any(isinstance(layer, nn.RNNBase) for layer in network.modules())
-        whole = network.forward
-
-        @functools.wraps(whole)
-        def forward(inputs: dict[str, Any]) -> tuple[Any, ...]:
-            if recurrent or not isinstance(inputs["obs"], Tensor):
-                return self._whole(whole, inputs)
-            return self._forward_rows(network, whole, inputs)
-
-        network.forward = forward  # type: ignore[method-assign]
-        for name in getattr(network, "row_functions", ()):
-            setattr(network, name, self._row_method(network, getattr(network, name)))
-
-    def _forward_rows(
-        self, network: nn.Module, forward: Callable[..., Any], inputs: dict[str, Any]
-    ) -> tuple[Any, ...]:
-        num_rows = len(inputs["obs"])
-        names = [
-            name
-            for name, value in inputs.items()
-            if isinstance(value, Tensor) and value.ndim > 0 and len(value) == num_rows
-        ]
-        others = {name: value for name, value in inputs.items() if name not in names}
-
-        def function(*rows: Tensor) -> tuple[Tensor, ...]:
-            *outputs, _no_state = forward({**others, **dict(zip(names, rows, strict=True))})
-            return tuple(outputs)
-
-        return (*self.run(network, function, *(inputs[name] for name in names)), None)
-
-    def _row_method(self, network: nn.Module, method: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(method)
-        def sliced(*rows: Tensor, **named: Any) -> Any:
-            names = [name for name, value in named.items() if isinstance(value, Tensor)]
-            others = {name: value for name, value in named.items() if name not in names}
-            several = True
-
-            def function(*part: Tensor) -> tuple[Tensor, ...]:
-                nonlocal several
-                named_part = dict(zip(names, part[len(rows) :], strict=True))
-                result = method(*part[: len(rows)], **named_part, **others)
-                several = not isinstance(result, Tensor)
-                return tuple(result) if several else (result,)
-
-            outputs = self.run(network, function, *rows, *(named[name] for name in names))
-            return outputs if several else outputs[0]
-
-        return sliced
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy has threads of its own, and a file none."""
+        return NetworkExecutor, (self._device_type, self.bfloat16, self.num_threads)
 
     def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> tuple[Tensor, ...]:
         """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
@@ -125,7 +188,7 @@ class NetworkExecutor:
             function: see `RowFunction`; several threads call it at the same time.
             rows: (n, ...) each.
         """
-        evaluate = functools.partial(self._whole, function)
+        evaluate = functools.partial(self.evaluate, function)
         slices = self._num_slices(len(rows[0]))
         if slices == 1 or getattr(self._within, "slice", False):
             return evaluate(*rows)
@@ -133,28 +196,24 @@ class NetworkExecutor:
             parts = self.map(evaluate, split_rows(rows, slices))
             return tuple(torch.cat(column) for column in zip(*parts, strict=True))
         parameters = [p for p in module.parameters() if p.requires_grad]
-        outputs = _Sliced.apply(self, evaluate, slices, len(rows), *rows, *parameters)
+        outputs = _SlicedFunction.apply(self, evaluate, slices, len(rows), *rows, *parameters)
         return tuple(outputs)  # type: ignore[arg-type]
 
-    def _whole(self, function: Callable[..., tuple[Any, ...]], *arguments: Any) -> tuple[Any, ...]:
-        with self.autocast():
+    def evaluate(
+        self, function: Callable[..., tuple[Any, ...]], *arguments: Any
+    ) -> tuple[Any, ...]:
+        """Return `function(*arguments)`, all tensors in float32, on the calling thread."""
+        with torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16):
             outputs = function(*arguments)
         return tuple(_as_float32(output) for output in outputs)
-
-    def autocast(self) -> torch.autocast:
-        """Return the context in which networks compute."""
-        return torch.autocast(self._device_type, torch.bfloat16, enabled=self.bfloat16)
-
-    def _num_slices(self, num_rows: int) -> int:
-        return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
 
     def gradients(
         self, function: LossFunction, rows: dict[str, Tensor], parameters: list[nn.Parameter]
     ) -> tuple[list[Tensor | None], dict[str, Tensor]]:
         """Differentiate a loss that is a mean over rows, from its rows to its gradients by slices.
 
-        Threads meet once, where a loss of the outputs of `run` makes them meet behind each network,
-        and the loss itself is shared between them too.
+        The threads meet once. A loss of the outputs of `run` makes them meet after each network,
+        and one thread computes that loss.
 
         Args:
             function: see `LossFunction`; several threads call it at the same time.
@@ -177,8 +236,8 @@ class NetworkExecutor:
         parts, shares = split_proportionally(rows, self._num_slices(most))
         results = self.map(differentiate, list(zip(parts, shares, strict=True)))
         found, values = zip(*results, strict=True)
-        together = {name: join([v[name] for v in values], shares) for name in values[0]}
-        return [sum_of_slices(column) for column in zip(*found, strict=True)], together
+        merged = {name: merge_results([v[name] for v in values], shares) for name in values[0]}
+        return [sum_gradients(column) for column in zip(*found, strict=True)], merged
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
         """Return [function(*a) for a in arguments], the calls spread over the threads."""
@@ -201,6 +260,9 @@ class NetworkExecutor:
         columns += [future.result() for future in futures]
         return [columns[i % busy][i // busy] for i in range(len(arguments))]
 
+    def _num_slices(self, num_rows: int) -> int:
+        return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
+
     def _pool(self) -> ThreadPoolExecutor:
         """The threads beside the caller's own, made when first needed."""
         if self._others is None:
@@ -212,25 +274,6 @@ class NetworkExecutor:
         return self._others
 
 
-def attach_executor(
-    network: nn.Module, device: str | torch.device, mixed_precision: Any
-) -> NetworkExecutor:
-    """Let a network be evaluated in the precision asked for, by as many threads as torch has.
-
-    Args:
-        network: an rl_games network (`model.a2c_network`).
-        device: where it is.
-        mixed_precision: the key `train.params.config.mixed_precision`.
-
-    Raises:
-        ConfigError: mixed_precision is none of True, False, "auto".
-    """
-    bfloat16 = resolve_mixed_precision(mixed_precision, device)
-    executor = NetworkExecutor(device, bfloat16, torch.get_num_threads())
-    executor.attach(network)
-    return executor
-
-
 def _as_float32(output: Any) -> Any:
     """Return an output of a network, or the tuple of its recurrent states, in float32."""
     if isinstance(output, tuple):
@@ -238,7 +281,7 @@ def _as_float32(output: Any) -> Any:
     return output.float() if isinstance(output, Tensor) else output
 
 
-class _Sliced(torch.autograd.Function):
+class _SlicedFunction(torch.autograd.Function):
     """A function of rows and parameters whose slices are differentiated on several threads."""
 
     @staticmethod
@@ -251,9 +294,11 @@ class _Sliced(torch.autograd.Function):
         *tensors: Tensor,
     ) -> tuple[Tensor, ...]:
         rows = tensors[:num_inputs]
-        wanted = ctx.needs_input_grad[4 : 4 + num_inputs]
+        needs_grad = ctx.needs_input_grad[4 : 4 + num_inputs]
         inputs = [
-            tuple(part.detach().requires_grad_(w) for part, w in zip(parts, wanted, strict=True))
+            tuple(
+                part.detach().requires_grad_(w) for part, w in zip(parts, needs_grad, strict=True)
+            )
             for parts in split_rows(rows, slices)
         ]
         with torch.enable_grad():
@@ -263,7 +308,7 @@ class _Sliced(torch.autograd.Function):
         # What depends on no parameter (the spread of a fixed sigma) must not seem to.
         constant = [r for r, c in zip(results, columns, strict=True) if not c[0].requires_grad]
         ctx.mark_non_differentiable(*constant)
-        ctx.executor, ctx.wanted, ctx.parameters = executor, wanted, tensors[num_inputs:]
+        ctx.executor, ctx.needs_grad, ctx.parameters = executor, needs_grad, tensors[num_inputs:]
         ctx.slices = list(zip(inputs, outputs, strict=True))
         return results
 
@@ -286,7 +331,69 @@ class _Sliced(torch.autograd.Function):
         found = ctx.executor.map(differentiate, arguments)
         ctx.slices = None  # frees the graphs
         columns = list(zip(*found, strict=True))
-        num_row_grads = sum(ctx.wanted)
-        row_grads = iter(columns[:num_row_grads])
-        of_rows = [torch.cat(next(row_grads)) if wanted else None for wanted in ctx.wanted]
-        return (None, None, None, None, *of_rows, *map(sum_of_slices, columns[num_row_grads:]))
+        num_row_grads = sum(ctx.needs_grad)
+        columns_of_rows = iter(columns[:num_row_grads])
+        row_grads = [torch.cat(next(columns_of_rows)) if w else None for w in ctx.needs_grad]
+        return (None, None, None, None, *row_grads, *map(sum_gradients, columns[num_row_grads:]))
+
+
+# --- slices of rows --------------------------------------------------------------------------
+
+
+def evaluate_in_chunks(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
+    """Return float32 function(*rows), (..., D), of rows (..., F) each, without gradients.
+
+    Not all rows at once, so that activations stay in the cache.
+
+    Args:
+        function: (n, F) of each -> (n, D); rows are independent of each other.
+        rows: of any number of leading dimensions, the same ones.
+    """
+    with torch.no_grad():
+        columns = [x.reshape(-1, x.shape[-1]).split(_CHUNK_ROWS) for x in rows]
+        results = torch.cat([function(*chunk).float() for chunk in zip(*columns, strict=True)])
+    return results.view(*rows[0].shape[:-1], -1)
+
+
+def split_rows(rows: tuple[Tensor, ...], slices: int) -> list[tuple[Tensor, ...]]:
+    """Return `slices` tuples of consecutive parts of all tensors."""
+    return list(zip(*(torch.tensor_split(tensor, slices) for tensor in rows), strict=True))
+
+
+def split_proportionally(
+    rows: dict[str, Tensor], slices: int
+) -> tuple[list[dict[str, Tensor]], list[float]]:
+    """Split tensors of different lengths so that each slice has the same share of all of them.
+
+    Means over the slices, weighted by the shares, are then means over all rows of each tensor.
+
+    Args:
+        rows: {name: (n, ...)}, not empty.
+        slices: at most so many; there are fewer if the lengths have no common divisor that large.
+
+    Returns:
+        The slices, consecutive rows, and their shares, which add up to 1.
+    """
+    unit = math.gcd(*(len(tensor) for tensor in rows.values()))
+    slices = max(1, min(slices, unit))
+    ends = [unit * i // slices for i in range(slices + 1)]
+    parts = [
+        {name: t[len(t) // unit * first : len(t) // unit * end] for name, t in rows.items()}
+        for first, end in itertools.pairwise(ends)
+    ]
+    return parts, [(end - first) / unit for first, end in itertools.pairwise(ends)]
+
+
+def merge_results(values: list[Tensor], shares: list[float]) -> Tensor:
+    """Return all rows of the slices' rows, or the mean of their numbers weighted by the shares."""
+    if values[0].ndim > 0:
+        return torch.cat(values)
+    return torch.stack([v * share for v, share in zip(values, shares, strict=True)]).sum()
+
+
+def sum_gradients(grads: tuple[Tensor | None, ...]) -> Tensor | None:
+    """Return the sum of a parameter's gradients in the order of the slices; None counts as 0."""
+    total = grads[0]
+    for grad in grads[1:]:
+        total = grad if total is None else total if grad is None else total + grad
+    return total

@@ -1,4 +1,4 @@
-"""Where networks compute in bfloat16: autocast chosen by a key or by a short measurement.
+"""Chooses the precision of networks: bfloat16 by a key or by a short measurement.
 
 rl_games writes its autocast for CUDA only, so that `mixed_precision: True` did nothing on a CPU.
 Here it means bfloat16 on either device; `auto` measures on the CPU, because bfloat16 is several
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.utils.threads import one_torch_thread
@@ -52,6 +53,21 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
         "bfloat16" if chosen else "float32",
     )
     return chosen
+
+
+class BFloat16HiddenLayers(nn.Sequential):
+    """Layers of which all but the last compute under autocast to bfloat16, on a CPU.
+
+    Parameters, their gradients and the outputs stay float32.
+    """
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Return the outputs (n, ...) of rows (n, ...)."""
+        *hidden, last = self
+        with torch.autocast("cpu", torch.bfloat16):
+            for layer in hidden:
+                inputs = layer(inputs)
+        return last(inputs.float())
 
 
 def measure_bfloat16_speedup() -> float:

@@ -24,7 +24,7 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     """
 
     row_functions: tuple[str, ...] = ("eval_actor", "eval_critic")
-    """Methods whose rows are independent; see `NetworkExecutor.attach`."""
+    """Methods whose rows are independent; see `ParallelNetwork`."""
 
     def __init__(self, params: dict[str, Any], **kwargs: Any) -> None:
         for section in ("rnn", "cnn"):

@@ -1,7 +1,7 @@
-"""The skill encoder: how well a motion tells which latent made it, as reward and as loss.
+"""The skill encoder: rewards and learns to recognise the latent in the motion.
 
 Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXiv 2205.01906).
-The network itself stays inside the actor-critic network, as the discriminator's.
+The layers are part of the actor-critic network, as the discriminator's.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
-from isaacgymenvs_lite.learning.cpu.row_slices import evaluate_in_chunks
+from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
 
 class EncoderNetwork(Protocol):
-    """What this module needs of a network (GenAMPBuilder's has it)."""
+    """What `SkillEncoder` needs of a network; `GenAMPBuilder.Network` has it."""
 
     def eval_enc(self, amp_obs: Tensor) -> Tensor:
         """Return unit vectors (n, Z) for normalised AMP observations (n, F)."""
@@ -29,7 +29,7 @@ class EncoderNetwork(Protocol):
 
 
 class SkillEncoder:
-    """Judges which latent the policy acted under.
+    """Reads in AMP observations which latent the policy acted under.
 
     Args:
         network: holds the encoder's layers.
@@ -54,10 +54,10 @@ class SkillEncoder:
             amp_obs: x, (..., F), raw.
             latents: z, (..., Z), those that the policy acted under.
         """
-        return self.reward_of(self.read(amp_obs), latents)
+        return self.reward_from_latents(self.read(amp_obs), latents)
 
-    def reward_of(self, found: Tensor, latents: Tensor) -> Tensor:
-        """As `reward`, of the latents (..., Z) that were read."""
+    def reward_from_latents(self, found: Tensor, latents: Tensor) -> Tensor:
+        """Return `reward` for the latents (..., Z) that `read` found."""
         agreement = (found * latents).sum(dim=-1, keepdim=True)
         return agreement.clamp(min=0.0) * self._params.enc_reward_scale
 
@@ -70,7 +70,7 @@ class SkillEncoder:
     def loss(
         self, found: Tensor, latents: Tensor, gradient: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Return the encoder's loss and what is worth logging.
+        """Return the encoder's loss and values to log.
 
         mean of -q . z, weight decay and, with `gradient`, the gradient penalty.
 
@@ -94,9 +94,9 @@ class SkillEncoder:
 
 
 class SkillRewards:
-    """The rewards of a skill: of the discriminator and of the encoder, for agents and players.
+    """The published reward methods of GenAMP agents and players, as a mixin of both.
 
-    Comes before AMP's class, whose rewards it extends.
+    It comes before AMP's class, whose rewards it extends.
     """
 
     model: Any
@@ -127,7 +127,7 @@ class SkillRewards:
 
     def _calc_enc_rewards(self, amp_obs: Tensor, ase_latents: Tensor) -> Tensor:
         """Return encoder rewards (..., 1); see `SkillEncoder.reward`."""
-        return self.encoder.reward_of(self._eval_enc(amp_obs), ase_latents)
+        return self.encoder.reward_from_latents(self._eval_enc(amp_obs), ase_latents)
 
     def _eval_enc(self, amp_obs: Tensor) -> Tensor:
         """Return the latents (..., Z) that raw AMP observations (..., F) suggest."""

@@ -25,7 +25,7 @@ from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.env_interface import HierarchyEnv
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_agent_params
-from isaacgymenvs_lite.learning.cpu.parallel import attach_executor
+from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
 from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
@@ -114,6 +114,9 @@ class LowLevelPolicy:
         self._disc_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = self._build_model(network, train_params["config"])
+        # In the precision that it was trained in.
+        precision = train_params["config"].get("mixed_precision", False)
+        parallelize(self.model, self._device, precision)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self._disc_obs_size,
@@ -126,9 +129,6 @@ class LowLevelPolicy:
         )
         self._load(state, llc_checkpoint, llc_config)
         self.reference = make_reference(llc_checkpoint, self.model.state_dict())
-        # In the precision of its training.
-        precision = train_params["config"].get("mixed_precision", False)
-        attach_executor(self.model.a2c_network, self._device, precision)
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
@@ -152,9 +152,7 @@ class LowLevelPolicy:
 
     def _load(self, state: dict[str, Any], checkpoint: str, llc_config: str) -> None:
         self._check_sizes(state["model"], checkpoint, llc_config)
-        modules: dict[str, Any] = {"model": self.model}
-        if self.discriminator.normalizer is not None:
-            modules["amp_input_mean_std"] = self.discriminator.normalizer
+        modules: dict[str, Any] = {"model": self.model, **self.discriminator.checkpoint_modules}
         fitting = Fitting(
             f"llc_checkpoint={checkpoint}",
             f"does not fit llc_config={llc_config}, expected the train file it was trained with",

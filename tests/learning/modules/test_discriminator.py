@@ -10,8 +10,10 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    StyleDiscriminator,
+    DiscriminatorTrainer,
+    StyleNetwork,
     disc_obs_size,
+    eval_discriminator,
 )
 
 PARAMS: dict[str, Any] = {
@@ -65,7 +67,7 @@ def make(network: Any = None, default: str = "logistic", **changes: Any) -> Any:
     if network is None:
         network = Linear(torch.zeros(1, 1), torch.ones(1))
     params = AMPParams(**{**PARAMS, **changes})
-    return StyleDiscriminator(network, network.v.shape[0], params, default, "cpu")
+    return DiscriminatorTrainer(network, network.v.shape[0], params, default, "cpu")
 
 
 def column(*numbers: float) -> torch.Tensor:
@@ -120,16 +122,17 @@ def test_rows_keep_their_places_when_a_rollout_is_cut_up():
 # --- normaliser -------------------------------------------------------------------------------
 
 
-def test_the_statistics_are_updated_before_they_are_used():
+def test_the_statistics_are_of_all_rows_so_far():
     discriminator = make(normalize_amp_input=True)
     data = torch.tensor([[2.0], [4.0], [9.0]])
-    normalized = discriminator.normalize(data, update=True)
+    discriminator.update_normalizer(data)
+    normalized = discriminator.normalize(data)
     # three rows (mean 5, variance 26/3) merged with one of mean 0 and variance 1
     mean = 15 / 4
     var = (1 + 26 + 25 * 3 / 4) / 4
     expected = (data - mean) / np.sqrt(var + 1e-5)
     torch.testing.assert_close(normalized, expected, rtol=1e-6, atol=1e-6)
-    # and now they stay
+    # normalising changes nothing
     torch.testing.assert_close(discriminator.normalize(data), expected, rtol=1e-6, atol=1e-6)
     assert discriminator.normalizer.count.item() == 4.0
 
@@ -157,7 +160,9 @@ def test_without_normaliser_observations_pass_unchanged():
     discriminator = make(normalize_amp_input=False)
     assert discriminator.normalizer is None
     data = torch.tensor([[123.0]])
-    assert torch.equal(discriminator.normalize(data, update=True), data)
+    discriminator.update_normalizer(data)
+    assert torch.equal(discriminator.normalize(data), data)
+    assert discriminator.checkpoint_modules == {}
 
 
 # --- loss -------------------------------------------------------------------------------------
@@ -285,6 +290,69 @@ def test_the_penalty_is_taken_at_demonstrations_only():
     assert len(penalties) == 1
 
 
+# --- buffers and noise ------------------------------------------------------------------------
+
+
+def numbers(rows: torch.Tensor) -> list[int]:
+    return sorted(int(n) for n in rows[:, 0])
+
+
+def test_demonstrations_are_stored_in_batches_until_the_buffer_is_full():
+    trainer = make(amp_obs_demo_buffer_size=10, amp_batch_size=4)
+    trainer.make_buffers()
+    fetched = iter(torch.arange(24.0).view(6, 4, 1).expand(6, 4, 3))
+    trainer.fill_demo_buffer(lambda: trainer.store_demos({"amp_obs": next(fetched)}))
+    assert trainer.demo_buffer.get_total_count() == 12  # three batches
+    assert numbers(trainer.demo_buffer.rows["amp_obs"]) == list(range(2, 12))
+    # Of three numbers the discriminator sees the first.
+    assert trainer.sample_demos(5)["amp_obs"].shape == (5, 1)
+
+
+def test_the_policy_s_own_rows_are_replayed_until_there_are_older_ones():
+    trainer = make(amp_replay_buffer_size=10, amp_replay_keep_prob=0.0)
+    trainer.make_buffers()
+    new = {"amp_obs": column(1.0, 2.0), "amp_obs_latents": column(10.0, 20.0)}
+    assert trainer.sample_replay(new) is new
+    old = torch.arange(100.0, 110.0).unsqueeze(-1)
+    trainer.store_replay({"amp_obs": old, "amp_obs_latents": 10.0 * old})
+    replayed = trainer.sample_replay(new)
+    assert replayed["amp_obs"].shape == (2, 1)
+    assert (replayed["amp_obs"] >= 100.0).all()
+    assert torch.equal(replayed["amp_obs_latents"], 10.0 * replayed["amp_obs"])
+    trainer.store_replay({"amp_obs": old[:1], "amp_obs_latents": 10.0 * old[:1]})
+    # Now more was stored than fits, and nothing of what follows is kept.
+    trainer.store_replay(new)
+    assert trainer.replay_buffer.get_total_count() == 11
+
+
+def test_noise_has_the_spread_of_its_key():
+    rows = torch.zeros(20_000, 2)
+    assert make().sample_noise(rows) is None
+    torch.manual_seed(0)
+    noise = make(disc_input_noise=0.3).sample_noise(rows)
+    # of 40,000 numbers: a standard error of 0.001
+    assert noise.std().item() == pytest.approx(0.3, abs=0.006)
+    assert noise.mean().item() == pytest.approx(0.0, abs=0.008)
+
+
+def test_the_total_reward_is_weighted():
+    trainer = make(task_reward_w=0.5, disc_reward_w=2.0)
+    total = trainer.total_reward(torch.tensor([4.0, -2.0]), torch.tensor([1.0, 3.0]))
+    assert total.tolist() == [4.0, 5.0]
+
+
+def test_all_kinds_of_rows_are_evaluated_with_the_gradient_at_the_demonstrations():
+    torch.manual_seed(0)
+    network = StyleNetwork(3, (8,))
+    agent, replay, demo = torch.randn(3, 4, 3)
+    outputs = eval_discriminator(network, (agent,), (replay,), (demo,))
+    for name, rows in (("agent", agent), ("agent_replay", replay), ("demo", demo)):
+        torch.testing.assert_close(outputs[f"disc_{name}_logit"], network.eval_disc(rows))
+    demo.requires_grad_()
+    (expected,) = torch.autograd.grad(network.eval_disc(demo).sum(), demo)
+    torch.testing.assert_close(outputs["disc_demo_gradient"], expected)
+
+
 # --- keys -------------------------------------------------------------------------------------
 
 
@@ -334,7 +402,7 @@ def test_how_much_is_seen_of_an_amp_observation():
 def test_what_is_not_seen_has_no_effect():
     network = Smooth(torch.randn(4, 3), torch.randn(4))
     params = read_agent_params({**PARAMS, "normalize_amp_input": True}, AMPParams)
-    discriminator = StyleDiscriminator(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
+    discriminator = DiscriminatorTrainer(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
     whole = torch.randn(5, 2, 6)
     expected = discriminator.reward(whole[..., :3].clone())
     assert torch.equal(discriminator.reward(whole), expected)
