@@ -20,8 +20,8 @@ from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
 
-    On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in our own
-    agents; on a GPU it is rl_games' agent as it is.
+    On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in
+    CommonAgent; on a GPU it is rl_games' agent as it is.
 
     Args:
         base_name: name for rl_games' bookkeeping.

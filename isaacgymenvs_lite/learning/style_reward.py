@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_files import load_train_file
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
@@ -63,17 +63,12 @@ class StyleReward:
 
     def __init__(
         self,
-        task: Any,
+        task: AMPEnv,
         params: AMPParams,
         units: Sequence[int] = (512, 256),
         device: str | torch.device = "cpu",
     ) -> None:
-        if not hasattr(task, "fetch_amp_obs_demo"):
-            raise ConfigError(
-                f"StyleReward: {type(task).__name__} has no reference motions; expected a task such"
-                " as HumanoidAMP"
-            )
-        self._task, self._params = task, params
+        self._task, self._params = require(task, AMPEnv, "StyleReward"), params
         size = disc_obs_size(AMPObsShape.from_task(task), params)
         self.network = StyleNetwork(size, units).to(device)
         self.discriminator = DiscriminatorTrainer(self.network, size, params, "logistic", device)

@@ -77,6 +77,6 @@ def test_only_the_newest_steps_are_judged_where_the_key_says_so(task):
 def test_a_task_without_clips_is_an_error():
     cfg = compose(["task=Cartpole", "num_envs=1", "num_threads=1"])
     cartpole = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
-    with pytest.raises(ConfigError, match="Cartpole has no reference motions"):
+    with pytest.raises(ConfigError, match="Cartpole has no amp_observation_space, fetch"):
         StyleReward(cartpole, read_style_params())
     cartpole.close()

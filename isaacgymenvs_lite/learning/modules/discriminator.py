@@ -16,6 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.env_interface import AMPObsEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
@@ -166,7 +167,7 @@ class AMPObsShape:
     num_steps: int
 
     @classmethod
-    def from_task(cls, env: Any) -> AMPObsShape:
+    def from_task(cls, env: AMPObsEnv) -> AMPObsShape:
         """Return the shape in a task; without `num_amp_obs_steps` one step is assumed."""
         return cls(env.amp_observation_space.shape[0], getattr(env, "num_amp_obs_steps", 1))
 
