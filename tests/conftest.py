@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from isaacgymenvs_lite.learning.cpu import precision
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
@@ -31,6 +32,12 @@ def _log_as_before() -> Iterator[None]:
     for handler in list(root.handlers):
         if handler not in handlers and not type(handler).__module__.startswith("_pytest"):
             root.removeHandler(handler)
+
+
+@pytest.fixture
+def bfloat16(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute in bfloat16 where it is asked for, on CPUs without instructions for it, too."""
+    monkeypatch.setattr(precision, "supports_bfloat16", lambda: True)
 
 
 @pytest.fixture(scope="session")

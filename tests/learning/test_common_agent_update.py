@@ -293,6 +293,7 @@ def test_keys_that_this_family_does_not_support_are_named(key, make_agent):
 WIDER = ("train.params.network.mlp.units=[64,32]", "train.params.network.disc.units=[64,32]")
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_bfloat16_changes_the_losses_only_slightly(make_agent):
     exact = make_agent(*WIDER)
     minibatch = minibatch_of(exact)
@@ -318,6 +319,7 @@ def test_bfloat16_changes_the_losses_only_slightly(make_agent):
     assert rough.model.running_mean_std.running_mean.dtype == torch.float64
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_bfloat16_trains(make_agent):
     agent = make_agent(*WIDER, "train.params.config.mixed_precision=True")
     agent.train()

@@ -151,6 +151,7 @@ def test_it_learns_what_rl_games_own_agent_learns(make_agent):
         torch.testing.assert_close(first[name], value, rtol=1e-3, atol=1e-4, msg=name)
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_its_networks_are_evaluated_in_slices(make_agent):
     agent = make_agent(mixed_precision=True)
     rows, dtypes = [], []

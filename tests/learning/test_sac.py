@@ -35,6 +35,7 @@ def test_it_learns_only_after_the_warm_up(make_classic_agent) -> None:
     assert agent.curr_frames == 8 * 8
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_hidden_layers_in_bfloat16_give_nearly_the_same_in_float32(make_classic_agent) -> None:
     agent = make_classic_agent(*TINY_SAC, "train.params.config.mixed_precision=True")
     plain = make_classic_agent(*TINY_SAC)
@@ -58,6 +59,7 @@ def test_hidden_layers_in_bfloat16_give_nearly_the_same_in_float32(make_classic_
     assert len(shifted.unique()) > 150  # in bfloat16 they would be 2 apart
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_it_trains_in_bfloat16(make_classic_agent) -> None:
     agent = make_classic_agent(
         *TINY_SAC, "max_iterations=6", "train.params.config.mixed_precision=True"

@@ -1,8 +1,9 @@
 """Chooses the precision of networks: bfloat16 by a key or by a short measurement.
 
 rl_games writes its autocast for CUDA only, so that `mixed_precision: True` did nothing on a CPU.
-Here it means bfloat16 on either device; `auto` measures on the CPU, because bfloat16 is several
-times faster on processors with bfloat16 units and slower elsewhere.
+Here it means bfloat16 on a GPU and on CPUs that have instructions for it. On others (most laptops)
+bfloat16 is emulated, ten times slower than float32, and LSTMs cannot use it at all. `auto` measures
+on the CPU, because bfloat16 is several times faster with bfloat16 units, but not on all CPUs.
 """
 
 from __future__ import annotations
@@ -31,19 +32,27 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
     """Return whether to compute in bfloat16 on `device`.
 
     Args:
-        value: the key `train.params.config.mixed_precision`: True, False or "auto".
+        value: the key `train.params.config.mixed_precision`: True, False or "auto". True means
+            float32 on a CPU without instructions for bfloat16.
         device: where the networks live. `auto` on a GPU means False, the published value.
 
     Raises:
         ConfigError: another value.
     """
+    on_cpu = torch.device(device).type == "cpu"
+    if value is True and on_cpu and not supports_bfloat16():
+        log.info(
+            "mixed_precision=True: this CPU has no instructions for bfloat16; using float32, which"
+            " is faster here"
+        )
+        return False
     if isinstance(value, bool):
         return value
     if value != "auto":
         raise ConfigError(
             f"train.params.config.mixed_precision={value!r}: expected True, False or auto"
         )
-    if torch.device(device).type != "cpu":
+    if not on_cpu:
         return False
     speedup = measure_bfloat16_speedup()
     chosen = speedup >= _MIN_SPEEDUP
@@ -53,6 +62,14 @@ def resolve_mixed_precision(value: Any, device: str | torch.device) -> bool:
         "bfloat16" if chosen else "float32",
     )
     return chosen
+
+
+def supports_bfloat16() -> bool:
+    """Return whether this CPU has instructions with which oneDNN computes in bfloat16."""
+    # Public capabilities are per instruction set; this is the check that oneDNN's layers make.
+    return torch.backends.mkldnn.is_available() and bool(
+        torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    )
 
 
 class BFloat16HiddenLayers(nn.Sequential):

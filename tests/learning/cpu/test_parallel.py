@@ -236,6 +236,7 @@ def test_torch_keeps_its_number_of_threads(net):
         torch.set_num_threads(before)
 
 
+@pytest.mark.usefixtures("bfloat16")
 def test_the_key_of_the_precision_is_checked(net):
     with pytest.raises(ConfigError, match="mixed_precision='sometimes'"):
         parallelize(Model(net), "cpu", "sometimes")

@@ -15,7 +15,26 @@ from isaacgymenvs_lite.learning.cpu.precision import (
 @pytest.mark.parametrize("value", [True, False])
 def test_a_plain_choice_is_taken(value, device, monkeypatch):
     monkeypatch.setattr(precision, "measure_bfloat16_speedup", lambda: pytest.fail("measured"))
+    monkeypatch.setattr(precision, "supports_bfloat16", lambda: True)
     assert resolve_mixed_precision(value, device) is value
+
+
+def test_a_cpu_without_bfloat16_uses_float32(monkeypatch, caplog):
+    monkeypatch.setattr(precision, "supports_bfloat16", lambda: False)
+    with caplog.at_level("INFO"):
+        assert resolve_mixed_precision(True, "cpu") is False
+    assert "no instructions for bfloat16; using float32" in caplog.text
+    assert resolve_mixed_precision(True, "cuda:0") is True
+
+
+def test_linear_layers_compute_in_bfloat16_where_it_is_supported():
+    layer, rows = torch.nn.Linear(4, 4), torch.rand(2, 4)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert layer(rows).dtype == torch.bfloat16
+    if precision.supports_bfloat16():
+        memory = torch.nn.LSTM(4, 4)
+        with torch.autocast("cpu", torch.bfloat16):
+            assert torch.isfinite(memory(rows)[0]).all()
 
 
 @pytest.mark.parametrize(("speedup", "chosen"), [(0.6, False), (1.05, False), (4.0, True)])
