@@ -227,8 +227,7 @@ PUBLISHED_PRIVATE_NAMES = frozenset(
         *("_asdict", "_replace", "_fields"),  # of Python's named tuples
     )
 )
-# Aim: 60.
-MAX_PRIVATE_USES = 192
+MAX_PRIVATE_USES = 40
 
 
 def private_uses(path: Path) -> Iterator[str]:
