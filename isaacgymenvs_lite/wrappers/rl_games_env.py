@@ -46,14 +46,15 @@ class RLGPUEnv(IVecEnv):
     def _wrap(self, task: VecTask) -> None:
         self.env = task
         release_torch_threads(task)  # of a task that was made before
-        self.reset_mode = task.reset_mode
-        if self.reset_mode is ResetMode.ON_REQUEST:
-            self.reset_mode = ResetMode.SAME_STEP
+        # A user's own environment may lack it.
+        self._task_mode = getattr(task, "reset_mode", ResetMode.CUSTOM)
+        on_request = self._task_mode is ResetMode.ON_REQUEST
+        self.reset_mode = ResetMode.SAME_STEP if on_request else self._task_mode
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Advance by one control step; see `VecTask.step` and the class docstring."""
         obs, rewards, dones, infos = self.env.step(actions)
-        if self.env.reset_mode is ResetMode.ON_REQUEST and self.reset_mode is ResetMode.SAME_STEP:
+        if self.reset_mode is not self._task_mode:
             obs, _ = self.env.reset_done()
         return obs, rewards, dones, infos
 
@@ -63,7 +64,7 @@ class RLGPUEnv(IVecEnv):
 
     def reset_done(self) -> tuple[dict[str, Tensor], Tensor]:
         """See `VecTask.reset_done` and the class docstring."""
-        self.reset_mode = self.env.reset_mode
+        self.reset_mode = self._task_mode
         return self.env.reset_done()
 
     def get_number_of_agents(self) -> int:
