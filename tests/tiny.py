@@ -6,6 +6,14 @@ All are words of a command line; of a key that is given twice the last value cou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.runner import run
+
 CONFIG = "train.params.config"
 
 ONE_THREAD = ("num_threads=1", "rl_device=cpu")
@@ -52,3 +60,12 @@ TINY_SAC = (
     "train.params.network.mlp.units=[32,32]",
 )
 """The task of SAC; updates begin in the second epoch."""
+
+
+def train_in(folder: Path, words: Sequence[str]) -> Path:
+    """Train in a folder as train.py does with these words; return the run's folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        run(compose(words))
+    (run_folder,) = (folder / "runs").iterdir()
+    return run_folder

@@ -294,7 +294,7 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
     if network.get("disc", {}).get("conditional") and network["name"] not in _LATENT_NETWORKS:
         raise ConfigError(
             f"{where}.disc.conditional=True: the network {network['name']} has no latents that a"
-            f" discriminator could hear; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
+            f" discriminator could receive; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
         )
     space = network.get("space") or {}
     # Soft actor-critic's distribution has no settings: its files leave the section empty.

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.checkpoints import shipped
-from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.runner import run
-from tests.tiny import CONFIG, TINY_AMP
+from tests.tiny import CONFIG, TINY_AMP, train_in
 
 _TINY = (
     "task=HumanoidAMP",
@@ -24,12 +22,7 @@ _TINY = (
 @pytest.fixture(scope="session")
 def full_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The checkpoint of two epochs on the shipped walk, in its run folder."""
-    folder = tmp_path_factory.mktemp("project")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        run(compose(_TINY))
-    (run_folder,) = (folder / "runs").iterdir()
-    return run_folder / "nn" / "HumanoidAMP.pth"
+    return train_in(tmp_path_factory.mktemp("project"), _TINY) / "nn" / "HumanoidAMP.pth"
 
 
 @pytest.fixture

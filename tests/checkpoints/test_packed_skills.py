@@ -17,7 +17,7 @@ from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.learning.cpu import precision
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 from isaacgymenvs_lite.runner import run
-from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE, train_in
 
 _TINY = (
     "task=HumanoidASE",
@@ -32,12 +32,7 @@ _TINY = (
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A low-level controller after one epoch, in its run folder."""
-    folder = tmp_path_factory.mktemp("project")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        run(compose(_TINY))
-    (run_folder,) = (folder / "runs").iterdir()
-    return run_folder / "nn" / "HumanoidASE.pth"
+    return train_in(tmp_path_factory.mktemp("project"), _TINY) / "nn" / "HumanoidASE.pth"
 
 
 def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:

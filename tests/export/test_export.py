@@ -25,7 +25,7 @@ from isaacgymenvs_lite.export.configuration import configuration_of
 from isaacgymenvs_lite.export.export import ExportSettings, export_policy
 from isaacgymenvs_lite.export.formats import ExportedPolicy, load_policy
 from isaacgymenvs_lite.runner import load_player, run
-from tests.tiny import CONFIG, TINY_PPO
+from tests.tiny import CONFIG, TINY_PPO, train_in
 
 CARTPOLE = (
     "task=Cartpole",
@@ -42,9 +42,7 @@ CARTPOLE = (
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the run of a short training of Cartpole."""
     folder = tmp_path_factory.mktemp("project")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        run(compose(CARTPOLE))
+    train_in(folder, CARTPOLE)
     return folder
 
 

@@ -2,8 +2,8 @@
 
 rl_games writes its autocast for CUDA only, so that `mixed_precision: True` did nothing on a CPU.
 Here it means bfloat16 on a GPU and on CPUs that have instructions for it. On others (most laptops)
-bfloat16 is emulated, ten times slower than float32, and LSTMs cannot use it at all. `auto` measures
-on the CPU, because bfloat16 is several times faster with bfloat16 units, but not on all CPUs.
+bfloat16 is emulated, several times slower than float32, and LSTMs cannot use it at all. `auto`
+measures on the CPU: bfloat16 is several times faster with bfloat16 units, but not on all CPUs.
 """
 
 from __future__ import annotations
