@@ -72,7 +72,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
         The file that was written; None if none could be.
     """
     path = Path(f"{filename}.pth")
-    state = _plain_numbers(state)
+    state = plain_numbers(state)
     try:
         write_atomically(path, state)
     except OSError as error:
@@ -120,16 +120,16 @@ def _rescue(path: Path, state: dict[str, Any], error: OSError) -> Path | None:
     return folder / path.name
 
 
-def _plain_numbers(value: Any) -> Any:
+def plain_numbers(value: Any) -> Any:
     """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
     if isinstance(value, dict):
-        return type(value)((key, _plain_numbers(entry)) for key, entry in value.items())
+        return type(value)((key, plain_numbers(entry)) for key, entry in value.items())
     if isinstance(value, (list, tuple)):
-        return type(value)(_plain_numbers(entry) for entry in value)
+        return type(value)(plain_numbers(entry) for entry in value)
     return value
 
 
@@ -295,7 +295,7 @@ def resolve_checkpoint(
 def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     wanted = {"task.name": task_name, "train.params.network.name": network_name}
     wanted = {key: value for key, value in wanted.items() if value}
-    runs = [run for run in run_folders(train_dir) if _settings_of_run(run, wanted) == wanted]
+    runs = [run for run in run_folders(train_dir) if settings_of_run(run, wanted) == wanted]
     files = [file for run in runs for file in run.glob("nn/*.pth")]
     if not files:
         task = f"task={task_name}" if task_name else "any task"
@@ -312,11 +312,12 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 
 def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
     runs = [run for run in run_folders(train_dir) if any(run.glob("nn/*.pth"))]
-    names = [_settings_of_run(run, ["task.name"]) for run in runs]
+    names = [settings_of_run(run, ["task.name"]) for run in runs]
     return {str(found["task.name"]) for found in names if found and found["task.name"]}
 
 
-def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+    """Return settings of a run by their paths; None if it is no run of this project."""
     from omegaconf.errors import OmegaConfBaseException
 
     from isaacgymenvs_lite.config.yaml_files import read_yaml

@@ -29,7 +29,7 @@ class RunFolder:
     """
 
     def __init__(self, train_dir: Path, run_name: str) -> None:
-        self._train_dir = train_dir
+        self.train_dir = train_dir
         self.name = run_name
         self.path = train_dir / run_name
         self.checkpoints = self.path / "nn"
@@ -41,10 +41,10 @@ class RunFolder:
         Raises:
             ConfigError: the folder cannot be written, or is part of another run.
         """
-        for folder in self.path.relative_to(self._train_dir).parents:
-            if folder.parts and (self._train_dir / folder / "config.yaml").exists():
+        for folder in self.path.relative_to(self.train_dir).parents:
+            if folder.parts and (self.train_dir / folder / "config.yaml").exists():
                 raise ConfigError(
-                    f"{self.path} lies in the folder of another run, {self._train_dir / folder};"
+                    f"{self.path} lies in the folder of another run, {self.train_dir / folder};"
                     " choose another experiment=NAME"
                 )
         self._was_there = self.path.exists()
