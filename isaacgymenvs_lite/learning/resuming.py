@@ -161,11 +161,12 @@ class Resuming(BaseAlgorithm):
         return observer if hasattr(type(observer), "stored") else None
 
     def _task_settings(self) -> str:
-        """Return a hash of the task's settings and of the number of environments."""
+        """Return a hash of the task's settings and of the sizes of a rollout."""
         task = getattr(self.vec_env, "env", None)
         cfg = getattr(task, "cfg", None) or {}
         sim = {key: value for key, value in (cfg.get("sim") or {}).items() if key != "physx"}
-        parts = [getattr(task, "num_envs", 0), cfg.get("env"), sim, cfg.get("task")]
+        sizes = [getattr(task, "num_envs", 0), getattr(self, "batch_size", 0)]
+        parts = [*sizes, cfg.get("env"), sim, cfg.get("task")]
         text = json.dumps(parts, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -232,7 +233,9 @@ class Resuming(BaseAlgorithm):
             self._write("stored_episodes", memory["episodes"])
             write_state(self._task, memory["task"], self._task.device)
         else:
-            fresh.append("the task's settings or num_envs changed, so that episodes start again")
+            fresh.append(
+                "settings of the task, num_envs or horizon_length changed, so that episodes start again"
+            )
         write_generators(memory["generators"])
 
     @property

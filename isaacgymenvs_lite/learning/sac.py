@@ -51,8 +51,9 @@ class SACAgent(Safeguards, RLGamesSACAgent):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
     Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
-    resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
-    MB): a resumed run acts with its policy until the buffer holds a batch, and then learns.
+    run that starts from one would start again with `init_alpha`. They do not hold the replay buffer
+    (hundreds of MB), which only `resume=` restores: from a checkpoint the policy acts until the
+    buffer holds a batch, and then learns.
 
     `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
     values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own

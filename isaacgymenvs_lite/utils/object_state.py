@@ -220,7 +220,9 @@ class _Writer(_Walk):
             self._write_dictionary(value, state)
         elif isinstance(value, (list, tuple, deque)):
             self._write_items(value, state, replace)
-        elif value is not None and self.has_attributes(value):
+        elif value is not None:
+            if not self.has_attributes(value):
+                raise TypeError(f"parts in place of a {type(value).__name__}")
             self._write_attributes(value, state)
 
     def separate_overwritten(self) -> None:
