@@ -136,9 +136,25 @@ class Resuming(BaseAlgorithm):
             "episodes": {
                 name: read_state(value) for name, value in self._values("stored_episodes")
             },
-            "task": None if self._task is None else read_state(self._task),
+            "task": self._read_task(),
             "generators": read_generators(),
         }
+
+    def _read_task(self) -> Any:
+        """Return the task's state; None if it has none, or it is of a kind that fails."""
+        if self._task is None:
+            return None
+        try:
+            return read_state(self._task)
+        except Exception as error:  # an attribute of a user's own task may be anything
+            if self._stored_epoch < 0:
+                log.warning(
+                    "the state of %s cannot be stored (%s), so that resume= starts its episodes"
+                    " again; name the attribute in its `not_stored`",
+                    type(self._task).__name__,
+                    one_line(error),
+                )
+            return None
 
     def _values(self, kind: str) -> Iterator[tuple[str, Any]]:
         """Yield names and values of the attributes of a kind that the agent has."""
