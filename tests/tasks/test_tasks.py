@@ -122,8 +122,9 @@ def test_what_it_says_of_observations_and_actions(make_task) -> None:
         torch.testing.assert_close(controls[0], scaling.offset + scaling.scale * actions)
 
 
-def test_a_thousand_random_steps_give_numbers(make_task) -> None:
-    task = make_task(num_envs=64)
+@pytest.mark.parametrize("num_envs", [16, pytest.param(64, marks=pytest.mark.slow)])
+def test_a_thousand_random_steps_give_numbers(num_envs: int, make_task) -> None:
+    task = make_task(num_envs=num_envs)
     task.reset()
     for observations, rewards, _, _ in _random_steps(task, 1000):
         assert observations["obs"].isfinite().all()
