@@ -15,6 +15,7 @@ from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode, VecTask
+from tests.tiny import composed
 
 NUM_ENVS = 5
 
@@ -46,7 +47,7 @@ def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask
         fixed = [f"task={task_name}", f"num_envs={num_envs}", "num_threads=1"]
         if task_name not in CLASSIC:
             fixed += [f"task.env.motion_file={walk_clip}", "task.env.stateInit=Random"]
-        cfg = compose([*fixed, *overrides])
+        cfg = composed([*fixed, *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
         return made[-1]
 
