@@ -94,6 +94,7 @@ class Interpolations:
     has_composed_path: bool
 
 
+@functools.lru_cache(maxsize=256)
 def parse_interpolations(text: str) -> Interpolations:
     """Return what the interpolations in a text refer to.
 
