@@ -76,7 +76,10 @@ class _ImitationProbe:
     def record(self, dones: Tensor, infos: dict[str, Any]) -> None:
         self._recorder.record(self._sim.body_pos, self._sim.root_states[:, 3:7])
         ids = dones.to(self._device).nonzero().flatten()
-        self._recorder.finish(ids, infos["terminate"].to(self._device)[ids].bool())
+        fell = infos["terminate"].to(self._device).bool()
+        if "diverged" in infos:  # no pose to measure, and the policy did not get through
+            fell = fell | infos["diverged"].to(self._device)
+        self._recorder.finish(ids, fell[ids])
 
     def result(self) -> ImitationResult:
         return self._metric.evaluate(self._recorder.episodes)

@@ -44,6 +44,12 @@ class AMPDataset(PublishedNames, PPODataset):
         self._row_limits = dict(row_limits or {})
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
+    def update_values_dict(self, values_dict: dict[str, Any]) -> None:
+        """Set the rows of an epoch, `batch_size` each."""
+        super().update_values_dict(values_dict)
+        if len(self._idx_buf) != self.batch_size:
+            self._shuffle_idx_buf()
+
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
         """Not supported: minibatches are random rows, which cannot be written back in order.
 

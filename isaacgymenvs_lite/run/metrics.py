@@ -74,6 +74,8 @@ class MetricsObserver(AlgoObserver):
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Count how the episodes of `done_indices` (n, 1) ended."""
         rows = done_indices.flatten()
+        if "diverged" in infos:  # cut off: neither a fall nor none
+            rows = rows[~infos["diverged"][rows.to(infos["diverged"].device)].to(rows.device)]
         if "terminate" in infos:
             self._falls.update(infos["terminate"][rows].bool().unsqueeze(1))
         elif "time_outs" in infos:

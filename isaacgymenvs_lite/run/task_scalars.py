@@ -14,7 +14,8 @@ class TaskScalarsObserver(AlgoObserver):
 
     `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
     of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
-    "/", as `<key>/frame`, `/iter`, `/time`.
+    "/", as `<key>/frame`, `/iter`, `/time`. Also `sim/diverged`: how many simulations diverged in
+    the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means.
     """
 
     def after_init(self, algo: Any) -> None:
@@ -24,6 +25,7 @@ class TaskScalarsObserver(AlgoObserver):
         self._scalars: dict[str, float] = {}
         self._running: dict[str, Tensor] = {}
         self._finished: dict[str, list[float]] = {}
+        self._diverged: Tensor | None = None
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Collect the values of a step.
@@ -33,24 +35,36 @@ class TaskScalarsObserver(AlgoObserver):
         """
         if not isinstance(infos, dict):
             raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")
+        diverged = infos.get("diverged")
+        if diverged is not None:
+            count = diverged.sum()
+            self._diverged = count if self._diverged is None else self._diverged + count
         if "episode" in infos:
             self._episode_infos.append(infos["episode"])
         if "episode_cumulative" in infos:
-            self._accumulate(infos["episode_cumulative"], done_indices.flatten())
+            self._accumulate(infos["episode_cumulative"], done_indices.flatten(), diverged)
         self._scalars = dict(_flat_scalars(infos))
 
-    def _accumulate(self, values: dict[str, Tensor], done_ids: Tensor) -> None:
+    def _accumulate(
+        self, values: dict[str, Tensor], done_ids: Tensor, diverged: Tensor | None
+    ) -> None:
+        counted = done_ids
+        if diverged is not None:
+            counted = done_ids[~diverged.to(done_ids.device)[done_ids]]
         for key, value in values.items():
             total = self._running.setdefault(key, torch.zeros_like(value))
             total += value
             finished = self._finished.setdefault(key, [])
-            finished += total[done_ids].tolist()
+            finished += total[counted].tolist()
             del finished[: -self._algo.games_to_track]
             total[done_ids] = 0
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Write what was collected."""
         writer = self._algo.writer
+        if self._diverged is not None:
+            writer.add_scalar("sim/diverged", int(self._diverged), frame)
+            self._diverged = torch.zeros_like(self._diverged)
         if self._episode_infos:
             for key in self._episode_infos[0]:
                 values = [torch.as_tensor(i[key]).float().flatten() for i in self._episode_infos]
