@@ -59,12 +59,12 @@ from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
-from isaacgymenvs_lite.env_interface import Env
+from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
-from isaacgymenvs_lite.learning.diverged import RolloutMask, diverged_in, fit_dataset, take_rows
+from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_dataset, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards

@@ -20,14 +20,6 @@ from rl_games.common.experience import VectorizedReplayBuffer
 from torch import Tensor
 
 
-def diverged_in(infos: Any, device: Any) -> Tensor | None:
-    """Return (N,) bool where the step's simulation diverged; None if none did."""
-    diverged = infos.get("diverged") if isinstance(infos, dict) else None
-    if diverged is None or not bool(diverged.any()):
-        return None
-    return diverged.to(device).bool()
-
-
 class RolloutMask:
     """Which steps of a rollout have an outcome.
 

@@ -10,13 +10,13 @@ from rl_games.common.a2c_common import swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.diverged import (
     EpisodeMeters,
     RolloutMask,
-    diverged_in,
     fit_dataset,
     take_rows,
 )

@@ -11,9 +11,10 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
-from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions, diverged_in
+from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 

@@ -8,6 +8,8 @@ import torch
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
+
 
 class TaskScalarsObserver(AlgoObserver):
     """Writes a task's infos to TensorBoard, with the tags of IsaacGymEnvs' RLGPUAlgoObserver.
@@ -25,7 +27,7 @@ class TaskScalarsObserver(AlgoObserver):
         self._scalars: dict[str, float] = {}
         self._running: dict[str, Tensor] = {}
         self._finished: dict[str, list[float]] = {}
-        self._diverged: Tensor | None = None
+        self._diverged: int | None = None
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Collect the values of a step.
@@ -35,10 +37,10 @@ class TaskScalarsObserver(AlgoObserver):
         """
         if not isinstance(infos, dict):
             raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")
-        diverged = infos.get("diverged")
-        if diverged is not None:
-            count = diverged.sum()
-            self._diverged = count if self._diverged is None else self._diverged + count
+        diverged = diverged_in(infos, done_indices.device)
+        if reports_divergence(infos.get("diverged")):
+            found = 0 if diverged is None else int(diverged.sum())
+            self._diverged = (self._diverged or 0) + found
         if "episode" in infos:
             self._episode_infos.append(infos["episode"])
         if "episode_cumulative" in infos:
@@ -50,7 +52,7 @@ class TaskScalarsObserver(AlgoObserver):
     ) -> None:
         counted = done_ids
         if diverged is not None:
-            counted = done_ids[~diverged.to(done_ids.device)[done_ids]]
+            counted = done_ids[~diverged[done_ids]]
         for key, value in values.items():
             total = self._running.setdefault(key, torch.zeros_like(value))
             total += value
@@ -63,8 +65,8 @@ class TaskScalarsObserver(AlgoObserver):
         """Write what was collected."""
         writer = self._algo.writer
         if self._diverged is not None:
-            writer.add_scalar("sim/diverged", int(self._diverged), frame)
-            self._diverged = torch.zeros_like(self._diverged)
+            writer.add_scalar("sim/diverged", self._diverged, frame)
+            self._diverged = 0
         if self._episode_infos:
             for key in self._episode_infos[0]:
                 values = [torch.as_tensor(i[key]).float().flatten() for i in self._episode_infos]

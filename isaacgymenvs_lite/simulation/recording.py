@@ -180,8 +180,9 @@ def _read_array(content: bytes) -> npt.NDArray[Any]:
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError("an entry is no array of numpy's format 1.0")
     shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
-    if dtype.kind not in "fiuU" or fortran_order or dtype.itemsize == 0:
-        raise ValueError(f"an entry holds {dtype}, expected numbers or text in C order")
+    is_plain = dtype.kind in "fiuU" and dtype.itemsize > 0 and not fortran_order
+    if not is_plain or min(shape, default=0) < 0:
+        raise ValueError(f"an entry holds {dtype} {shape}, expected numbers or text in C order")
     return np.frombuffer(content, dtype, offset=stream.tell()).reshape(shape)
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
 from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
@@ -191,7 +192,10 @@ def _sorted_infos(
     per_env: dict[str, Tensor] = {}
     scalars: dict[str, float] = {}
     for name, value in infos.items():
-        if name == "time_outs" or (name == "diverged" and not bool(value.any())):
+        says_nothing = (
+            name == "diverged" and reports_divergence(value) and diverged_in(infos, "cpu") is None
+        )
+        if name == "time_outs" or says_nothing:
             continue
         if isinstance(value, Mapping):
             scalars |= {f"{name}/{key}": float(entry) for key, entry in value.items()}

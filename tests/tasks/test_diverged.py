@@ -121,9 +121,11 @@ def test_other_libraries_get_a_truncation_with_the_last_good_observation(
     env.reset()
     actions = env.task.zero_actions()
     before = env.step(actions).observations["obs"].clone()
+    assert env.last_step is not None
     assert "diverged" not in env.last_step.per_env
     speed_up(env.task)
     step = env.step(actions)
+    assert step.final_observations is not None
     assert step.truncated.tolist() == [False, False, True, False]
     assert not step.terminated.any()
     assert step.per_env["diverged"].tolist() == [False, False, True, False]
