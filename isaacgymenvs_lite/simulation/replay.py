@@ -59,7 +59,7 @@ class PhysicsStep:
         physics_step: within the control step.
         time_s: simulated time after the step, since the start of the recording.
         acceleration: `qacc` of the step, rad/s^2 or m/s^2.
-        speed: `qvel` after the step, rad/s or m/s.
+        speed: `qvel` after the step, rad/s or m/s; of free joints in world axes.
         is_sound: whether the state after it is finite and no joint is faster than `MAX_SPEED`.
     """
 
@@ -88,7 +88,7 @@ def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]
         mujoco.mj_setState(model, data, state, _STATE)
         for physics_step in range(recording.substeps):
             mujoco.mj_step(model, data)
-            speed = _largest(data.qvel, names)
+            speed = _largest(_world_velocities(model, data), names)
             is_sound = bool(np.isfinite(data.qpos).all()) and speed.value <= MAX_SPEED
             done = control_step * recording.substeps + physics_step + 1
             yield PhysicsStep(
@@ -135,6 +135,16 @@ def _write_field(model: mujoco.MjModel, name: str, values: npt.NDArray[Any]) -> 
             " not have as numbers of this shape"
         )
     own[:] = values
+
+
+def _world_velocities(model: mujoco.MjModel, data: mujoco.MjData) -> npt.NDArray[np.float64]:
+    """Return qvel with the angular velocities of free joints in world axes, as they are limited."""
+    velocities = data.qvel.copy()
+    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
+        rotation = data.qpos[model.jnt_qposadr[joint] + 3 :][:4]
+        angular = velocities[model.jnt_dofadr[joint] + 3 :][:3]
+        mujoco.mju_rotVecQuat(angular, angular.copy(), rotation)
+    return velocities
 
 
 def _joint_of(model: mujoco.MjModel, dof: int) -> str:
