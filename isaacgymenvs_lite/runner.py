@@ -39,6 +39,7 @@ from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
+from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -102,6 +103,7 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             stop,
         )
         launch.folder.create(launch.repeatable)
+        task.listeners.append(DivergenceFiles(task, launch.folder.path))
         try:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log():

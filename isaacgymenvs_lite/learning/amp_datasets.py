@@ -52,12 +52,19 @@ class AMPDataset(PublishedNames, PPODataset):
         """Go on from what `stored_state` of a set of the same size returned.
 
         Raises:
-            ValueError: it is of a set of another size.
+            ValueError: it is of a larger set.
         """
         order = state["order"]
-        if not torch.equal(order.sort().values, torch.arange(self.batch_size)):
+        is_order = torch.equal(order.sort().values, torch.arange(len(order)))
+        if not is_order or len(order) > self.batch_size:  # rows of an epoch may be left out
             raise ValueError(f"an order of {len(order)} rows, expected {self.batch_size}")
         self._idx_buf = order.to(self.device)
+
+    def update_values_dict(self, values_dict: dict[str, Any]) -> None:
+        """Set the rows of an epoch, `batch_size` each."""
+        super().update_values_dict(values_dict)
+        if len(self._idx_buf) != self.batch_size:
+            self._shuffle_idx_buf()
 
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
         """Not supported: minibatches are random rows, which cannot be written back in order.

@@ -12,8 +12,10 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
+from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 
@@ -55,6 +57,8 @@ class SACAgent(Safeguards, RLGamesSACAgent):
     (hundreds of MB), which only `resume=` restores: from a checkpoint the policy acts until the
     buffer holds a batch, and then learns.
 
+    Transitions of simulations that diverged are not stored; see `diverged`.
+
     `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
     values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own
     switch means CUDA autocast.
@@ -81,6 +85,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         # rl_games takes over an environment that exists in its other agents only.
         self.vec_env = config.get("vec_env")
         super().__init__(base_name, params)
+        former = self.replay_buffer
+        shapes = (former.obses.shape[1:], former.actions.shape[1:])
+        self.replay_buffer = KeptTransitions(*shapes, former.capacity, former.device)
+        self._meters = EpisodeMeters(self, ("game_rewards", "game_lengths"))
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
         self._step = 0
         nothing = torch.zeros((), device=self._device)
@@ -135,6 +143,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
             NotFiniteError: one is not; the message names it. The networks were not trained on it.
         """
         result: Any = super().env_step(actions)
+        *_, dones, infos = result
+        diverged = diverged_in(infos, dones.device)
+        self.replay_buffer.left_out = diverged
+        self._meters.leave_out(diverged, dones)
         rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
         step = self._step % self.num_steps_per_episode
         self._check_rows({name: value.unsqueeze(0) for name, value in rows.items()}, step)

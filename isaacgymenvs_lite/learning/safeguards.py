@@ -256,6 +256,21 @@ class PPOSafeguards(Safeguards, A2CAgent):
                 " undefined; expected at least two: raise num_envs or horizon_length"
             )
 
+    def _enough_rows(self, num_rows: int) -> int:
+        """Return how many rows of a rollout are left without diverged simulations.
+
+        Raises:
+            NotFiniteError: fewer than two, whose spread is undefined.
+        """
+        if num_rows < 2:
+            raise self._end(
+                f"the simulations diverged in all steps of epoch {self.epoch_num}: nothing is left"
+                " to learn from; look at a file of <run>/diverged/ with python -m"
+                " isaacgymenvs_lite.simulation.replay, and make task.sim.dt smaller or the"
+                " actuators weaker"
+            )
+        return num_rows
+
     def restore_central_value_function(self, fn: str) -> None:
         """Load the asymmetric critic alone from the checkpoint `fn`.
 

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.simulation.recording import Recording
 
 
 class SimulationBackend(Protocol):
@@ -54,6 +55,10 @@ class SimulationBackend(Protocol):
 
     num_failures: int
     """How often a simulation diverged since the start, all environments together."""
+
+    recordings: list[Recording]
+    """The last steps of the first few simulations that diverged; whoever takes them removes them,
+    which makes room for the next."""
 
     @property
     def dt(self) -> float:
@@ -148,7 +153,10 @@ class SimulationBackend(Protocol):
     def failed(self) -> Tensor:
         """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
 
-        It was reset to its default state; the task should end the episode.
+        Its state was not finite or beyond what is physical: MuJoCo's warnings BADQPOS, BADQVEL and
+        BADQACC (an absolute value above 1e10), after which MuJoCo itself resets the simulation
+        without an error, or a speed above 1000 rad/s or m/s. It was reset to its default state; the
+        task ends the episode.
         """
         ...
 
