@@ -39,6 +39,7 @@ from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
+from isaacgymenvs_lite.run.memory import check_play_memory, check_training_memory
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
@@ -52,6 +53,8 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _IMITATION_EPISODES = 16
+# More take seconds to make: one is made first, to estimate the memory of all.
+_MANY_ENVS = 100_000
 
 
 def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -87,9 +90,13 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
     launch = _read_launch(cfg, command)
     with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
         viewers = Viewers(launch.settings)
+        if launch.num_envs > _MANY_ENVS:
+            with _quiet("isaacgymenvs_lite.config"):
+                _check_memory(launch, make_task(1))
         # Made before the agent, so that its mistakes show before a run folder exists.
         task = make_task(launch.num_envs)
         params = _read_params(launch, task)
+        check_training_memory(params, task, launch.num_envs)
         params["config"]["print_stats"] = False
         stop = StopRequest()
         observers = TrainingObservers(
@@ -288,6 +295,16 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     return params
 
 
+def _check_memory(launch: _Launch, probe: VecTask) -> None:
+    """Refuse a training that exceeds memory, before its simulations are made.
+
+    Raises:
+        ConfigError: see `check_training_memory`.
+    """
+    check_training_memory(_read_params(launch, probe), probe, launch.num_envs)
+    probe.close()
+
+
 def _load_runner(
     params: dict[str, Any], task: VecTask, observer: AlgoObserver | None = None
 ) -> Runner:
@@ -319,6 +336,7 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
         log.warning("test=True without checkpoint=: playing an untrained policy")
     with _quiet("isaacgymenvs_lite.config"):  # notes about the training's minibatches
         params = _read_params(launch, task)
+    check_play_memory(params, task)
     with _output_to_log():
         player = _load_runner(params, task).create_player()
         if launch.checkpoint:
