@@ -26,6 +26,7 @@ from rl_games.torch_runner import Runner, _override_sigma
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
+from isaacgymenvs_lite.config.resolvers import without_environment
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
@@ -39,7 +40,7 @@ from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
-from isaacgymenvs_lite.run.memory import check_play_memory, check_training_memory
+from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
@@ -107,7 +108,7 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             task.max_episode_length,
             stop,
         )
-        launch.folder.create(cfg)
+        launch.folder.create(without_environment(cfg))
         try:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log():
@@ -336,7 +337,6 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
         log.warning("test=True without checkpoint=: playing an untrained policy")
     with _quiet("isaacgymenvs_lite.config"):  # notes about the training's minibatches
         params = _read_params(launch, task)
-    check_play_memory(params, task)
     with _output_to_log():
         player = _load_runner(params, task).create_player()
         if launch.checkpoint:

@@ -151,7 +151,7 @@ class Examiner:
             return Verdict.OTHER, f"an error of {len(message)} characters: {message}"
         if not message.isprintable():
             return Verdict.OTHER, f"an error of several lines or with control characters: {message}"
-        if self._file.name not in message:
+        if self._kind.names_file and self._file.name not in message:
             return Verdict.OTHER, f"an error that does not name the file: {message}"
         return Verdict.REFUSED, message
 

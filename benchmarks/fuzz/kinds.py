@@ -13,7 +13,7 @@ from pathlib import Path
 
 from benchmarks.fuzz.mutators import mutate_bytes
 
-_MODULES = ("benchmarks.fuzz.clips",)
+_MODULES = ("benchmarks.fuzz.clips", "benchmarks.fuzz.trees", "benchmarks.fuzz.checkpoints")
 
 Mutator = Callable[[bytes, random.Random, Sequence[bytes]], bytes]
 """Gets a valid file, a generator, and all valid files of the kind; returns a broken one."""
@@ -38,6 +38,7 @@ class Kind:
             that code in them has to create.
         command: returns the words behind `python -m` that read a file: a module with `main()`,
             then its arguments. None: the kind is read by no command of its own.
+        names_file: errors name the file; False where they name a setting.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Kind:
     mutate: Mutator = mutate_bytes
     hostile: Callable[[Path], Iterable[tuple[str, bytes]]] = _nothing
     command: Callable[[Path], list[str]] | None = None
+    names_file: bool = True
 
 
 def all_kinds() -> dict[str, Kind]:

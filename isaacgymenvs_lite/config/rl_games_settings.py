@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from isaacgymenvs_lite.schema import (
     missing_key,
     setting,
 )
+from isaacgymenvs_lite.utils.memory import check_memory
 
 _log = logging.getLogger(__name__)
 
@@ -309,6 +311,9 @@ _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
 _LAYER_SECTIONS = ("mlp", "disc", "enc")
 _MAX_LAYERS = 100
+_MAX_UNITS = 2**20
+_GATES = {"lstm": 4, "gru": 3}
+_FLOAT_BYTES = 4
 _NETWORK_KEYS = frozenset(
     (
         *_LAYER_SECTIONS,
@@ -324,7 +329,7 @@ _NETWORK_KEYS = frozenset(
 class LayerSettings:
     """Hidden layers: the sections mlp, disc and enc."""
 
-    units: list[int] = setting(minimum=1, max_length=_MAX_LAYERS)
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
     """Width of each layer."""
     activation: str = setting(choices=ACTIVATIONS)
     initializer: Mapping[str, Any] = setting({"name": "default"})
@@ -343,7 +348,7 @@ class LayerSettings:
 class StyleSettings:
     """The section style: layers from the latent to what the actor gets of it."""
 
-    units: list[int] = setting(minimum=1, max_length=_MAX_LAYERS)
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,7 +356,7 @@ class RecurrentSettings:
     """The section rnn."""
 
     name: str = setting(choices=("lstm", "gru", "identity"))
-    units: int = setting(minimum=1)
+    units: int = setting(minimum=1, maximum=_MAX_UNITS)
     layers: int = setting(minimum=1, maximum=_MAX_LAYERS)
     layer_norm: bool = setting(False)
     before_mlp: bool = setting(False)
@@ -435,12 +440,32 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
     if network["name"] in _MLP_NETWORKS and "continuous" not in space and not is_critic:
         hint = "expected the distribution of the actions"
         raise missing_key("continuous", space, (), f"{where}.space", hint)
+    check_memory({"networks": _FLOAT_BYTES * num_weights(network)}, f"units in {where}")
     # Soft actor-critic's distribution has no settings: its files leave the section empty.
     if "continuous" in space and network["name"] != _SAC_NETWORK:
         path = f"{where}.space.continuous"
         gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")
         _check_initializer(gaussian.sigma_init, f"{path}.sigma_init")
+
+
+def num_weights(network: Mapping[str, Any], num_inputs: int = 1) -> int:
+    """Return how many weights the hidden layers of a checked network section have at least.
+
+    Args:
+        network: the section.
+        num_inputs: numbers in an observation.
+    """
+    layers = [section for section in network.values() if isinstance(section, Mapping)]
+    count = 0
+    for section in layers:
+        units = section.get("units")
+        if isinstance(units, int):  # recurrent
+            count += _GATES.get(section["name"], 0) * units * units * section["layers"]
+        elif units:
+            count += sum(a * b for a, b in itertools.pairwise(units))
+    first = (network.get("mlp") or {}).get("units")
+    return count + (num_inputs * first[0] if first else 0)
 
 
 def scale_units(network: dict[str, Any]) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
+from isaacgymenvs_lite.config.rl_games_settings import num_weights
 from isaacgymenvs_lite.env_interface import Env
 from isaacgymenvs_lite.simulation.backend import bytes_of_env
 from isaacgymenvs_lite.utils.memory import check_memory
@@ -15,7 +15,6 @@ _FLOAT_BYTES = 4
 _COPIES_IN_TRAINING = 4
 # The rollout, and the training set that is made of it.
 _COPIES_OF_SAMPLES = 2
-_GATES = {"lstm": 4, "gru": 3}
 
 
 def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -> None:
@@ -34,10 +33,10 @@ def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -
         return  # that memory is the GPU's; the simulations' is checked where they are made
     amp_size = getattr(task, "num_amp_obs", 0) if "amp_replay_buffer_size" in config else 0
     rows = _row_size(task) + amp_size
-    samples = num_envs * task.num_agents * config.get("horizon_length", 0)
-    replayed = config.get("replay_buffer_size", 0) * (2 * task.num_obs + task.num_actions + 2)
-    amp_rows = config.get("amp_replay_buffer_size", 0) + config.get("amp_obs_demo_buffer_size", 0)
-    networks = _parameters(params["network"], task.num_obs)
+    samples = num_envs * task.num_agents * _count(config, "horizon_length")
+    replayed = _count(config, "replay_buffer_size") * (2 * task.num_obs + task.num_actions + 2)
+    amp_rows = sum(_count(config, f"amp_{kind}_buffer_size") for kind in ("replay", "obs_demo"))
+    networks = num_weights(params["network"], task.num_obs)
     check_memory(
         {
             "simulations": num_envs * bytes_of_env(task.simulation.model),
@@ -49,32 +48,12 @@ def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -
     )
 
 
-def check_play_memory(params: Mapping[str, Any], task: Any) -> None:
-    """Refuse networks that cannot fit into memory, before they are made to be played.
-
-    Raises:
-        ConfigError: they exceed the machine's memory.
-    """
-    networks = _FLOAT_BYTES * _parameters(params["network"], task.num_obs)
-    check_memory({"networks": networks}, "units in train.params.network")
+def _count(config: Mapping[str, Any], key: str) -> int:
+    """Return a key of an agent, which checks it later."""
+    value = config.get(key)
+    return value if isinstance(value, int) else 0
 
 
 def _row_size(task: Env) -> int:
     """Return the numbers of a sample: observation, states, action with its distribution, others."""
     return task.num_obs + task.num_states + 3 * task.num_actions + 4
-
-
-def _parameters(network: Mapping[str, Any], num_inputs: int) -> int:
-    """Return how many weights the hidden layers have at least, also of networks in networks."""
-    count = 0
-    for section in network.values():
-        if not isinstance(section, Mapping):
-            continue
-        units = section.get("units")
-        if isinstance(units, int):  # recurrent
-            gates = _GATES.get(str(section.get("name")), 0)
-            count += gates * units * units * int(section.get("layers", 1))
-        elif isinstance(units, (list, tuple)):
-            count += sum(a * b for a, b in itertools.pairwise(units))
-    units = (network.get("mlp") or {}).get("units")
-    return count + (num_inputs * units[0] if units else 0)
