@@ -73,7 +73,7 @@ class Plan:
     first: int
     count: int
     seed: int = 0
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
     command_every: int = 0
 
     @property
