@@ -20,7 +20,7 @@ from benchmarks.fuzz.examine import Examiner, Limits, Outcome, Verdict, limit_ad
 from benchmarks.fuzz.kinds import Kind
 
 # Seconds on the clock for each second of the processor: other processes use it as well.
-_CLOCK_FACTOR = 6.0
+_CLOCK_FACTOR = 24.0
 _START_S = 120.0
 _fork = multiprocessing.get_context("fork")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError, suggest
 from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
-from isaacgymenvs_lite.motion.clip import MAX_POSES, MotionClip
+from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dataset import read_dataset
 from isaacgymenvs_lite.motion.formats import deepmimic
 from isaacgymenvs_lite.motion.formats.deepmimic_package import (
@@ -25,6 +25,8 @@ from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skelet
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
+# Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
+_MAX_REPEATED_POSES = 160_000
 _CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
 
 
@@ -90,7 +92,7 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
                 known[source] = [(_load_file(file, (skeleton,))[0], 1.0)]
         except MotionFileError as error:
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
-        if repeated_poses > MAX_POSES:
+        if repeated_poses > _MAX_REPEATED_POSES:
             raise MotionFileError(
                 f"{path}: motions[{i}] and others before it list files again that were listed "
                 f"before ('{entry.file}'); list each once, with the sum of its weights"

@@ -7,6 +7,7 @@ error for the user.
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +23,8 @@ MAX_BINARY_BYTES = 2**28
 """Of a file of arrays, and of what its archive holds."""
 MAX_TEXT_BYTES = 2**25
 """Of a table or a motion capture; its numbers take many times as much memory while it is read."""
-_MAX_JSON_BYTES = 2**24  # an empty list takes 2 bytes of text and 64 of memory
+# An empty list takes 2 bytes of text and 64 of memory; a clip has a list for each 60 bytes.
+_MAX_JSON_BYTES, _MAX_JSON_CONTAINERS = 2**24, 500_000
 
 
 @contextmanager
@@ -78,6 +80,13 @@ def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
     return array.astype(np.float32 if is_short else np.float64)
 
 
+def check_text(array: npt.NDArray[np.str_]) -> None:
+    """Raise a ValueError for texts with characters that do not exist; Python cannot handle them."""
+    codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder + "u4")
+    if codes.size and codes.max() > sys.maxunicode:
+        raise ValueError(f"a text with the character 0x{codes.max():x}")
+
+
 def read_json(path: str | Path) -> dict[str, Any]:
     """Return the JSON object in the file at `path`.
 
@@ -85,7 +94,10 @@ def read_json(path: str | Path) -> dict[str, Any]:
         MotionFileError: the file is no JSON text, is too long, or holds no object.
     """
     with reading(path, "JSON text of a poselib or DeepMimic clip"):
-        data = json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8"))
+        text = read_bytes(path, _MAX_JSON_BYTES).decode("utf-8")
+        if text.count("[") + text.count("{") > _MAX_JSON_CONTAINERS:
+            raise ValueError(f"more than {_MAX_JSON_CONTAINERS:,} lists and objects")
+        data = json.loads(text)
     if not isinstance(data, dict):
         raise MotionFileError(
             f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip"

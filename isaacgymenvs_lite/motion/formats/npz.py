@@ -18,6 +18,7 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.files import (
     MAX_BINARY_BYTES,
+    check_text,
     native_floats,
     read_bytes,
     reading,
@@ -140,7 +141,10 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArra
     if not dtype.itemsize or math.prod(shape) * dtype.itemsize != left:
         raise ValueError(f"{member.filename} promises {dtype} of shape {shape} in {left} bytes")
     content.seek(0)
-    return np.lib.format.read_array(content, allow_pickle=False)
+    array = np.lib.format.read_array(content, allow_pickle=False)
+    if array.dtype.kind == "U":
+        check_text(array)
+    return array
 
 
 def _check_keys(arrays: dict[str, npt.NDArray], path: str | Path) -> None:

@@ -18,7 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
-from isaacgymenvs_lite.motion.formats.files import MAX_BINARY_BYTES, read_bytes, reading
+from isaacgymenvs_lite.motion.formats.files import (
+    MAX_BINARY_BYTES,
+    check_text,
+    read_bytes,
+    reading,
+)
 from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
 
 T = TypeVar("T")
@@ -37,6 +42,13 @@ def _checked(value: Any, kind: type[T]) -> T:
     if not isinstance(value, kind):
         raise ValueError(f"a {type(value).__name__} in place of a {kind.__name__}")
     return value
+
+
+def _values(content: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    values = np.frombuffer(content, dtype=dtype)
+    if dtype.kind == "U":
+        check_text(values)
+    return values
 
 
 class _PickledDtype:
@@ -93,7 +105,7 @@ class _PickledArray:
         ):
             raise ValueError(f"an array of shape {self.shape} in {len(self.content)} bytes")
         order = "F" if self.is_fortran else "C"
-        return np.frombuffer(self.content, dtype=dtype).reshape(self.shape, order=order).copy()
+        return _values(self.content, dtype).reshape(self.shape, order=order).copy()
 
 
 class _PickledScalar:
@@ -107,7 +119,7 @@ class _PickledScalar:
         """Return the Python number or text; ValueError if type and content do not fit."""
         if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
             raise ValueError("a scalar that is no number")
-        values = np.frombuffer(self.content, dtype=self.dtype.resolve())
+        values = _values(self.content, self.dtype.resolve())
         if values.size != 1:
             raise ValueError(f"a scalar in {len(self.content)} bytes")
         return values[0].item()
