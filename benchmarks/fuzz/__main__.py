@@ -90,9 +90,10 @@ def _keep_defects(plan: Plan, tally: Tally, keep: Path) -> None:
             file = folder / f"{plan.seed}_{defect.number}{plan.kind.suffix}"
             file.write_bytes(examiner.content(defect.number))
             if index < _SHOWN_DEFECTS:
+                again = f"--kinds {plan.kind.name} --seed {plan.seed} --only {defect.number}"
                 print(
-                    f"  {defect.verdict.value}: {file} {examiner.name(defect.number)}; again: python -m benchmarks.fuzz --kinds"
-                    f" {plan.kind.name} --seed {plan.seed} --only {defect.number}\n"
+                    f"  {defect.verdict.value}: {file} {examiner.name(defect.number)}\n"
+                    f"    again: python -m benchmarks.fuzz {again}\n"
                     f"    {defect.message[-_SHOWN_CHARACTERS:]}",
                     file=sys.stderr,
                     flush=True,

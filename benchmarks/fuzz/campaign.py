@@ -20,7 +20,7 @@ from benchmarks.fuzz.examine import Examiner, Limits, Outcome, Verdict, limit_ad
 from benchmarks.fuzz.kinds import Kind
 
 # Seconds on the clock for each second of the processor: other processes use it as well.
-_CLOCK_FACTOR = 6.0
+_CLOCK_FACTOR = 24.0
 _START_S = 600.0
 _fork = multiprocessing.get_context("fork")
 
@@ -73,7 +73,7 @@ class Plan:
     first: int
     count: int
     seed: int = 0
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
     command_every: int = 0
 
     @property

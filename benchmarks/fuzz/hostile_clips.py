@@ -61,6 +61,11 @@ def datasets(canary: Path) -> _Files:
         + b"".join(b"- {file: '%swalk', weight: 1}\n" % (b"./" * i) for i in range(600)),
     )
     yield "package", b"motions:\n" + b'- {file: "deepmimic:all", weight: 1}\n' * 5_000
+    yield "spaces", b"motions:" + b" " * (2 * _MB - 9) + b"x"
+    yield "lines", b"motions:" + b"\n" * (2 * _MB - 9) + b"x"
+    yield "plain_text", b"motions: " + b"x" * (2 * _MB - 9)
+    yield "quoted_text", b'motions: "' + b"\\n" * (_MB - 9) + b'"'
+    yield "comments", b"motions:\n" + b"#\n" * (_MB - 9)
     yield "itself", b"motions:\n- {file: input.yaml, weight: 1}\n"
     for name, weight in (
         ("sum_infinite", "1e308"),
@@ -135,7 +140,6 @@ def poselib(canary: Path) -> _Files:
     yield "code", header + _code(canary)
     yield "code_4", header + pickle.dumps(_Touch(canary), protocol=4)
     yield "global_only", header + b"cos\nsystem\n."
-    shared = b"]q\0" + b"".join(b"]q%c(h%ch%ce" % (i + 1, i, i) for i in range(1, 60))
     shared = b"]q\1" + b"".join(b"](h%ch%ceq%c" % (i, i, i + 1) for i in range(1, 60))
     yield (
         "shared_name",
@@ -224,18 +228,18 @@ def json_clips(canary: Path) -> _Files:
         "fps",
         json.dumps({"__name__": "SkeletonMotion", "fps": 10**400, "skeleton_tree": {}}).encode(),
     )
-    _ = canary
+    del canary  # the format cannot name code
 
 
 def deepmimic(canary: Path) -> _Files:
     """Yield DeepMimic's text files."""
-    _ = canary
+    del canary  # the format cannot name code
     yield from _json_texts()
-    pose = [1.0 if column in (4, 8, 12, 16, 21, 25, 30, 35, 39) else 0.0 for column in range(43)]
-    pose[1] = 1.0
+
+    turns = [float(column in (0, 4, 8, 12, 17, 21, 26, 31, 35)) for column in range(40)]
 
     def clip(*durations: Any, place: Any = 0.0) -> bytes:
-        rows = [[duration, place, 1.0, 0.0, *_wxyz(pose)] for duration in durations]
+        rows = [[duration, place, 1.0, 0.0, *turns] for duration in durations]
         return json.dumps({"Loop": "none", "Frames": rows}).encode()
 
     yield "long_frame", clip(2e5, 0.01, 0.01, 0.01, 0)
@@ -253,7 +257,7 @@ def deepmimic(canary: Path) -> _Files:
 
 def csv(canary: Path) -> _Files:
     """Yield tables."""
-    _ = canary
+    del canary  # the format cannot name code
     yield "one_column", b"time [s]\n" + b"0\n" * 100_000
     yield "commas", b"," * (8 * _MB)
     yield "same_columns", b",".join([b"time [s]"] * 200_000) + b"\n0\n"
@@ -275,7 +279,7 @@ def csv(canary: Path) -> _Files:
 
 def bvh(canary: Path) -> _Files:
     """Yield motion capture."""
-    _ = canary
+    del canary  # the format cannot name code
     joint = b"{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n"
     motion = b"MOTION\nFrames: 2\nFrame Time: 0.03\n"
     root = b"HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation"
@@ -325,15 +329,6 @@ def _json_texts() -> _Files:
     yield "empty", b""
 
 
-def _wxyz(pose: list[float]) -> list[float]:
-    """Return 40 numbers behind the root position: unit quaternions and zero angles."""
-    row = [0.0] * 40
-    for column in (4, 8, 12, 16, 21, 25, 30, 35, 39):
-        row[column - 4] = 1.0
-    _ = pose
-    return row
-
-
 class _Touch:
     """Creates a file when it is unpickled by a careless reader."""
 
@@ -365,7 +360,7 @@ def _npy_text(header: str) -> bytes:
 def _archive(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
     """Return an archive with these members; those of a valid clip are small."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", method) as out:
+    with zipfile.ZipFile(stream, "w", method, compresslevel=1) as out:
         for key, content in (_SMALL | members).items():
             out.writestr(f"{key}.npy", content)
     return stream.getvalue()

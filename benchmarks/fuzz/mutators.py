@@ -235,7 +235,7 @@ def _change_entry(tree: Any, key: Any, rng: random.Random) -> None:
 
 def _replaced(value: Any, rng: random.Random) -> Any:
     choice = rng.randrange(6)
-    if choice == 0 and isinstance(value, (int, float)):
+    if choice == 0 and isinstance(value, float):
         return value * rng.choice((-1, 0, 0.5, 2, 1000, 1e12))
     if choice == 1:
         return [value] * rng.choice((1, 2, 100))
@@ -320,7 +320,8 @@ def mutate_npz(data: bytes, rng: random.Random, others: Sequence[bytes]) -> byte
     with np.load(io.BytesIO(data)) as archive:
         arrays = dict(archive)
     if rng.random() < 0.7:
-        arrays = mutate_tree(arrays, rng)
+        tree = mutate_tree(arrays, rng)
+        arrays = tree if isinstance(tree, dict) else {"all": tree}
     members = {str(key): _as_npy(value) for key, value in arrays.items()}
     if rng.random() < 0.4:
         key = rng.choice(list(members) or [""])

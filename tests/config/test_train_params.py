@@ -342,7 +342,10 @@ def test_max_iterations_and_experiment_count_in_files_without_interpolations():
         ("+train.params.network.rnn=3", "network.rnn: got 3, expected a mapping"),
         ("+train.params.network.cnn={}", "the tasks observe one vector"),
         ("+train.params.network.mlp.initializer.gain=x", "unknown key 'gain'"),
-        ("train.params.network.space={}", "'train.params.network.space.continuous' is missing"),
+        (
+            "~train.params.network.space.continuous",
+            "'train.params.network.space.continuous' is missing",
+        ),
         ("+train.params.config.player={games_num: many}", "player.games_num: got 'many'"),
         ("train.params.config.reward_shaper={scale_value: .nan}", "scale_value: got"),
         ("+train.params.config.reward_shaper.factor=2", "unknown key 'factor'"),
