@@ -51,7 +51,7 @@ NamedFiles = Mapping[str, Mapping[str, Path]]
 _NAMED_SCHEME = "outside"
 _HYDRAS_OWN = "pkg://hydra.conf"
 MAX_FILES = 200
-"""Files of one composition, repeats included; the largest here has about twenty."""
+"""Files of one composition, repeats included; the largest here has sixty."""
 _HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 # What Hydra writes down of a command line, below `hydra`.
 _RECORDED = ("runtime", "overrides")

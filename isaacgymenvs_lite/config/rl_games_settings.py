@@ -332,7 +332,7 @@ class LayerSettings:
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
     """Width of each layer."""
     activation: str = setting(choices=ACTIVATIONS)
-    initializer: Mapping[str, Any] = setting({"name": "default"})
+    initializer: dict[str, Any] = setting({"name": "default"})
     regularizer: Mapping[str, Any] | None = setting(None)
     d2rl: bool = setting(False)
     norm_only_first_layer: bool = setting(False)
@@ -384,8 +384,8 @@ class GaussianSettings:
 
     mu_activation: str = setting(choices=ACTIVATIONS)
     sigma_activation: str = setting(choices=ACTIVATIONS)
-    mu_init: Mapping[str, Any] = setting()
-    sigma_init: Mapping[str, Any] = setting()
+    mu_init: dict[str, Any] = setting()
+    sigma_init: dict[str, Any] = setting()
     fixed_sigma: Any = setting()
     learn_sigma: bool = setting(True)
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from isaacgymenvs_lite.config.rl_games_settings import num_weights
-from isaacgymenvs_lite.env_interface import Env
 from isaacgymenvs_lite.simulation.backend import bytes_of_env
 from isaacgymenvs_lite.utils.memory import check_memory
 
@@ -54,6 +53,6 @@ def _count(config: Mapping[str, Any], key: str) -> int:
     return value if isinstance(value, int) else 0
 
 
-def _row_size(task: Env) -> int:
+def _row_size(task: Any) -> int:
     """Return the numbers of a sample: observation, states, action with its distribution, others."""
     return task.num_obs + task.num_states + 3 * task.num_actions + 4
