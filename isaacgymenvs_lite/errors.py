@@ -10,9 +10,26 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+MAX_MESSAGE = 500
+"""Characters of a message. Of a longer one the middle is left out: the beginning has the file or
+the key, the end what to do next."""
+_KEPT_END = 160
+
 
 class UserError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """Base of all errors that a user can cause and mend.
+
+    The message may quote a stranger's file: it is shown on one line, without control characters
+    (which could write to a terminal), and of at most `MAX_MESSAGE` characters.
+    """
+
+    def __str__(self) -> str:
+        message = printable(" ".join(super().__str__().splitlines()))
+        if len(message) <= MAX_MESSAGE:
+            return message
+        gap = " ... "
+        kept = MAX_MESSAGE - _KEPT_END - len(gap)
+        return f"{message[:kept]}{gap}{message[-_KEPT_END:]}"
 
 
 class ConfigError(UserError, ValueError):
@@ -49,6 +66,13 @@ class MissingPackageError(UserError, ImportError):
 
 class UnavailableError(UserError, NotImplementedError):
     """A published name can be imported, but what it does is not part of this version."""
+
+
+def printable(text: str) -> str:
+    """Return a text of a file without control characters: they are written as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def one_line(error: BaseException | str) -> str:

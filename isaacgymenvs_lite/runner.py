@@ -27,6 +27,7 @@ from rl_games.torch_runner import Runner, _override_sigma
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.training_state import run_of_file
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
+from isaacgymenvs_lite.config.resolvers import without_environment
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
@@ -41,6 +42,7 @@ from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
+from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
@@ -54,6 +56,8 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _IMITATION_EPISODES = 16
+# More take seconds to make: one is made first, to estimate the memory of all.
+_MANY_ENVS = 100_000
 
 
 def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -89,9 +93,13 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
     launch = _read_launch(cfg, command)
     with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
         viewers = Viewers(launch.settings)
+        if launch.num_envs > _MANY_ENVS:
+            with _quiet("isaacgymenvs_lite.config"):
+                _check_memory(launch, make_task(1))
         # Made before the agent, so that its mistakes show before a run folder exists.
         task = make_task(launch.num_envs)
         params = _read_params(launch, task)
+        check_training_memory(params, task, launch.num_envs)
         params["config"]["print_stats"] = False
         stop = StopRequest()
         observers = TrainingObservers(
@@ -199,8 +207,11 @@ class _Launch:
 
     @property
     def repeatable(self) -> DictConfig:
-        """The tree as config.yaml stores it: with the drawn seed, and nothing to resume."""
-        cfg = self.cfg.copy()
+        """The tree as config.yaml stores it: with the drawn seed, and nothing to resume.
+
+        Values of the environment are written out: a file that reads them could not be used again.
+        """
+        cfg = without_environment(self.cfg)
         with open_dict(cfg):
             cfg.seed, cfg.resume = self.seed, ""
         return cfg
@@ -312,6 +323,16 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     # rl_games sets torch's threads by this key, to at most four by default.
     params.setdefault("torch_threads", thread_count(settings.num_threads))
     return params
+
+
+def _check_memory(launch: _Launch, probe: VecTask) -> None:
+    """Refuse a training that exceeds memory, before its simulations are made.
+
+    Raises:
+        ConfigError: see `check_training_memory`.
+    """
+    check_training_memory(_read_params(launch, probe), probe, launch.num_envs)
+    probe.close()
 
 
 def _load_runner(

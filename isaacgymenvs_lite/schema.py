@@ -20,6 +20,7 @@ import dataclasses
 import difflib
 import logging
 import math
+import reprlib
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
@@ -48,6 +49,10 @@ _SIMILAR_RATIO = 0.6
 
 # Whole numbers up to here are exact as floats, too; nothing here counts further.
 _MAX_WHOLE = 2**53
+# Tensors have 32 bits; a larger number would be infinite in them.
+_MAX_FLOAT = 1e38
+_GIVEN = reprlib.Repr()  # shortens what a message shows of a file
+_GIVEN.maxstring = _GIVEN.maxother = 120
 LOGGED_KEYS: set[str] = set()
 """Unread keys that the log of this process has named: each is logged once."""
 
@@ -62,7 +67,9 @@ def setting(
     below: float | None = None,
     choices: Iterable[Any] | None = None,
     min_length: int = 0,
+    max_length: int | None = None,
     blank: bool = False,
+    infinite: bool = False,
 ) -> Any:
     """Declare a field of a settings dataclass.
 
@@ -75,7 +82,9 @@ def setting(
         below: the number must be smaller than this.
         choices: the allowed values; text is compared exactly.
         min_length: least number of entries of a list.
+        max_length: largest number of entries of a list.
         blank: '' counts as None (the launcher's "not given").
+        infinite: inf and -inf are allowed; without it numbers are of at most 1e38.
     """
     metadata = {
         "key": key,
@@ -85,7 +94,9 @@ def setting(
         "below": below,
         "choices": None if choices is None else tuple(choices),
         "min_length": min_length,
+        "max_length": max_length,
         "blank": blank,
+        "infinite": infinite,
     }
     if isinstance(default, (list, dict)):
         return dataclasses.field(default_factory=lambda: default.copy(), metadata=metadata)
@@ -132,6 +143,46 @@ def read_section(
             expected = _expectation(types_by_name[field.name], field)
             raise missing_key(key, values, by_key, where, f"expected {expected}")
     return cls(**arguments)
+
+
+def convert_section(cls: type[T], section: Any, where: str, ignored: Iterable[str] = ()) -> T:
+    """Check a plain section as `read_section`, and replace its values by the converted ones.
+
+    For sections that other packages read as they are. The fields of `cls` have their keys' names.
+
+    Args:
+        cls: as `read_section`.
+        section: of the tree, changed in place.
+        where: as `read_section`.
+        ignored: likewise.
+
+    Raises:
+        ConfigError: as `read_section`.
+    """
+    settings = read_section(cls, section, where, ignored)
+    for key in keys_of(cls) & set(section or ()):
+        section[key] = getattr(settings, key)
+    return settings
+
+
+def convert_keys(cls: type[T], section: Any, where: str) -> T:
+    """Do the same with a section whose other keys are read elsewhere, see `read_keys`."""
+    return convert_section(cls, section, where, _other_keys(cls, section))
+
+
+def read_keys(cls: type[T], mapping: Mapping[Any, Any] | None, where: str) -> T:
+    """Fill the settings dataclass `cls` from a section whose other keys are read elsewhere.
+
+    Args:
+        cls: as `read_section`.
+        mapping: likewise.
+        where: likewise.
+
+    Raises:
+        ConfigError: a value has a wrong type or is out of range, or a required key is missing.
+    """
+    values = _plain_mapping(mapping, where)
+    return read_section(cls, values, where, _other_keys(cls, values))
 
 
 def keys_of(cls: type[DataclassInstance]) -> frozenset[str]:
@@ -210,12 +261,18 @@ def plain(value: Any) -> Any:
         raise ConfigError(f"{where}: {str(error).splitlines()[0]}") from error
 
 
+def _other_keys(cls: type[DataclassInstance], values: Any) -> list[Any]:
+    known = keys_of(cls)
+    return [key for key in values if key not in known] if isinstance(values, Mapping) else []
+
+
 def _plain_mapping(mapping: Mapping[Any, Any] | None, where: str) -> dict[str, Any]:
     if mapping is None:
         return {}
     values = plain(mapping)
     if not isinstance(values, Mapping):
-        raise ConfigError(f"{where}: got {values!r}, expected a mapping of keys to values")
+        given = _GIVEN.repr(values)
+        raise ConfigError(f"{where}: got {given}, expected a mapping of keys to values")
     return dict(values)
 
 
@@ -247,8 +304,8 @@ def _read_value(value: Any, kind: Any, field: Field, path: str) -> Any:
             raise
         expected = _expectation(kind, field)
         if isinstance(error, OverflowError):
-            expected += f" and of at most {_MAX_WHOLE}"
-        raise ConfigError(f"{path}: got {value!r}, expected {expected}") from None
+            expected += f" and of at most {error}"
+        raise ConfigError(f"{path}: got {_GIVEN.repr(value)}, expected {expected}") from None
 
 
 def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
@@ -277,7 +334,8 @@ def _convert(value: Any, kind: Any, field: Field, path: str) -> Any:
 def _convert_entries(value: Any, kind: Any, field: Field, path: str) -> Iterable[Any]:
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise ValueError
-    if len(value) < field.metadata.get("min_length", 0):
+    longest = field.metadata.get("max_length")
+    if len(value) < field.metadata.get("min_length", 0) or len(value) > (longest or len(value)):
         raise ValueError
     entry_kind = (typing.get_args(kind) or (Any,))[0]
     return [
@@ -298,14 +356,17 @@ def _convert_scalar(value: Any, kind: Any) -> Any:
         return str(value)  # YAML takes a name such as 2026 for a number
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number of some hundred digits
+        raise OverflowError(_MAX_WHOLE) from None
     if math.isnan(number):
         raise ValueError
     if kind is float:
         return number
     if kind is int:
         if abs(number) > _MAX_WHOLE:
-            raise OverflowError
+            raise OverflowError(_MAX_WHOLE)
         if isinstance(value, int):
             return value  # float() would round whole numbers beyond 2^53
         if not number.is_integer():
@@ -321,6 +382,8 @@ def _check_limits(value: Any, field: Field) -> None:
         raise ValueError
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return
+    if abs(value) > _MAX_FLOAT and not (limits.get("infinite") and math.isinf(value)):
+        raise OverflowError(f"{_MAX_FLOAT:g}")
     if (
         (limits.get("minimum") is not None and value < limits["minimum"])
         or (limits.get("maximum") is not None and value > limits["maximum"])
@@ -362,6 +425,8 @@ def _expectation(kind: Any, field: Field) -> str:
             noun = f"a list out of {', '.join(_word(choice) for choice in choices)}"
         if field.metadata.get("min_length"):
             noun += f" with at least {field.metadata['min_length']} entries"
+        if field.metadata.get("max_length"):
+            noun += f" with at most {field.metadata['max_length']} entries"
     elif choices is not None:
         noun = f"one of {', '.join(_word(choice) for choice in choices)}"
     else:

@@ -77,19 +77,13 @@ def parse_yaml(text: str, where: str, max_values: int = MAX_VALUES) -> YamlText:
         loader = _Loader(text, max_values)
         content = loader.get_single_data()
     except _LimitError as error:
-        raise ConfigError(f"{where}: {printable(str(error))}") from None
+        raise ConfigError(f"{where}: {error}") from None
     except yaml.YAMLError as error:
-        reason = printable(one_line(error))
-        raise ConfigError(f"{where} is not valid YAML: {reason}") from error
+        raise ConfigError(f"{where} is not valid YAML: {one_line(error)}") from error
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         # PyYAML's constructors take a scalar's text for granted: `!!bool maybe`.
         raise ConfigError(f"{where} is not valid YAML: a value cannot be read ({error})") from error
     return YamlText(content, loader.repeated)
-
-
-def printable(text: str) -> str:
-    """Return a text of a file as a message may show it: on one line, without control characters."""
-    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 class _LimitError(Exception):

@@ -30,6 +30,7 @@ from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
+from isaacgymenvs_lite.schema import read_section, setting
 
 log = logging.getLogger(__name__)
 
@@ -86,13 +87,13 @@ class PolicyInfo:
         training: `train.params.config` of the training, for the record.
     """
 
-    task: str
-    clip: str
-    units: dict[str, list[int]]
-    frames: int
-    epochs: int
-    settings: dict[str, Any]
-    training: dict[str, Any]
+    task: str = setting()
+    clip: str = setting()
+    units: dict[str, list[int]] = setting()
+    frames: int = setting(minimum=0)
+    epochs: int = setting(minimum=0)
+    settings: dict[str, Any] = setting()
+    training: dict[str, Any] = setting()
 
     def __str__(self) -> str:
         """Return one line for users."""
@@ -114,7 +115,10 @@ def read_policy_info(path: Path) -> PolicyInfo:
             f"{path}: is no packed policy of this version; make one with python -m"
             " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
         )
-    return PolicyInfo(**info)
+    try:
+        return read_section(PolicyInfo, info, "policy")
+    except ConfigError as error:
+        raise CheckpointError(f"{path}: {error}") from error
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
@@ -123,6 +127,9 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
     Args:
         params: of a train file of the same algorithm.
         state: of a checkpoint; if it is no packed policy, `params` is returned as it is.
+
+    Raises:
+        CheckpointError: its settings contradict each other.
     """
     params = copy.deepcopy(dict(params))
     if _INFO_KEY not in state:
@@ -134,6 +141,11 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
             place = own
             for section in sections[2:]:
                 place = place.setdefault(section, {})
+                if not isinstance(place, dict):
+                    raise CheckpointError(
+                        f"the checkpoint's policy.settings.{path} is below a value, expected below"
+                        " a section; take another checkpoint"
+                    )
             place[key] = value
     return {**params, **own}
 

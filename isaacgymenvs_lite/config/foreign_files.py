@@ -24,7 +24,6 @@ from isaacgymenvs_lite.config.hydra_bridge import Override, parse_interpolations
 from isaacgymenvs_lite.config.resolvers import RESOLVERS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.yaml_text import printable
 
 _HYDRA = "hydra"
 _TARGET = "_target_"
@@ -56,7 +55,7 @@ def check_foreign_file(content: dict[Any, Any], path: Path) -> None:
             interpolation that could look outside of the configuration.
     """
     if _HYDRA in content:
-        raise _refusal(f"{path} sets '{_HYDRA}', which decides what is run; {_WHERE_TO}")
+        raise ConfigError(f"{path} sets '{_HYDRA}', which decides what is run; {_WHERE_TO}")
     _check_values(content, str(path))
 
 
@@ -80,12 +79,12 @@ def check_composed_file(
     allowed = {None, "_group_", own, f"_global_.{own}"} if own else {None, "", "_global_"}
     if package not in allowed:
         expected = f"'{own}' or none" if own else "none"
-        raise _refusal(
+        raise ConfigError(
             f"{path} has the header '# @package {package}', which puts it into another section;"
             f" expected {expected}"
         )
     if group.split("/")[0] == _HYDRA:
-        raise _refusal(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
+        raise ConfigError(f"{path} is a file of the group '{group}'; {_WHERE_TO}")
     settings = content
     if not own and _has_only(content.get(_HYDRA, {}), _HARMLESS):
         settings = {key: value for key, value in content.items() if key != _HYDRA}
@@ -133,26 +132,22 @@ def check_interpolation(text: str, where: str) -> None:
         or _LONE_DOLLAR.search(text)
         or _TARGET in text
     ):
-        raise _refusal(
+        raise ConfigError(
             f"{where}: {text[:60]!r} is no plain interpolation; expected ${{path.of.a.key}} or"
             f" ${{resolver:...}} and no other $"
         )
     try:
         found = parse_interpolations(text)
     except (GrammarParseError, RecursionError) as error:
-        raise _refusal(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
+        raise ConfigError(f"{where}: {text[:60]!r} cannot be read as an interpolation") from error
     if found.has_composed_path:
-        raise _refusal(f"{where}: '{text}' makes up the path that it leads to; write it out")
+        raise ConfigError(f"{where}: '{text}' makes up the path that it leads to; write it out")
     for name in sorted(set(found.resolvers) - set(RESOLVERS)):
-        raise _refusal(
+        raise ConfigError(
             f"{where}: '{text}' uses the resolver '{name}', which a file from outside may not use;"
             f" expected a path in the configuration or one of {', '.join(sorted(RESOLVERS))};"
             f" {_WHERE_TO}"
         )
-
-
-def _refusal(message: str) -> ConfigError:
-    return ConfigError(printable(message))
 
 
 def _check_values(value: Any, where: str) -> None:
@@ -161,7 +156,7 @@ def _check_values(value: Any, where: str) -> None:
     elif isinstance(value, dict):
         for key, entry in value.items():
             if key == _TARGET:
-                raise _refusal(
+                raise ConfigError(
                     f"{where} has a key '{_TARGET}', which names something to be called; a"
                     " configuration file cannot name code here (docs/own_task.md)"
                 )
@@ -187,7 +182,7 @@ def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
     steps = [step for part in parts for step in str(part).split("/")]
     if not fits or ".." in steps or (is_root and steps[0] == _HYDRA):
         text = str(entry).strip("{}")
-        raise _refusal(
+        raise ConfigError(
             f"{path}: the entry '{text}' of its defaults list leads out of its own group; expected"
             " the name of a file beside it"
         )

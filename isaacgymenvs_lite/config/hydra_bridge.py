@@ -16,7 +16,9 @@ from typing import Any
 
 import hydra._internal.hydra as hydra_program
 from hydra import version
+from hydra._internal import config_loader_impl
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra._internal.utils import create_config_search_path, get_args_parser
@@ -47,6 +49,8 @@ NamedFiles = Mapping[str, Mapping[str, Path]]
 
 _NAMED_SCHEME = "outside"
 _HYDRAS_OWN = "pkg://hydra.conf"
+MAX_FILES = 200
+"""Files of one composition, repeats included; the largest here has sixty."""
 _HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 # What Hydra writes down of a command line, below `hydra`.
 _RECORDED = ("runtime", "overrides")
@@ -259,6 +263,32 @@ class _NamedFolder(_Folder):
         return self._folder / group[len(self._group) + 1 :] if inside else None
 
 
+class _LimitedRepository(CachingConfigRepository):
+    """The files of one composition; refuses more of them than anybody writes.
+
+    Hydra loads a file again for every list that names it: a dozen small files that name each other
+    twice take minutes.
+    """
+
+    def __init__(self, delegate: IConfigRepository) -> None:
+        super().__init__(delegate)
+        self._num_left = MAX_FILES
+
+    def load_config(self, config_path: str) -> ConfigResult | None:
+        """Load a file.
+
+        Raises:
+            ConfigError: it is one too many.
+        """
+        self._num_left -= 1
+        if self._num_left < 0:
+            raise ConfigError(
+                f"{config_path}: the defaults lists of the configuration files name more than"
+                f" {MAX_FILES} files, repeats included; expected fewer"
+            )
+        return super().load_config(config_path)
+
+
 # --- composing ------------------------------------------------------------------------------------
 
 
@@ -350,13 +380,17 @@ class Loader(ConfigLoaderImpl):
         Plugins.instance()  # registers Hydra's own readers, which must happen before
         readers: dict[str, Any] = SourcesRegistry.instance().types
         base = version.VersionBase.instance()
+        module: Any = config_loader_impl
+        former_repository = module.CachingConfigRepository
         former_readers, former_base = dict(readers), base.version_base
         readers[FileConfigSource.scheme()] = functools.partial(_Folder, self._rules)
         readers[_NAMED_SCHEME] = functools.partial(_NamedFolder, self._rules, self._files)
+        module.CachingConfigRepository = _LimitedRepository
         version.setbase(HYDRA_VERSION_BASE)
         try:
             yield
         finally:
+            module.CachingConfigRepository = former_repository
             readers.clear()
             readers.update(former_readers)
             base.version_base = former_base

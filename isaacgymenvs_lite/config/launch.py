@@ -14,13 +14,16 @@ from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.hydra_errors import explain_interpolation
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.schema import missing_key, read_section, setting
+from isaacgymenvs_lite.schema import missing_key, read_keys, read_section, setting
 from isaacgymenvs_lite.utils.optional_packages import require
 
 # Sections below the root, which others read.
 _SECTIONS = ("task", "train", "pbt")
 _SEED_OF_DETERMINISTIC_RUNS = 42
 _RANDOM_SEEDS = 10_000
+_MAX_SEED = 2**32 - 1  # numpy's
+MAX_THREADS = 1024
+"""More than any CPU has; each takes memory before it has work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +49,7 @@ class LaunchSettings:
     num_envs: int | None = setting(None, minimum=1, blank=True)
     max_iterations: int | None = setting(None, minimum=1, blank=True)
     """Epochs."""
-    seed: int = setting(42, minimum=-1)
+    seed: int = setting(42, minimum=-1, maximum=_MAX_SEED)
     """-1 draws one."""
     torch_deterministic: bool = setting(False)
 
@@ -54,7 +57,7 @@ class LaunchSettings:
     rl_device: str = setting("cpu")
     pipeline: str = setting("cpu", choices=("cpu", "gpu"))
     """Where the task's tensors live."""
-    num_threads: int = setting(0, minimum=0)
+    num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
     """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
 
@@ -144,7 +147,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     if settings.full_experiment_name:
         read_run_name(settings.full_experiment_name, "full_experiment_name")
     env = tree["task"]["env"] or {}
-    read_section(_EnvSize, env, where="task.env", ignored=set(env) - {"numEnvs"})
+    read_keys(_EnvSize, env, "task.env")
     return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
 
 

@@ -9,12 +9,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config.hydra_bridge import allow_registering_again
+from isaacgymenvs_lite.config.hydra_bridge import allow_registering_again, parse_interpolations
 
 
 def equal(a: str, b: str) -> bool:
@@ -60,6 +60,36 @@ def register_resolvers() -> None:
     """Make the functions known to OmegaConf, also if another package has registered the names."""
     for name, function in RESOLVERS.items():
         OmegaConf.register_new_resolver(name, function, replace=True)
+
+
+def without_environment(cfg: DictConfig) -> DictConfig:
+    """Return a tree that any machine can read: `${oc.env:X}` and the like become their values.
+
+    A file that is read may use no other functions than those of this module, which do not look
+    outside of it. A command line may; what it means is decided where it is typed.
+
+    Args:
+        cfg: the tree; its other interpolations stay.
+    """
+    copied = cfg.copy()
+    for path, text in _texts(OmegaConf.to_container(cfg, resolve=False), ()):
+        if "${" in text and set(parse_interpolations(text).resolvers) - set(RESOLVERS):
+            key = ".".join(path)
+            OmegaConf.update(copied, key, OmegaConf.select(cfg, key))
+    return copied
+
+
+def _texts(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the path and the content of each text in nested dictionaries and lists."""
+    if isinstance(value, str):
+        yield path, value
+    entries: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        entries = value.items()
+    elif isinstance(value, list):
+        entries = enumerate(value)
+    for key, entry in entries:
+        yield from _texts(entry, (*path, str(key)))
 
 
 def let_scripts_register() -> None:

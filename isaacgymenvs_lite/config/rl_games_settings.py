@@ -6,13 +6,22 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, read_section, setting
+from isaacgymenvs_lite.schema import (
+    check_unknown_keys,
+    convert_keys,
+    convert_section,
+    keys_of,
+    missing_key,
+    setting,
+)
+from isaacgymenvs_lite.utils.memory import check_memory
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +41,7 @@ class RunSettings:
     max_epochs: int = setting(-1, minimum=-1)
     """-1 for no limit."""
     max_frames: int = setting(-1, minimum=-1)
-    score_to_win: float = setting(float("inf"))
+    score_to_win: float = setting(float("inf"), infinite=True)
     """Mean episode reward at which training ends."""
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
@@ -90,6 +99,56 @@ class PPOSettings(RunSettings):
     grad_norm: float = setting(above=0)
     """Used with truncate_grads."""
     truncate_grads: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CentralValueSettings:
+    """The section central_value_config: an asymmetric critic with an optimiser of its own."""
+
+    network: dict[str, Any] = setting()
+    minibatch_size: int | None = setting(None, minimum=1)
+    minibatch_size_per_env: int | None = setting(None, minimum=1)
+    """Used if minibatch_size is absent."""
+    mini_epochs: int = setting(minimum=1)
+    learning_rate: float = setting(above=0)
+    lr_schedule: str | None = setting(None)
+    kl_threshold: float | None = setting(None, above=0)
+    clip_value: bool = setting()
+    e_clip: float = setting(0.2, above=0)
+    normalize_input: bool = setting()
+    truncate_grads: bool = setting(False)
+    grad_norm: float = setting(1.0, above=0)
+    weight_decay: float = setting(0.0, minimum=0)
+    mixed_precision: bool = setting(False)
+    freeze_critic: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardShaperSettings:
+    """The section reward_shaper: what a training makes of the task's rewards."""
+
+    scale_value: float = setting(1.0)
+    shift_value: float = setting(0.0)
+    min_val: float = setting(float("-inf"), infinite=True)
+    max_val: float = setting(float("inf"), infinite=True)
+    log_val: bool = setting(False)
+    is_torch: bool = setting(True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayerSettings:
+    """The section player, beside the keys that a player class has of its own."""
+
+    games_num: int = setting(32, minimum=1)
+    """Episodes."""
+    deterministic: bool = setting(True)
+    n_game_life: int = setting(1, minimum=1)
+    print_stats: bool = setting(True)
+    render: bool = setting(False)
+    render_sleep: float = setting(0.002, minimum=0)
+    record: str | None = setting(None)
+    """File that environment 0 is recorded to."""
+    latent: str | None = setting(None)
 
 
 # PPO's further keys: read by rl_games in special set-ups, written by the launcher, or found in
@@ -202,23 +261,60 @@ SAC_OTHER_KEYS = frozenset(
 
 # The names in the factories of rl_games' network builder.
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
-INITIALIZERS = (
-    "default",
-    "const_initializer",
-    "orthogonal_initializer",
-    "orthogonal",
-    "glorot_normal_initializer",
-    "glorot_uniform_initializer",
-    "variance_scaling_initializer",
-    "random_uniform_initializer",
-    "kaiming_normal",
-)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Constant:
+    val: float = setting()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Gain:
+    gain: float = setting(1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _VarianceScaling:
+    mode: str = setting("fan_in", choices=("fan_in", "fan_out"))
+    scale: float = setting(2.0, above=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Uniform:
+    a: float = setting(0.0)
+    b: float = setting(1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _KaimingNormal:
+    a: float = setting(0.0)
+    mode: str = setting("fan_in", choices=("fan_in", "fan_out"))
+    nonlinearity: str = setting("leaky_relu", choices=("relu", "leaky_relu", "tanh", "selu"))
+
+
+# Name -> its arguments; "default", which published files give some, reads none.
+INITIALIZERS: dict[str, type[Any] | None] = {
+    "default": None,
+    "const_initializer": _Constant,
+    "orthogonal_initializer": _Gain,
+    "orthogonal": _Gain,
+    "glorot_normal_initializer": _Gain,
+    "glorot_uniform_initializer": _Gain,
+    "variance_scaling_initializer": _VarianceScaling,
+    "random_uniform_initializer": _Uniform,
+    "kaiming_normal": _KaimingNormal,
+}
+
 
 # Networks made of an `mlp` section, and the sections of hidden layers that they may have.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
 _LAYER_SECTIONS = ("mlp", "disc", "enc")
+_MAX_LAYERS = 100
+_MAX_UNITS = 2**20
+_GATES = {"lstm": 4, "gru": 3}
+_FLOAT_BYTES = 4
 _NETWORK_KEYS = frozenset(
     (
         *_LAYER_SECTIONS,
@@ -234,10 +330,10 @@ _NETWORK_KEYS = frozenset(
 class LayerSettings:
     """Hidden layers: the sections mlp, disc and enc."""
 
-    units: tuple[int, ...] = setting(minimum=1)
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
     """Width of each layer."""
     activation: str = setting(choices=ACTIVATIONS)
-    initializer: Mapping[str, Any] = setting({"name": "default"})
+    initializer: dict[str, Any] = setting({"name": "default"})
     regularizer: Mapping[str, Any] | None = setting(None)
     d2rl: bool = setting(False)
     norm_only_first_layer: bool = setting(False)
@@ -250,11 +346,37 @@ class LayerSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LatentSettings:
-    """The keys of the network section itself that are about latents."""
+class StyleSettings:
+    """The section style: layers from the latent to what the actor gets of it."""
 
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecurrentSettings:
+    """The section rnn."""
+
+    name: str = setting(choices=("lstm", "gru", "identity"))
+    units: int = setting(minimum=1, maximum=_MAX_UNITS)
+    layers: int = setting(minimum=1, maximum=_MAX_LAYERS)
+    layer_norm: bool = setting(False)
+    before_mlp: bool = setting(False)
+    concat_input: bool = setting(False)
+    concat_output: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NetworkSettings:
+    """The keys of the network section itself."""
+
+    separate: bool = setting(False)
+    """Actor and critic share no layers."""
+    normalization: str | None = setting(None, choices=("layer_norm", "batch_norm", "None"))
+    value_activation: str = setting("None", choices=ACTIVATIONS)
     latent_scale: float = setting(1.0, above=0)
     """Length of the latents that the network gets."""
+    log_std_bounds: list[float] | None = setting(None, min_length=2, max_length=2)
+    space: Mapping[str, Any] | None = setting(None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,14 +385,26 @@ class GaussianSettings:
 
     mu_activation: str = setting(choices=ACTIVATIONS)
     sigma_activation: str = setting(choices=ACTIVATIONS)
-    mu_init: Mapping[str, Any] = setting()
-    sigma_init: Mapping[str, Any] = setting()
+    mu_init: dict[str, Any] = setting()
+    sigma_init: dict[str, Any] = setting()
     fixed_sigma: Any = setting()
     learn_sigma: bool = setting(True)
 
 
-def check_network(network: Mapping[str, Any], where: str) -> None:
-    """Check names, units and keys of a network section.
+_SECTIONS: dict[str, type[Any]] = {
+    **dict.fromkeys(_LAYER_SECTIONS, LayerSettings),
+    "style": StyleSettings,
+    "rnn": RecurrentSettings,
+}
+
+
+def check_network(network: dict[str, Any], where: str, *, is_critic: bool = False) -> None:
+    """Check names, units and keys of a network section; convert numbers in place.
+
+    Args:
+        network: the section.
+        where: its path, for messages.
+        is_critic: it is a critic alone, which has no actions.
 
     Raises:
         ConfigError: a key is missing or misspelt, or a value is none of the choices.
@@ -281,29 +415,58 @@ def check_network(network: Mapping[str, Any], where: str) -> None:
             raise missing_key(
                 "mlp", network, _NETWORK_KEYS, where, "expected the hidden layers' section"
             )
+        if "cnn" in network:
+            raise ConfigError(
+                f"{where}.cnn: the tasks observe one vector, no pictures; remove the section"
+            )
         if network.get("inputs"):
             _log.warning(
                 "%s.inputs: the tasks observe one vector, not named parts; no effect", where
             )
-    own = {key: network[key] for key in keys_of(LatentSettings) if key in network}
-    read_section(LatentSettings, own, where)
-    for section in _LAYER_SECTIONS:
+    own = convert_keys(_NetworkSettings, network, where)
+    for section, settings in _SECTIONS.items():
         if section in network:
-            path = f"{where}.{section}"
-            layers = read_section(LayerSettings, network[section], path)
-            _check_initializer(layers.initializer, f"{path}.initializer")
-    if network.get("disc", {}).get("conditional") and network["name"] not in _LATENT_NETWORKS:
+            layers = convert_section(settings, network[section], f"{where}.{section}")
+            if isinstance(layers, LayerSettings):
+                _check_initializer(layers.initializer, f"{where}.{section}.initializer")
+    if "mlp" in network and "initializer" not in network["mlp"]:
+        hint = "expected a mapping with its name, such as default"
+        raise missing_key("initializer", network["mlp"], (), f"{where}.mlp", hint)
+    if (network.get("disc") or {}).get("conditional") and network["name"] not in _LATENT_NETWORKS:
         raise ConfigError(
             f"{where}.disc.conditional=True: the network {network['name']} has no latents that a"
             f" discriminator could receive; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"
         )
-    space = network.get("space") or {}
+    space = own.space or {}
+    if network["name"] in _MLP_NETWORKS and "continuous" not in space and not is_critic:
+        hint = "expected the distribution of the actions"
+        raise missing_key("continuous", space, (), f"{where}.space", hint)
+    check_memory({"networks": _FLOAT_BYTES * num_weights(network)}, f"units in {where}")
     # Soft actor-critic's distribution has no settings: its files leave the section empty.
-    if isinstance(space, Mapping) and "continuous" in space and network["name"] != _SAC_NETWORK:
+    if "continuous" in space and network["name"] != _SAC_NETWORK:
         path = f"{where}.space.continuous"
-        gaussian = read_section(GaussianSettings, space["continuous"], path)
+        gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")
         _check_initializer(gaussian.sigma_init, f"{path}.sigma_init")
+
+
+def num_weights(network: Mapping[str, Any], num_inputs: int = 1) -> int:
+    """Return how many weights the hidden layers of a checked network section have at least.
+
+    Args:
+        network: the section.
+        num_inputs: numbers in an observation.
+    """
+    layers = [section for section in network.values() if isinstance(section, Mapping)]
+    count = 0
+    for section in layers:
+        units = section.get("units")
+        if isinstance(units, int):  # recurrent
+            count += _GATES.get(section["name"], 0) * units * units * section["layers"]
+        elif units:
+            count += sum(a * b for a, b in itertools.pairwise(units))
+    first = (network.get("mlp") or {}).get("units")
+    return count + (num_inputs * first[0] if first else 0)
 
 
 def scale_units(network: dict[str, Any]) -> None:
@@ -317,9 +480,56 @@ def scale_units(network: dict[str, Any]) -> None:
         mlp["model_size_multiplier"] = 1  # once is enough, should the section be read again
 
 
-def _check_initializer(initializer: Mapping[str, Any], where: str) -> None:
+def check_reward_shaper(section: Any, where: str) -> dict[str, Any]:
+    """Return the section reward_shaper, checked.
+
+    Raises:
+        ConfigError: a value that cannot be used, or a key that rl_games does not have.
+    """
+    section = {} if section is None else section
+    _refuse_other_keys(RewardShaperSettings, section, where)
+    convert_section(RewardShaperSettings, section, where)
+    return section
+
+
+def check_central_value(section: dict[str, Any], where: str) -> None:
+    """Check the section of an asymmetric critic; convert numbers in place.
+
+    Raises:
+        ConfigError: a key is missing, or a value cannot be used.
+    """
+    settings = convert_keys(CentralValueSettings, section, where)
+    if "name" not in settings.network:
+        raise missing_key("name", settings.network, (), f"{where}.network", "expected actor_critic")
+    check_network(settings.network, f"{where}.network", is_critic=True)
+
+
+def _refuse_other_keys(
+    cls: type[Any], section: Any, where: str, ignored: tuple[str, ...] = ()
+) -> None:
+    """Refuse keys that would become arguments which a function does not have.
+
+    Raises:
+        ConfigError: there is one.
+    """
+    for key in section if isinstance(section, dict) else ():
+        if key not in keys_of(cls) and key not in ignored:
+            raise ConfigError(f"{where}: {unknown('key', str(key), keys_of(cls))}")
+
+
+def _check_initializer(initializer: dict[str, Any], where: str) -> None:
+    """Check name and arguments of an initialiser; convert numbers in place.
+
+    Raises:
+        ConfigError: the name is unknown, or an argument is.
+    """
     name = initializer.get("name")
     if name is None:
         raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(INITIALIZERS)}")
-    if name not in INITIALIZERS:
+    if str(name) not in INITIALIZERS:
         raise ConfigError(f"{where}.name: " + unknown("initializer", str(name), INITIALIZERS))
+    arguments = INITIALIZERS[str(name)]
+    if arguments is None:
+        return
+    _refuse_other_keys(arguments, initializer, where, ignored=("name",))
+    convert_section(arguments, initializer, where, ignored=("name",))

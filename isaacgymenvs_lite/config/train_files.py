@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.yaml_files import read_yaml
-from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import plain
 
+_MAX_FILES = 50
 # Folders of train files in the paths that files of IsaacGymEnvs and ASE have.
 _PUBLISHED_FOLDERS = (("isaacgymenvs", "cfg", "train"), ("ase", "data", "cfg", "train", "rlg"))
 
@@ -80,21 +82,36 @@ def _find(path: Path | str, group: str = "train") -> Path:
     )
 
 
-def merge_defaults(file: Path, above: tuple[Path, ...] = (), group: str = "train") -> DictConfig:
+def merge_defaults(
+    file: Path,
+    above: tuple[Path, ...] = (),
+    group: str = "train",
+    read: list[Path] | None = None,
+) -> DictConfig:
     """Read `file` and merge the files of its defaults list, in the order given there.
 
     Args:
         file: a train or task file.
         above: the files whose lists led here.
         group: folder of cfg/ with the files that a list may name beside those next to `file`.
+        read: the files that were read before; this one is added. Each may be named by many.
 
     Raises:
         ConfigError: the list names itself in a circle, or an entry is not the name of a file.
     """
+    read = [] if read is None else read
     if file in above:
         raise ConfigError(f"the defaults lists of {', '.join(map(str, above))} run in a circle")
+    read.append(file)
+    if len(read) > _MAX_FILES:
+        raise ConfigError(
+            f"the defaults lists of {read[0]} name more than {_MAX_FILES} files, repeats included;"
+            " expected fewer"
+        )
     content = read_yaml(file)
-    defaults = list(content.pop("defaults", []))
+    defaults = plain(content.pop("defaults", None) or [])
+    if not isinstance(defaults, list):
+        raise ConfigError(f"{file}: defaults: got {defaults!r}, expected a list of file names")
     if "_self_" not in defaults:
         defaults.append("_self_")
     merged = OmegaConf.create()
@@ -104,7 +121,17 @@ def merge_defaults(file: Path, above: tuple[Path, ...] = (), group: str = "train
         if entry == "_self_":
             merged.merge_with(content)
             continue
-        beside = file.with_name(f"{entry}.yaml")
-        named = beside if beside.is_file() else _find(entry, group)
-        merged.merge_with(merge_defaults(named, (*above, file), group))
+        try:
+            named = _named_beside(file, entry, group)
+            merged.merge_with(merge_defaults(named, (*above, file), group, read))
+        except (OmegaConfBaseException, OSError, ValueError) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"{file}: defaults: {entry}: {one_line(error)}") from error
     return merged
+
+
+def _named_beside(file: Path, entry: str, group: str) -> Path:
+    """Return the file that an entry of a defaults list means."""
+    beside = file.with_name(f"{entry}.yaml")
+    return beside if beside.is_file() else _find(entry, group)

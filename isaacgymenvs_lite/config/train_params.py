@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,18 +15,26 @@ from isaacgymenvs_lite.config.rl_games_settings import (
     ENV_NAME,
     PPO_OTHER_KEYS,
     SAC_OTHER_KEYS,
+    PlayerSettings,
     PPOSettings,
     SACSettings,
+    check_central_value,
     check_network,
+    check_reward_shaper,
     scale_units,
 )
 from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
-from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, plain, read_section
+from isaacgymenvs_lite.schema import (
+    check_unknown_keys,
+    convert_keys,
+    convert_section,
+    keys_of,
+    missing_key,
+    plain,
+)
 
 _log = logging.getLogger(__name__)
-
-T = TypeVar("T", PPOSettings, SACSettings)
 
 _WHERE = "train.params"
 # Section of `train.params` in Isaac Lab's train files: the limits that its wrapper keeps.
@@ -115,14 +123,18 @@ def prepare_train_params(
     config["population_based_training"] = bool(plain(cfg.pbt).get("enabled", False))
     config["pbt_idx"] = None
     config["full_experiment_name"] = run_name
-    config["reward_shaper"] = config.get("reward_shaper") or {}
-    config["player"] = _PLAYER_DEFAULTS | (config.get("player") or {})
+    config.setdefault("env_name", ENV_NAME)
+    shaper = check_reward_shaper(config.get("reward_shaper"), f"{_WHERE}.config.reward_shaper")
+    config["reward_shaper"] = shaper
+    player = config.get("player") or {}
+    convert_keys(PlayerSettings, player, f"{_WHERE}.config.player")
+    config["player"] = _PLAYER_DEFAULTS | player
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
     algo = params["algo"]["name"]
     if algo == "sac":
-        _check_keys(SACSettings, config, SAC_OTHER_KEYS)
+        convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
     recurrent = "rnn" in params["network"]
     _translate_former_keys(config, recurrent)
@@ -271,8 +283,11 @@ def check_env_name(params: Mapping[str, Any]) -> None:
 
 
 def _check_central_value(config: dict[str, Any], num_states: int | None) -> None:
-    """Refuse an asymmetric critic where the task has no privileged observations."""
-    if config.get("central_value_config") and num_states == 0:
+    """Check an asymmetric critic; refuse it where the task has no privileged observations."""
+    if not config.get("central_value_config"):
+        return
+    check_central_value(config["central_value_config"], f"{_WHERE}.config.central_value_config")
+    if num_states == 0:
         raise ConfigError(
             f"{_WHERE}.config.central_value_config: a critic of its own needs privileged"
             " observations (states), and this task gives none; add"
@@ -300,21 +315,14 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
 def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
     where = f"{_WHERE}.config"
-    settings = _check_keys(PPOSettings, config, PPO_OTHER_KEYS | set(agent_keys))
+    settings = convert_section(PPOSettings, config, where, PPO_OTHER_KEYS | set(agent_keys))
+    config.setdefault("seq_length", settings.seq_length)
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"
         raise missing_key("minibatch_size", config, keys_of(PPOSettings), where, hint)
     if settings.lr_schedule == "adaptive" and settings.kl_threshold is None:
         hint = "lr_schedule adaptive needs it, for example 0.008"
         raise missing_key("kl_threshold", config, keys_of(PPOSettings), where, hint)
-
-
-def _check_keys(cls: type[T], config: dict[str, Any], ignored: Collection[str]) -> T:
-    """Check and convert the keys of an agent in place; `ignored` are read elsewhere."""
-    settings = read_section(cls, config, f"{_WHERE}.config", ignored=ignored)
-    for key in keys_of(cls) & set(config):
-        config[key] = getattr(settings, key)
-    return settings
 
 
 def player_class_note(player: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from isaacgymenvs_lite.schema import keys_of, read_section, setting
+from isaacgymenvs_lite.schema import keys_of, read_keys, setting
 
 DISC_REWARDS = ("least_squares", "logistic")
 DISC_LOSSES = ("bce", "least_squares")
@@ -145,6 +145,4 @@ def read_agent_params(config: Mapping[str, Any], cls: type[P]) -> P:
     Raises:
         ConfigError: a key is missing, ill-typed or out of range.
     """
-    known = keys_of(cls)
-    section = {key: value for key, value in config.items() if key in known}
-    return read_section(cls, section, "train.params.config")
+    return read_keys(cls, config, "train.params.config")

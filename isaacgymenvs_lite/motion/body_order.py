@@ -18,13 +18,16 @@ _log = logging.getLogger(__name__)
 _OFFSET_TOLERANCE_M = 0.01
 # A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
 _HINGE_TOLERANCE_RAD = 0.01
+# Beyond any recorded person; a clip in centimetres, or one with frames that are missing, is.
+_USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 
 
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
     Logs a warning when hinge joints (knees, elbows) rotate about other axes than y, as that part of
-    the motion is dropped, and when the clip was made for a body of other dimensions.
+    the motion is dropped, when the clip was made for a body of other dimensions, and when it is
+    faster, or farther away, than people are.
 
     Raises:
         MotionFileError: the clip lacks bodies, has others, or connects them in another way.
@@ -33,6 +36,7 @@ def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     clip = _reorder(clip, skeleton)
     _warn_of_other_offsets(clip, skeleton)
     _warn_of_hinge_violation(clip, skeleton)
+    _warn_of_odd_values(clip)
     return clip
 
 
@@ -95,6 +99,19 @@ def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
             skeleton.body_names[body],
             difference[body - 1],
         )
+
+
+def _warn_of_odd_values(clip: MotionClip) -> None:
+    for what, values, usual, unit in (
+        ("the root is", clip.root_translation, _USUAL_PLACE_M, "m from the origin"),
+        ("a body moves at", clip.linear_velocity_w, _USUAL_SPEED_M_S, "m/s"),
+        ("a body rotates at", clip.angular_velocity_w, _USUAL_SPEED_RAD_S, "rad/s"),
+    ):
+        largest = float(np.linalg.norm(values, axis=-1).max())
+        if largest > usual:
+            _log.warning(
+                "%s: %s up to %.4g %s; are units and fps right?", clip.name, what, largest, unit
+            )
 
 
 def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +12,30 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
+MIN_FPS, MAX_FPS = 0.1, 10_000.0
+MAX_PLACE_M = 10_000.0
+"""From the origin: beyond it single precision has steps of 1 mm."""
+MAX_POSES = 2_000_000
+"""Frames times bodies: 37 minutes of 15 bodies at 60 fps; velocities take 300 bytes of each."""
+_MAX_BODIES = 500
+_MAX_BONE_M = 10.0
+_MAX_SPEED_M_S = 1_000.0
+_MAX_SPEED_RAD_S = 100_000.0
 # How far the length of a stored quaternion may be from 1.
 _UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
+
+
+# Array, largest absolute value of a number in it, unit.
+_POSE_LIMITS = (
+    ("root_translation", MAX_PLACE_M, "m"),
+    ("local_translation", _MAX_BONE_M, "m"),
+)
+_VELOCITY_LIMITS = (
+    ("linear_velocity_w", _MAX_SPEED_M_S, "m/s"),
+    ("angular_velocity_w", _MAX_SPEED_RAD_S, "rad/s"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +108,13 @@ class MotionClip:
         )
         clip.validate()
         positions, turns = clip.global_poses()
-        return dataclasses.replace(
+        clip = dataclasses.replace(
             clip,
             linear_velocity_w=kinematics.linear_velocities(positions, clip.fps),
             angular_velocity_w=kinematics.angular_velocities(turns, clip.fps),
         )
+        clip._check_sizes(_VELOCITY_LIMITS)
+        return clip
 
     def global_poses(self) -> tuple[FloatArray, FloatArray]:
         """Return the world positions (T, J, 3) m and rotations (T, J, 4) of all bodies, float64."""
@@ -106,8 +127,8 @@ class MotionClip:
 
         Raises:
             MotionFileError: arrays do not fit together, not one root, a child before its parent,
-                fewer than two frames, fps not above 0, NaN or infinity, quaternions that are not
-                of unit length (1e-3).
+                fewer than two frames, too many of them, NaN or infinity, quaternions that are not
+                of unit length (1e-3); a frame rate, place, bone or speed that no motion has.
         """
         self._check_shapes()
         self._check_tree()
@@ -116,8 +137,10 @@ class MotionClip:
                 f"{self.name}: holds {self.num_frames} frame(s), expected at least 2: "
                 "a single pose has no duration"
             )
-        if not (math.isfinite(self.fps) and self.fps > 0.0):
-            raise MotionFileError(f"{self.name}: fps is {self.fps}, expected a number above 0")
+        if not MIN_FPS <= self.fps <= MAX_FPS:
+            raise MotionFileError(
+                f"{self.name}: fps is {self.fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}"
+            )
         self._check_values()
 
     def find_repeated_frames(self) -> int | None:
@@ -160,6 +183,11 @@ class MotionClip:
 
     def _check_shapes(self) -> None:
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
+        if bodies > _MAX_BODIES or frames * bodies > MAX_POSES:
+            raise MotionFileError(
+                f"{self.name}: has {frames} frames of {bodies} bodies, expected at most "
+                f"{_MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
+            )
         expected = {
             "parent_indices": (bodies,),
             "local_translation": (bodies, 3),
@@ -204,6 +232,7 @@ class MotionClip:
                     f"{self.name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN "
                     f"or infinite, the first at index {where}"
                 )
+        self._check_sizes(_POSE_LIMITS + _VELOCITY_LIMITS)
         deviation = np.abs(np.linalg.norm(self.local_rotation, axis=-1) - 1.0)
         if deviation.max() > _UNIT_TOLERANCE:
             frame, body = (int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
@@ -212,3 +241,16 @@ class MotionClip:
                 f"unit quaternion (length off by {deviation[frame, body]:.3g}, allowed "
                 f"{_UNIT_TOLERANCE:g})"
             )
+
+    def _check_sizes(self, limits: Iterable[tuple[str, float, str]]) -> None:
+        """Refuse numbers that no motion has: a wrong unit, or a damaged file."""
+        for key, limit, unit in limits:
+            values = getattr(self, key)
+            # The root's own offset is not used.
+            values = values[1:] if key == "local_translation" else values
+            largest = float(np.abs(values).max(initial=0.0))
+            if largest > limit:
+                raise MotionFileError(
+                    f"{self.name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} "
+                    f"{unit}; is its unit another one?"
+                )

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.motion.formats.deepmimic_package import (
     find_in_package,
     is_package_name,
 )
-from isaacgymenvs_lite.motion.formats.files import read_json
+from isaacgymenvs_lite.motion.formats.files import read_json, reading
 from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_poselib_npy
@@ -25,6 +25,8 @@ from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skelet
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
+# Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
+_MAX_REPEATED_POSES = 160_000
 _CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
 
 
@@ -60,21 +62,42 @@ def load_clips(
     skeleton = skeleton or skeleton_for_num_dofs(28)
     if is_package_name(motion_file):
         return _load_from_package(str(motion_file), skeleton)
-    shipped = shipped_motions_dir()
-    path = resolve_motion_file(motion_file, (Path(), shipped))
+    path = resolve_motion_file(motion_file, (Path(), shipped_motions_dir()))
     if path.suffix not in _DATASET_SUFFIXES:
         return [(_load_file(path, (skeleton,))[0], 1.0)]
-    clips = []
+    return _load_dataset(path, skeleton)
+
+
+def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
+    """Read the clips of a data set, each file once; a small text must not become a large library.
+
+    Raises:
+        MotionFileError: an entry cannot be used, or clips are listed again and again.
+    """
+    clips: list[tuple[MotionClip, float]] = []
+    known: dict[Path, list[tuple[MotionClip, float]]] = {}
+    repeated_poses = 0
     for i, entry in enumerate(read_dataset(path)):
         try:
             if is_package_name(entry.file):
-                found = _load_from_package(entry.file, skeleton)
+                source = file = Path(entry.file)
             else:
-                file = resolve_motion_file(entry.file, (path.parent, shipped))
-                found = [(_load_file(file, (skeleton,))[0], 1.0)]
+                file = resolve_motion_file(entry.file, (path.parent, shipped_motions_dir()))
+                source = file.resolve()
+            if source in known:
+                repeated_poses += sum(c.num_frames * c.num_bodies for c, _ in known[source])
+            elif is_package_name(entry.file):
+                known[source] = _load_from_package(entry.file, skeleton)
+            else:
+                known[source] = [(_load_file(file, (skeleton,))[0], 1.0)]
         except MotionFileError as error:
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
-        clips.extend((clip, entry.weight * weight) for clip, weight in found)
+        if repeated_poses > _MAX_REPEATED_POSES:
+            raise MotionFileError(
+                f"{path}: motions[{i}] and others before it list files again that were listed "
+                f"before ('{entry.file}'); list each once, with the sum of its weights"
+            )
+        clips.extend((clip, entry.weight * weight) for clip, weight in known[source])
     return clips
 
 
@@ -117,11 +140,12 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
         MotionFileError: there is no such file; the message lists the folders and the shipped clips.
     """
     folders = [Path()] if Path(name).is_absolute() else search_dirs
-    for folder in folders:
-        for suffix in ("", *_GUESSED_SUFFIXES):
-            path = folder / f"{name}{suffix}"
-            if path.is_file():
-                return path
+    with reading(name, "name of a motion file"):
+        for folder in folders:
+            for suffix in ("", *_GUESSED_SUFFIXES):
+                path = folder / f"{name}{suffix}"
+                if path.is_file():
+                    return path
     looked = " and ".join(str(folder.absolute()) for folder in folders)
     where = "" if Path(name).is_absolute() else f" in {looked}"
     shipped = shipped_motions()
@@ -157,13 +181,11 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
             f"{path}: a clip ends in {', '.join(readers)} and a data set in .yaml, "
             f"found '{path.suffix}'{hint}"
         )
-    try:
+    with reading(path, "motion clip"):
         clip = readers[path.suffix](path)
-    except OSError as error:
-        raise MotionFileError(f"{path}: cannot be read ({error})") from error
-    fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
-    skeleton = fitting[0] if fitting else skeletons[0]
-    return fit_to_skeleton(clip, skeleton), skeleton
+        fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
+        skeleton = fitting[0] if fitting else skeletons[0]
+        return fit_to_skeleton(clip, skeleton), skeleton
 
 
 def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 
@@ -20,12 +21,12 @@ def partners(body_names: Sequence[str]) -> list[int]:
     """Return for each body the index of its mirror image: left_x for right_x, itself for others.
 
     Raises:
-        ValueError: a body has no mirror image.
+        MotionFileError: a body has no mirror image.
     """
     images = [_other_side(name) for name in body_names]
     for name, image in zip(body_names, images, strict=True):
         if image not in body_names:
-            raise ValueError(
+            raise MotionFileError(
                 f"'{name}' has no mirror image '{image}' among {', '.join(body_names)}"
             )
     return [body_names.index(image) for image in images]

@@ -79,9 +79,13 @@ class Skeleton:
         """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model.
 
         Raises:
-            ConfigError: a body has several joints, or another one than a ball joint or y hinge.
+            ConfigError: it is no model that MuJoCo can compile, or a body has several joints, or
+                another one than a ball joint or y hinge.
         """
-        model = mujoco.MjModel.from_xml_path(str(path))
+        try:
+            model = mujoco.MjModel.from_xml_path(str(path))
+        except ValueError as error:
+            raise ConfigError(f"{path}: is no model that can be used ({error})") from error
         # Body 0 is MuJoCo's world: it is left out and all ids move down by one.
         bodies = [model.body(i) for i in range(1, model.nbody)]
         dof_body_ids, dof_offsets = _joint_groups(model, path)

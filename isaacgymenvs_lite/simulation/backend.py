@@ -28,6 +28,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.recording import Recording
+from isaacgymenvs_lite.utils.memory import check_memory
 
 
 class SimulationBackend(Protocol):
@@ -248,6 +249,14 @@ def backend_names() -> list[str]:
     return sorted(_BACKENDS)
 
 
+def bytes_of_env(model: mujoco.MjModel) -> int:
+    """Return how many bytes one simulation of a model takes at least, in any backend."""
+    state = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+    # Isaac Gym's layout: root, joints, and position, rotation, velocities and force of each body.
+    floats = 13 + 2 * model.nv + 16 * (model.nbody - 1)
+    return 8 * state + 4 * floats
+
+
 def make_simulation(
     model: mujoco.MjModel,
     num_envs: int,
@@ -265,8 +274,10 @@ def make_simulation(
         backend: one of `backend_names()`.
 
     Raises:
-        ConfigError: an unknown backend or a number out of range.
+        ConfigError: an unknown backend, a number out of range, or simulations that exceed the
+            memory of this machine.
     """
     if backend not in _BACKENDS:
         raise ConfigError(unknown("simulation backend", backend, backend_names()))
+    check_memory({"simulations": num_envs * bytes_of_env(model)}, f"num_envs ({num_envs} now)")
     return _BACKENDS[backend](model, num_envs, substeps, num_threads)

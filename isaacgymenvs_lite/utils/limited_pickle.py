@@ -2,16 +2,16 @@
 
 A pickle is a program. Subclasses decide which functions it may call; this class keeps it from
 ending the process or exhausting its memory: the unpickler in C reserves memory for
-the highest number that a file gives a value, and the hash of a tuple of tuples of tuples overflows
-the stack.
+the highest number that a file gives a value, the hash of a tuple of tuples of tuples overflows
+the stack, and one byte can make an object of 64.
 """
 
 from __future__ import annotations
 
 import pickle
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import IO, Any, ClassVar
 
 # What torch.save and numpy.save write, with protocols 2 to 4; of protocol 0 those that are needed
 # to read a file up to the first name that it imports.
@@ -30,22 +30,43 @@ _OPCODES = (
 _PythonUnpickler: Any = pickle._Unpickler  # type: ignore[attr-defined]
 
 
+class _CountingDispatch(dict[int, Any]):
+    """The instructions of an unpickler; raises `error` when more than `limit` were executed."""
+
+    def __init__(self, dispatch: Mapping[int, Any], limit: int, error: ValueError) -> None:
+        super().__init__(dispatch)
+        self._left, self._error = limit, error
+
+    def __getitem__(self, code: int) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise self._error
+        return super().__getitem__(code)
+
+
 class LimitedUnpickler(_PythonUnpickler):
     """Python's unpickler (the implementation in Python) with the instructions above.
 
     Attributes:
         key_types: allowed types of dictionary keys; cheap to hash.
-        error: raised for any other dictionary.
+        error: raised for any other dictionary, and for a file that goes on for too long.
+        max_instructions: that a file may have; a clip has 300, a large checkpoint 50,000.
     """
 
     stack: list[Any]
     pop_mark: Callable[[], list[Any]]
     key_types: ClassVar[tuple[type, ...]] = (str, int)
     error: ClassVar[type[ValueError]] = ValueError
+    max_instructions: ClassVar[int] = 1_000_000
     dispatch: ClassVar[dict[int, Any]] = {
         getattr(pickle, name)[0]: _PythonUnpickler.dispatch[getattr(pickle, name)[0]]
         for name in _OPCODES
     }
+
+    def __init__(self, stream: IO[bytes], **options: Any) -> None:
+        super().__init__(stream, **options)
+        too_long = self.error(f"a pickle of more than {self.max_instructions:,} instructions")
+        self.dispatch = _CountingDispatch(type(self).dispatch, self.max_instructions, too_long)
 
     @abstractmethod
     def find_class(self, module: str, name: str) -> Any:

@@ -128,10 +128,12 @@ def test_unknown_task_lists_the_tasks(config_dir):
 
 
 def test_unknown_train_file_lists_the_train_files():
-    assert message(["train=HumanoidAMPPO"]) == (
+    text = message(["train=HumanoidAMPPO"])
+    assert text.startswith(
         "unknown train file 'HumanoidAMPPO' (did you mean 'HumanoidAMPPPO'?); "
-        f"choices: {', '.join(names_in('train'))}"
+        f"choices: {', '.join(names_in('train')[:8])}"
     )
+    assert text.endswith(names_in("train")[-1])
 
 
 def test_task_without_a_default_train_file(config_dir):

@@ -90,3 +90,15 @@ def test_unusable_files(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_train_file(file)
+
+
+@pytest.mark.parametrize("read", [load_train_file, lambda file: compose([f"train={file}"])])
+def test_lists_that_name_each_other_again_and_again_end_soon(read, tmp_path):
+    (tmp_path / "train").mkdir()
+    for level in range(12):
+        for side in "ab":
+            below = f"[a{level + 1}, b{level + 1}]" if level < 11 else "[]"
+            text = f"defaults: {below}\nparams: {{}}\n"
+            (tmp_path / "train" / f"{side}{level}.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"name more than \d+ files, repeats included"):
+        read(tmp_path / "train" / "a0.yaml")

@@ -181,8 +181,16 @@ def test_minibatch_of_a_recurrent_network_holds_whole_sequences(prepare, caplog)
     assert "minibatch_size 6 is no multiple of seq_length 8: using 8" in caplog.text
 
 
+_CRITIC = (
+    "{minibatch_size: 32768, mini_epochs: 1, learning_rate: '1e-3', clip_value: True,"
+    " normalize_input: True, network: {name: actor_critic, central_value: True,"
+    " mlp: {units: [8], activation: elu, initializer: {name: default}}}}"
+)
+
+
 def test_central_critic_is_fitted_too(prepare):
-    config = config_of(prepare("+train.params.config.central_value_config={minibatch_size: 32768}"))
+    config = config_of(prepare(f"+train.params.config.central_value_config={_CRITIC}"))
+    assert config["central_value_config"]["learning_rate"] == 1e-3
     assert config["central_value_config"]["minibatch_size"] == 1024
 
 
@@ -321,3 +329,32 @@ def test_max_iterations_and_experiment_count_in_files_without_interpolations():
     cfg.train.params.config.name = "Humanoid"
     config = prepare_train_params(cfg, num_envs=4, seed=1)["config"]
     assert (config["max_epochs"], config["name"]) == (7, "mine")
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("train.params.config.learning_rate=1e308", "of at most 1e+38"),
+        ("train.params.config.gamma=[1,2]", "gamma: got [1, 2], expected a number"),
+        ("train.params.network.mlp.units=[1000000000000]", "of at most 1048576"),
+        ("train.params.network.mlp.units=[-1]", "units: got [-1], expected a list of whole"),
+        ("train.params.network.mlp.activation=[]", "activation: got [], expected one of"),
+        ("+train.params.network.rnn=3", "network.rnn: got 3, expected a mapping"),
+        ("+train.params.network.cnn={}", "the tasks observe one vector"),
+        ("+train.params.network.mlp.initializer.gain=x", "unknown key 'gain'"),
+        (
+            "~train.params.network.space.continuous",
+            "'train.params.network.space.continuous' is missing",
+        ),
+        ("+train.params.config.player={games_num: many}", "player.games_num: got 'many'"),
+        ("train.params.config.reward_shaper={scale_value: .nan}", "scale_value: got"),
+        ("+train.params.config.reward_shaper.factor=2", "unknown key 'factor'"),
+    ],
+)
+def test_broken_numbers_of_every_section_are_refused(prepare, override, expected):
+    words = [override]
+    if "initializer" in override:
+        words.insert(0, "train.params.network.mlp.initializer.name=const_initializer")
+    with pytest.raises(ConfigError) as refused:
+        prepare(*words)
+    assert expected in str(refused.value)

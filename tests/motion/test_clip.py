@@ -47,7 +47,7 @@ def _first_frame(clip: MotionClip) -> dict:
     [
         (_with_nan, r"root_translation holds 1 number.*NaN.*\(1, 2\)"),
         (_first_frame, "holds 1 frame.*at least 2"),
-        (lambda clip: {"fps": 0.0}, "fps is 0.0, expected a number above 0"),
+        (lambda clip: {"fps": 0.0}, "fps is 0, expected 0.1 to 10000"),
         (lambda clip: {"fps": float("nan")}, "fps is nan"),
         (lambda clip: {"local_rotation": 1.01 * clip.local_rotation}, "'root'.*no unit.*0.01"),
         (lambda clip: {"parent_indices": (-1, 0, -1)}, "2 roots, expected 1"),

@@ -94,7 +94,7 @@ def test_data_set_is_relative_to_its_own_folder(shipped: Path, make_humanoid_cli
     ("entry", "message"),
     [
         ("lost.npz", "motion file 'lost.npz' not found"),
-        ("bad.npz", "no readable .npz archive"),
+        ("bad.npz", "no .npz archive"),
         ("set.yaml", "a clip ends in"),
     ],
 )

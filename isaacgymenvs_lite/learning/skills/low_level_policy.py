@@ -20,7 +20,7 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC, make_reference
 from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
-from isaacgymenvs_lite.config.rl_games_settings import scale_units
+from isaacgymenvs_lite.config.rl_games_settings import check_network, scale_units
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.env_interface import HierarchyEnv
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
@@ -108,6 +108,7 @@ class LowLevelPolicy:
                 f" {network.get('name')}); expected the train file of a low-level controller, with"
                 f" network: name: {' or '.join(_NETWORKS)} and config: latent_dim"
             )
+        check_network(network, f"llc_config={llc_config}: network")
         self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes

@@ -23,8 +23,8 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
-from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.files import read_json, written_clip
+from isaacgymenvs_lite.motion.clip import MAX_PLACE_M, MAX_POSES, MIN_FPS, MotionClip
+from isaacgymenvs_lite.motion.formats.files import read_json, reading, written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
@@ -80,6 +80,11 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
         MotionFileError: no rows of 44 finite numbers, fewer than two, a duration that is not
             above 0, quaternions far from unit length; the skeleton lacks joints of DeepMimic's.
     """
+    with reading(name, "DeepMimic clip"):
+        return _clip(data, skeleton, name)
+
+
+def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
     rows = _rows(data, name)
     _check_joints(skeleton, name)
     root = _vector(rows[:, ROOT_POSITION])
@@ -111,7 +116,7 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
     try:
         rows = np.array(data.get("Frames"), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         rows = np.zeros((0, 0))
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
         raise MotionFileError(
@@ -120,6 +125,11 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
         )
     if not np.isfinite(rows).all():
         raise MotionFileError(f"{name}: the frames hold numbers that are NaN or infinite")
+    if np.abs(rows).max() > MAX_PLACE_M:
+        raise MotionFileError(
+            f"{name}: the frames hold {np.abs(rows).max():.3g}, expected seconds, metres and "
+            f"radians of at most {MAX_PLACE_M:g}"
+        )
     if len(rows) < 2:
         raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
     # The last frame lasts 0 s in most files: nothing comes after it.
@@ -127,6 +137,12 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
         frame = int((rows[:-1, DURATION] <= 0.0).argmax())
         raise MotionFileError(
             f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected more than 0"
+        )
+    if rows[:-1, DURATION].max() > 1.0 / MIN_FPS:
+        frame = int(rows[:-1, DURATION].argmax())
+        raise MotionFileError(
+            f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected at most "
+            f"{1.0 / MIN_FPS:g}"
         )
     return rows
 
@@ -176,6 +192,11 @@ def _equal_durations(
     if np.abs(durations - usual).max() <= _DURATION_TOLERANCE * usual:
         return len(durations) / total, local, root
     num_steps = max(1, round(total / usual))
+    if num_steps * local.shape[1] > MAX_POSES:
+        raise MotionFileError(
+            f"{name}: its frames last {usual:g} s as a rule and {total:g} s together; resampled to "
+            f"equal durations they would be {num_steps} frames, more than a clip may have"
+        )
     _log.info("%s: frames of unequal duration resampled to %.2f Hz", name, num_steps / total)
     times = np.concatenate(([0.0], durations.cumsum()))
     new_times = np.linspace(0.0, total, num_steps + 1)

@@ -1,29 +1,103 @@
-"""What the readers and writers of clips share: JSON, error texts, files that appear in one step."""
+"""What readers and writers of clips share: limits, errors, JSON, files that appear in one step.
+
+A reader works within `reading`, which is the one place where what a broken file raises becomes an
+error for the user.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.errors import MotionFileError, one_line
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import MotionFileError, UserError, one_line
 from isaacgymenvs_lite.utils import files
+
+MAX_BINARY_BYTES = 2**28
+"""Of a file of arrays, and of what its archive holds."""
+MAX_TEXT_BYTES = 2**25
+"""Of a table or a motion capture; its numbers take many times as much memory while it is read."""
+# An empty list takes 2 bytes of text and 64 of memory; a clip has a list for each 60 bytes.
+_MAX_JSON_BYTES, _MAX_JSON_CONTAINERS = 2**24, 500_000
+
+
+@contextmanager
+def reading(path: str | Path, kind: str) -> Iterator[None]:
+    """Turn whatever a broken file raises in a reader into one error that names the file.
+
+    Numpy does not warn meanwhile of numbers that overflow: a clip with such numbers is refused.
+
+    Args:
+        path: of the file.
+        kind: what the reader reads, for the message.
+
+    Raises:
+        MotionFileError: anything but a UserError was raised.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except UserError:
+        raise
+    except Exception as error:  # numpy, zipfile, pickle, csv and pybvh raise nearly anything
+        reason = one_line(error) or type(error).__name__
+        raise MotionFileError(f"{path}: is no {kind} that can be read ({reason})") from error
+
+
+def read_bytes(path: str | Path, max_bytes: int) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        MotionFileError: it is missing, no ordinary file, or longer than `max_bytes`.
+        OSError: it cannot be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MotionFileError(f"{path}: no such file")
+    with path.open("rb") as stream:
+        content = stream.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise MotionFileError(
+            f"{path}: is longer than {max_bytes // 2**20} MiB; cut it into several clips"
+        )
+    return content
+
+
+def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
+    """Return numbers as float32 or float64 of this machine; other types are converted.
+
+    Precision is kept: half precision becomes float32; integers and long doubles become float64.
+    """
+    if array.dtype in (np.float32, np.float64) and array.dtype.isnative:
+        return array
+    is_short = array.dtype.kind == "f" and array.dtype.itemsize <= 4
+    return array.astype(np.float32 if is_short else np.float64)
+
+
+def check_text(array: npt.NDArray[np.str_]) -> None:
+    """Raise a ValueError for texts with characters that do not exist; Python cannot handle them."""
+    codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder + "u4")
+    if codes.size and codes.max() > sys.maxunicode:
+        raise ValueError(f"a text with the character 0x{codes.max():x}")
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
     """Return the JSON object in the file at `path`.
 
     Raises:
-        MotionFileError: the file is no JSON text or holds no object.
+        MotionFileError: the file is no JSON text, is too long, or holds no object.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise MotionFileError(
-            f"{path}: is no JSON text ({one_line(error)}); expected a poselib or DeepMimic clip"
-        ) from error
+    with reading(path, "JSON text of a poselib or DeepMimic clip"):
+        text = read_bytes(path, _MAX_JSON_BYTES).decode("utf-8")
+        if text.count("[") + text.count("{") > _MAX_JSON_CONTAINERS:
+            raise ValueError(f"more than {_MAX_JSON_CONTAINERS:,} lists and objects")
+        data = json.loads(text)
     if not isinstance(data, dict):
         raise MotionFileError(
             f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip"

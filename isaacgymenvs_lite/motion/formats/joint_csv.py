@@ -18,7 +18,12 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line, suggest
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.files import written_clip
+from isaacgymenvs_lite.motion.formats.files import (
+    MAX_TEXT_BYTES,
+    read_bytes,
+    reading,
+    written_clip,
+)
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, rotations_from_dofs
 from isaacgymenvs_lite.motion.skeleton import Skeleton
@@ -34,6 +39,10 @@ _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
 # How much a time step may differ from the others; times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
+# The humanoid with sword and shield has 39 columns.
+_MAX_COLUMNS, _MAX_COLUMN_LENGTH = 200, 200
+_MAX_LINES = 200_000
+_MAX_ANGLE_RAD = 1_000.0
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
@@ -78,7 +87,18 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
         MotionFileError: no header, columns that are missing, unknown, double or in an unknown unit;
             rows of another length or with something else than finite numbers; unequal time steps.
     """
+    with reading(path, "table of joint angles"):
+        return _clip(path, skeletons)
+
+
+def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
     lines, fps = _lines(Path(path))
+    if len(lines[0]) > _MAX_COLUMNS or max(map(len, lines[0])) > _MAX_COLUMN_LENGTH:
+        raise MotionFileError(
+            f"{path}: the header has {len(lines[0])} columns with names of up to "
+            f"{max(map(len, lines[0]))} characters, expected at most {_MAX_COLUMNS} and "
+            f"{_MAX_COLUMN_LENGTH}"
+        )
     header = [_COLUMN.fullmatch(text) for text in lines[0]]
     if not all(header):
         raise MotionFileError(f"{path}: the header has a column that is not like 'name [unit]'")
@@ -95,6 +115,11 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
         )
     root_rotation = np.stack([column[name] for name in _ROTATION], axis=-1)
     dofs = np.stack([column[name] for name in skeleton.dof_names], axis=-1)
+    if np.abs(dofs).max() > _MAX_ANGLE_RAD:
+        raise MotionFileError(
+            f"{path}: a joint angle is {np.abs(dofs).max():.3g} rad, expected at most "
+            f"{_MAX_ANGLE_RAD:g}"
+        )
     return MotionClip.from_poses(
         str(path),
         fps,
@@ -118,10 +143,18 @@ def _columns(skeleton: Skeleton) -> dict[str, dict[str, float]]:
 
 def _lines(path: Path) -> tuple[list[list[str]], float | None]:
     """Return the cells of the header and of the rows, and the rate of the line `# fps:`."""
+    comments, kept = [], []
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        comments = [line for line in text.splitlines() if line.startswith("#")]
-        kept = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        text = read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
+        for number, line in enumerate(io.StringIO(text, newline=None)):
+            if number > _MAX_LINES:
+                raise MotionFileError(
+                    f"{path}: has more than {_MAX_LINES:,} lines; cut it into several clips"
+                )
+            if line.startswith("#"):
+                comments.append(line[:_MAX_COLUMN_LENGTH].rstrip("\n"))
+            elif line.strip():
+                kept.append(line)
         lines = list(csv.reader(kept))
     except (UnicodeDecodeError, csv.Error) as error:
         raise MotionFileError(f"{path}: is no CSV text ({one_line(error)})") from error

@@ -5,24 +5,40 @@ docs/motion_formats.md describes the keys.
 
 from __future__ import annotations
 
+import io
+import math
 import zipfile
-import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError, one_line
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.files import written_clip
+from isaacgymenvs_lite.motion.formats.files import (
+    MAX_BINARY_BYTES,
+    check_text,
+    native_floats,
+    read_bytes,
+    reading,
+    written_clip,
+)
 
 _FORMAT = "isaacgymenvs_lite.motion"
 _VERSION = 1
 _FLOAT_KEYS = ("local_translation", "local_rotation", "root_translation")
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
-# What numpy and the archive reader raise for a damaged file or another format.
-_READ_ERRORS = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+_KNOWN_KEYS = ("format", "version", *_NEEDED_KEYS, *_VELOCITY_KEYS)
+_MAX_MEMBERS = 10_000
+_MEMBER_SIGNATURE = b"PK\1\2"
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what numpy writes
+_HEADER_READERS: dict[tuple[int, int], Any] = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+_EXPECTED = ".npz archive of plain arrays, as motion.formats.npz.save_npz writes it,"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:
@@ -65,7 +81,11 @@ def load_npz(path: str | Path) -> MotionClip:
         MotionFileError: the file is damaged, is no clip, is of a newer version, or holds a clip
             that is not valid.
     """
-    arrays = _read_arrays(Path(path))
+    with reading(path, _EXPECTED):
+        return _clip(_read_arrays(Path(path)), path)
+
+
+def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     _check_keys(arrays, path)
     for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS):
         if key in arrays:
@@ -78,33 +98,53 @@ def load_npz(path: str | Path) -> MotionClip:
     names = tuple(str(name) for name in arrays["body_names"].ravel())
     parents = tuple(int(parent) for parent in arrays["parent_indices"].ravel())
     fps = float(arrays["fps"].item())
-    poses = {key: arrays[key] for key in _FLOAT_KEYS}
+    poses = {key: native_floats(arrays[key]) for key in _FLOAT_KEYS}
     if any(key not in arrays for key in _VELOCITY_KEYS):
         return MotionClip.from_poses(str(path), fps, names, parents, **poses)
-    velocities = {key: arrays[key] for key in _VELOCITY_KEYS}
+    velocities = {key: native_floats(arrays[key]) for key in _VELOCITY_KEYS}
     clip = MotionClip(str(path), fps, names, parents, **poses, **velocities)
     clip.validate()
     return clip
 
 
 def _read_arrays(path: Path) -> dict[str, npt.NDArray]:
-    if not path.is_file():
-        raise MotionFileError(f"{path}: no such file")
-    try:
-        with path.open("rb") as stream:
-            archive = np.load(stream, allow_pickle=False)
-            if isinstance(archive, np.ndarray):
-                raise MotionFileError(
-                    f"{path}: holds a single array (.npy), expected an .npz archive"
-                )
-            return {key: archive[key] for key in archive.files}
-    except _READ_ERRORS as error:
-        if isinstance(error, MotionFileError):
-            raise
-        raise MotionFileError(
-            f"{path}: is no readable .npz archive of plain arrays ({one_line(error)}); "
-            "expected a clip written by isaacgymenvs_lite.motion.formats.npz.save_npz"
-        ) from error
+    """Return the arrays of a clip; other members of the archive are not unpacked."""
+    content = read_bytes(path, MAX_BINARY_BYTES)
+    if content.startswith(np.lib.format.MAGIC_PREFIX):
+        raise MotionFileError(f"{path}: holds a single array (.npy), expected an .npz archive")
+    if content.count(_MEMBER_SIGNATURE) > _MAX_MEMBERS:
+        raise ValueError(f"an archive of more than {_MAX_MEMBERS:,} members")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        members = {key: members[key] for key in _KNOWN_KEYS if key in members}
+        if sum(member.file_size for member in members.values()) > MAX_BINARY_BYTES:
+            size = MAX_BINARY_BYTES // 2**20
+            raise MotionFileError(f"{path}: its arrays promise more than {size} MiB")
+        return {key: _read_array(archive, member) for key, member in members.items()}
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray:
+    """Return the array of one member; ValueError if its header promises what it does not hold."""
+    if member.compress_type not in _METHODS:
+        raise ValueError(f"{member.filename} is compressed in another way than numpy does it")
+    with archive.open(member) as stream:
+        # With a size: read() alone would unpack whatever the member holds, up to 2 GiB.
+        content = io.BytesIO(stream.read(member.file_size))
+    version = np.lib.format.read_magic(content)
+    if version not in _HEADER_READERS:
+        raise ValueError(f"{member.filename} has a header of version {version}")
+    shape, _, dtype = _HEADER_READERS[version](content)
+    left = len(content.getbuffer()) - content.tell()
+    if dtype.hasobject:
+        raise ValueError(f"{member.filename} holds objects, which only a pickle can make")
+    # An array whose items have no size can have any number of them.
+    if not dtype.itemsize or math.prod(shape) * dtype.itemsize != left:
+        raise ValueError(f"{member.filename} promises {dtype} of shape {shape} in {left} bytes")
+    content.seek(0)
+    array = np.lib.format.read_array(content, allow_pickle=False)
+    if array.dtype.kind == "U":
+        check_text(array)
+    return array
 
 
 def _check_keys(arrays: dict[str, npt.NDArray], path: str | Path) -> None:

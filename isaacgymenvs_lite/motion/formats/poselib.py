@@ -22,7 +22,7 @@ import numpy.typing as npt
 from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.files import written_clip
+from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
 
 _CLIP_TAG = "SkeletonMotion"
@@ -52,6 +52,11 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
     Raises:
         MotionFileError: a key is missing or holds something else; the clip is not valid.
     """
+    with reading(name, "poselib clip (SkeletonMotion)"):
+        return _clip(data, name)
+
+
+def _clip(data: Any, name: str) -> MotionClip:
     _check_tag(data, name)
     tree = _mapping(data, "skeleton_tree", name)
     clip = MotionClip(
@@ -59,11 +64,11 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
         fps=_number(data, "fps", name),
         body_names=tuple(str(node) for node in np.ravel(_item(tree, "node_names", name))),
         parent_indices=tuple(int(body) for body in _array(tree, "parent_indices", name).ravel()),
-        local_translation=_array(tree, "local_translation", name),
-        local_rotation=_array(data, "rotation", name),
-        root_translation=_array(data, "root_translation", name),
-        linear_velocity_w=_array(data, "global_velocity", name),
-        angular_velocity_w=_array(data, "global_angular_velocity", name),
+        local_translation=native_floats(_array(tree, "local_translation", name)),
+        local_rotation=native_floats(_array(data, "rotation", name)),
+        root_translation=native_floats(_array(data, "root_translation", name)),
+        linear_velocity_w=native_floats(_array(data, "global_velocity", name)),
+        angular_velocity_w=native_floats(_array(data, "global_angular_velocity", name)),
     )
     clip.validate()
     if not _item(data, "is_local", name):
@@ -108,7 +113,7 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
             stored = np.reshape(stored["__ndarray__"], stored["shape"])
         array = np.asarray(stored)
         cast_to = np.dtype(str(dtype))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = one_line(error)
         raise MotionFileError(f"{name}: {key} is no array of numbers ({reason})") from error
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
@@ -125,7 +130,7 @@ def _number(data: Mapping[str, Any], key: str, name: str) -> float:
         item = item.get("__ndarray__", item)
     try:
         return float(np.asarray(item).item())
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise MotionFileError(f"{name}: {key} is {item!r}, expected a number") from error
 
 

@@ -12,20 +12,43 @@ import io
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
+from isaacgymenvs_lite.motion.formats.files import (
+    MAX_BINARY_BYTES,
+    check_text,
+    read_bytes,
+    reading,
+)
 from isaacgymenvs_lite.utils.limited_pickle import LimitedUnpickler
+
+T = TypeVar("T")
 
 # Numbers, booleans and unicode strings; the second part is the size in bytes (U: in characters).
 _PLAIN_DTYPE = re.compile(r"(f[248]|[iu][1248]|b1|U\d{1,4})")
 _OBJECT_DTYPE = "O8"
+_EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
 _MAX_SHARING = 4
 _MAX_VALUES = 1_000_000
 _MAX_DEPTH = 64
+
+
+def _checked(value: Any, kind: type[T]) -> T:
+    """Return a value of the expected type; the text of any other one may be endless."""
+    if not isinstance(value, kind):
+        raise ValueError(f"a {type(value).__name__} in place of a {kind.__name__}")
+    return value
+
+
+def _values(content: bytes, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    values = np.frombuffer(content, dtype=dtype)
+    if dtype.kind == "U":
+        check_text(values)
+    return values
 
 
 class _PickledDtype:
@@ -34,10 +57,10 @@ class _PickledDtype:
     order = "="
 
     def __init__(self, name: Any = "", *_flags: Any) -> None:
-        self.name = str(name)
+        self.name = _checked(name, str)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self.order = str(state[1])
+        self.order = _checked(state[1], str)
 
     def resolve(self) -> np.dtype[Any]:
         """Return the dtype; ValueError if it is none of plain numbers or text."""
@@ -59,8 +82,8 @@ class _PickledArray:
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _version, shape, self.dtype, is_fortran, self.content = state
-        self.shape = tuple(int(size) for size in shape)
-        self.is_fortran = bool(is_fortran)
+        self.shape = tuple(_checked(size, int) for size in _checked(shape, tuple))
+        self.is_fortran = _checked(is_fortran, int) != 0
 
     def single_object(self) -> Any:
         """Return the item of a 0-d object array; ValueError if it is something else."""
@@ -74,12 +97,15 @@ class _PickledArray:
         if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
             raise ValueError("an array of objects or an unfinished array")
         dtype = self.dtype.resolve()
+        # An array whose items have no size, or one without items, can have any shape.
+        if not dtype.itemsize or max(self.shape, default=0) > _MAX_VALUES:
+            raise ValueError(f"an array of {dtype} of shape {self.shape}")
         if min(self.shape, default=0) < 0 or (
             math.prod(self.shape) * dtype.itemsize != len(self.content)
         ):
             raise ValueError(f"an array of shape {self.shape} in {len(self.content)} bytes")
         order = "F" if self.is_fortran else "C"
-        return np.frombuffer(self.content, dtype=dtype).reshape(self.shape, order=order).copy()
+        return _values(self.content, dtype).reshape(self.shape, order=order).copy()
 
 
 class _PickledScalar:
@@ -93,7 +119,7 @@ class _PickledScalar:
         """Return the Python number or text; ValueError if type and content do not fit."""
         if not isinstance(self.dtype, _PickledDtype) or not isinstance(self.content, bytes):
             raise ValueError("a scalar that is no number")
-        values = np.frombuffer(self.content, dtype=self.dtype.resolve())
+        values = _values(self.content, self.dtype.resolve())
         if values.size != 1:
             raise ValueError(f"a scalar in {len(self.content)} bytes")
         return values[0].item()
@@ -154,28 +180,20 @@ def load_object_npy(path: str | Path) -> Any:
             is no `.npy` file of one object.
     """
     path = Path(path)
-    stream = io.BytesIO(path.read_bytes())
-    _skip_header(stream, path)
-    try:
+    with reading(path, _EXPECTED):
+        stream = io.BytesIO(read_bytes(path, MAX_BINARY_BYTES))
+        _skip_header(stream, path)
         array = _RestrictedUnpickler(stream, path).load()
         if not isinstance(array, _PickledArray):
             raise ValueError("no numpy array")
         return _Resolver(len(stream.getbuffer())).resolve(array.single_object())
-    except MotionFileError:
-        raise
-    except Exception as error:  # A damaged pickle raises anything: IndexError, EOFError, ...
-        raise MotionFileError(
-            f"{path}: its pickled content is damaged or is no clip ({type(error).__name__}: "
-            f"{one_line(error)}); expected a poselib SkeletonMotion, get the file again"
-        ) from error
 
 
 def _skip_header(stream: io.BytesIO, path: Path) -> None:
     """Read the numpy header and check that it announces one object."""
     size = len(stream.getbuffer())
-    expected = "expected a poselib clip (.npy of one pickled SkeletonMotion)"
     if size == 0:
-        raise MotionFileError(f"{path}: the file is empty, {expected}")
+        raise MotionFileError(f"{path}: the file is empty, expected a {_EXPECTED}")
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -185,10 +203,13 @@ def _skip_header(stream: io.BytesIO, path: Path) -> None:
         shape, _, dtype = readers[version](stream)
     except (ValueError, KeyError, EOFError) as error:
         raise MotionFileError(
-            f"{path}: has no readable numpy header ({size} bytes, {one_line(error)}), {expected}"
+            f"{path}: has no readable numpy header ({size} bytes, {one_line(error)}), "
+            f"expected a {_EXPECTED}"
         ) from error
     if dtype != np.dtype(object) or shape != ():
-        raise MotionFileError(f"{path}: holds an array of {dtype} of shape {shape}, {expected}")
+        raise MotionFileError(
+            f"{path}: holds an array of {dtype} of shape {shape}, expected a {_EXPECTED}"
+        )
 
 
 class _Resolver:

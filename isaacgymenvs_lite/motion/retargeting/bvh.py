@@ -20,12 +20,15 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.formats.files import read_bytes, reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-# What the library raises for a file that is damaged or is something else.
-_READ_ERRORS = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+_MAX_BYTES = 2**25
+# Of the hierarchy. A rig with fingers has 80 joints and lines of 100 characters.
+_MAX_HEADER_LINES, _MAX_HEADER_LENGTH = 10_000, 1_000
+_MAX_FRAMES = 1_000_000
 # What it reads in place of the file, and how its messages name that.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
@@ -51,16 +54,20 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
         MotionFileError: the file is missing, truncated, damaged or is no BVH file; a number is NaN
             or infinite; there are fewer than two frames.
     """
-    path = Path(path)
     pybvh = import_package("pybvh", "reading BVH files")
-    if not path.is_file():
-        raise MotionFileError(f"{path}: no such file")
+    with reading(path, "BVH file"):
+        return _clip(pybvh, Path(path), to_z_up, unit_m)
+
+
+def _clip(pybvh: Any, path: Path, to_z_up: FloatArray, unit_m: float) -> MotionClip:
+    text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
+    _check_size(text)
     try:
-        text = drop_inner_positions(path.read_text(encoding="utf-8", errors="replace"), str(path))
-        motion, root, wxyz = _parse(pybvh, text)
-    except _READ_ERRORS as error:
-        reason = _PLACE.sub("", one_line(error))
-        raise MotionFileError(f"{path}: is no BVH file that can be read ({reason})") from error
+        motion, root, wxyz = _parse(pybvh, drop_inner_positions(text, str(path)))
+    except ValueError as error:
+        if isinstance(error, MotionFileError):
+            raise
+        raise ValueError(_PLACE.sub("", one_line(error))) from error
     joints = [node for node in motion.nodes if not node.is_end_site()]
     offsets = np.array([node.offset for node in joints], dtype=np.float64)
     _check_numbers(path, root, wxyz, offsets)
@@ -91,6 +98,24 @@ def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
         # The mapping gives the axis that points up.
         motion = pybvh.read_bvh_file(copy, world_up="+y")
         return motion, *motion.to_quat()
+
+
+def _check_size(text: str) -> None:
+    """Refuse texts that would take long, before they are searched and read.
+
+    Raises:
+        ValueError: there are more joints, longer names or more frames than motion capture has.
+    """
+    header, _, frames = text.partition("MOTION")
+    lines = header.splitlines()
+    longest = max(map(len, lines), default=0)
+    if len(lines) > _MAX_HEADER_LINES or longest > _MAX_HEADER_LENGTH:
+        raise ValueError(
+            f"its hierarchy has {len(lines)} lines of up to {longest} characters, expected at most "
+            f"{_MAX_HEADER_LINES} and {_MAX_HEADER_LENGTH}"
+        )
+    if frames.count("\n") + frames.count("\r") > _MAX_FRAMES:
+        raise ValueError(f"it has more than {_MAX_FRAMES:,} lines of frames")
 
 
 def _check_numbers(path: Path, *arrays: FloatArray) -> None:
@@ -147,10 +172,9 @@ def drop_inner_positions(text: str, name: str) -> str:
     if start is None or not inner:
         return text
     first = start + 3  # behind "Frames:" and "Frame Time:"
-    rows = [line.split() for line in lines[first:] if line.strip()]
-    values = np.array(rows, dtype=np.float64)
+    values = np.loadtxt(lines[first:], comments=None, ndmin=2)
     expected = sum(len(joint.channels) for joint in joints)
-    if values.ndim != 2 or values.shape[1] != expected:
+    if values.shape[1] != expected:
         raise ValueError(f"the joints have {expected} channels, the frames another number")
     offsets = {joint.name: _numbers(lines[joint.offset_line]) for joint in joints}
     tolerance = _TOLERANCE * max(float(np.linalg.norm(offset)) for offset in offsets.values())

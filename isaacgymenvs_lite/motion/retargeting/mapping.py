@@ -16,6 +16,7 @@ import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 from isaacgymenvs_lite.schema import read_section, setting
@@ -35,7 +36,7 @@ class _BodySettings:
     joint: str = setting()
     x: str | None = setting(None, choices=_AXES)
     z: str | None = setting(None, choices=_AXES)
-    turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), min_length=3)
+    turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), min_length=3, minimum=-360, maximum=360)
     level: bool = setting(False)
 
 
@@ -44,7 +45,7 @@ class _MappingSettings:
     """A mapping file."""
 
     up: str = setting(choices=_AXES)
-    unit_m: float = setting(above=0.0)
+    unit_m: float = setting(minimum=1e-6, maximum=1e3)
     bodies: Mapping[str, Any] = setting()
 
 
@@ -101,6 +102,11 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
         ConfigError: no such file or name; no YAML; a key is missing, unknown or has a value that
             cannot be used; a body is missing or unknown; axes that do not make a frame.
     """
+    with reading(mapping, "mapping file"):
+        return _read_mapping(mapping)
+
+
+def _read_mapping(mapping: str | Path) -> SkeletonMapping:
     shipped = shipped_mappings()
     path = shipped.get(str(mapping)) or Path(mapping)
     if not path.is_file():

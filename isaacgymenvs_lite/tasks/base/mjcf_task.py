@@ -14,6 +14,7 @@ from isaacgymenvs_lite.tasks.base.task_config import (
     UNREAD_ENV_KEYS,
     SimConfig,
     TaskConfig,
+    read_num_threads,
     read_sim_config,
 )
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode, VecTask
@@ -93,10 +94,9 @@ class MjcfTask(VecTask):
 
     def create_sim(self) -> None:
         """Make the N simulations of the model."""
-        physx = self.cfg["sim"].get("physx") or {}
         self.simulation = make_simulation(
             self._model,
             self.num_envs,
             substeps=self.sim_cfg.substeps * self.simulator_calls(),
-            num_threads=int(physx.get("num_threads", 0)),
+            num_threads=read_num_threads(self.cfg["sim"]),
         )

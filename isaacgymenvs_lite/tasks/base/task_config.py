@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.config.launch import MAX_THREADS
+from isaacgymenvs_lite.schema import keys_of, read_keys, read_section, setting
 
 # Without effect on a task: keys of Isaac Gym's viewer, grid or cameras. Video recorders read
 # `cameraFollow`.
@@ -17,17 +19,26 @@ _IGNORED = (
     "enableCameraSensors",
     "renderFPS",
 )
-# Read by the base class.
-_BASE_KEYS = (
-    "numEnvs",
-    "numAgents",
-    "numObservations",
-    "numStates",
-    "numActions",
-    "clipObservations",
-)
-UNREAD_ENV_KEYS = _IGNORED + _BASE_KEYS
-"""Keys of `task.env` that no settings class reads."""
+_MAX_SIZE = 2**20
+_MAX_STEPS = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """The keys of `task.env` that the base class of all tasks reads."""
+
+    num_envs: int = setting(key="numEnvs", minimum=1, maximum=2**24)
+    num_agents: int = setting(1, key="numAgents", minimum=1, maximum=_MAX_SIZE)
+    num_observations: int = setting(0, key="numObservations", minimum=0, maximum=_MAX_SIZE)
+    num_states: int = setting(0, key="numStates", minimum=0, maximum=_MAX_SIZE)
+    num_actions: int = setting(key="numActions", minimum=0, maximum=_MAX_SIZE)
+    control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1, maximum=_MAX_STEPS)
+    clip_observations: float = setting(float("inf"), key="clipObservations", above=0, infinite=True)
+    clip_actions: float = setting(float("inf"), key="clipActions", above=0, infinite=True)
+
+
+UNREAD_ENV_KEYS = (*_IGNORED, *keys_of(EnvConfig))
+"""Keys of `task.env` that need no settings class of a task."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +67,9 @@ class PlaneConfig:
 class TaskConfig:
     """Keys of `task.env` that every task reads."""
 
-    clip_actions: float = setting(1.0, key="clipActions", above=0)
+    clip_actions: float = setting(1.0, key="clipActions", above=0, infinite=True)
     """Actions are clamped to this magnitude."""
-    control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1)
+    control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1, maximum=_MAX_STEPS)
     """Simulator calls of `sim.dt` in a control step."""
     asymmetric_observations: bool = setting(False)
     """This project's: the critic receives the observation without noise, as `states`; for train
@@ -71,14 +82,38 @@ class TaskConfig:
 class SimConfig:
     """`task.sim`, without the engine's own sections."""
 
-    dt: float = setting(0.0166, above=0, maximum=1)
+    dt: float = setting(0.0166, minimum=1e-6, maximum=1)
     """Time of one simulator call in s."""
-    substeps: int = setting(2, minimum=1)
+    substeps: int = setting(2, minimum=1, maximum=_MAX_STEPS)
     """Physics steps of one simulator call."""
     gravity: tuple[float, ...] = setting((0.0, 0.0, -9.81), min_length=3)
     """m/s^2."""
     up_axis: str = setting("z", choices=("z",))
     use_gpu_pipeline: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepConfig:
+    """The keys of `task.sim` that the base class of all tasks reads."""
+
+    dt: float = setting(minimum=1e-6, maximum=1)
+    """Time of one simulator call in s."""
+    up_axis: str = setting("z", choices=("y", "z"))
+    use_gpu_pipeline: bool = setting(False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PhysxConfig:
+    num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
+
+
+def read_num_threads(sim: Mapping[str, Any]) -> int:
+    """Return the threads of the physics that `task.sim.physx` chooses, 0 for its own choice.
+
+    Raises:
+        ConfigError: it is no such number.
+    """
+    return read_keys(_PhysxConfig, sim.get("physx"), "task.sim.physx").num_threads
 
 
 def read_sim_config(sim: dict[str, Any]) -> SimConfig:

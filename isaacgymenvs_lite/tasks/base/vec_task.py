@@ -34,9 +34,11 @@ from isaacgymenvs_lite.env_interface import StepListener
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.rendering.tracks import TaskCamera
+from isaacgymenvs_lite.schema import read_keys
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
+from isaacgymenvs_lite.tasks.base.task_config import EnvConfig, StepConfig
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
 from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_threads
 
@@ -124,25 +126,24 @@ class Env:
         headless: bool,
     ) -> None:
         self.cfg = config
-        env = config["env"]
+        env = read_keys(EnvConfig, config["env"], "task.env")
+        sim = read_keys(StepConfig, config["sim"], "task.sim")
         self.headless = headless
         self.rl_device = rl_device
         self.sim_device = sim_device
-        self.device = tensor_device(sim_device, bool(config["sim"].get("use_gpu_pipeline", False)))
-        self.graphics_device_id = (
-            -1 if headless and not env.get("enableCameraSensors", False) else graphics_device_id
-        )
+        self.device = tensor_device(sim_device, sim.use_gpu_pipeline)
+        has_cameras = bool(config["env"].get("enableCameraSensors", False))
+        self.graphics_device_id = -1 if headless and not has_cameras else graphics_device_id
 
-        self.num_environments = self.num_envs = int(_required(env, "task.env.numEnvs"))
-        if self.num_envs < 1:
-            raise ConfigError(f"num_envs={self.num_envs}: expected at least one environment")
-        self.num_agents = int(env.get("numAgents", 1))
-        self.num_observations = self.num_obs = int(env.get("numObservations", 0))
-        self.num_states = int(env.get("numStates", 0))
-        self.num_actions = self.num_acts = int(_required(env, "task.env.numActions"))
-        self.control_freq_inv = int(env.get("controlFrequencyInv", 1))
-        self.clip_obs = float(env.get("clipObservations", np.inf))
-        self.clip_actions = float(env.get("clipActions", np.inf))
+        self.num_environments = self.num_envs = env.num_envs
+        self.num_agents = env.num_agents
+        self.num_observations = self.num_obs = env.num_observations
+        self.num_states = env.num_states
+        self.num_actions = self.num_acts = env.num_actions
+        self.control_freq_inv = env.control_freq_inv
+        self.clip_obs = env.clip_observations
+        self.clip_actions = env.clip_actions
+        self.sim_dt_s = sim.dt
 
         self.obs_space = _unbounded_box(self.num_obs)
         self.state_space = _unbounded_box(self.num_states)
@@ -248,10 +249,7 @@ class VecTask(Env):
         self.force_render = force_render
         self.sim_params = config["sim"]
         self.physics_engine = config.get("physics_engine", "physx")
-        up_axis = self.sim_params.get("up_axis", "z")
-        if up_axis not in ("y", "z"):
-            raise ConfigError(unknown("task.sim.up_axis", up_axis, ["y", "z"]))
-        self.dt = self.sim_dt_s = float(_required(self.sim_params, "task.sim.dt"))
+        self.dt = self.sim_dt_s
         self._failures_reported = 0
         self._warned_of_actions = False
         self.listeners: list[StepListener] = []
@@ -636,13 +634,6 @@ def _write_rows(buffer: Tensor, env_ids: Tensor | None, rows: Tensor) -> None:
         buffer.copy_(rows)
     else:
         buffer.index_copy_(0, env_ids, rows)
-
-
-def _required(section: dict[str, Any], path: str) -> Any:
-    key = path.rpartition(".")[2]
-    if key not in section:
-        raise ConfigError(f"the key '{path}' is missing; expected a number")
-    return section[key]
 
 
 def _unbounded_box(size: int) -> gymnasium.spaces.Box:

@@ -52,7 +52,7 @@ def test_missing_velocities_are_computed(tmp_path: Path, tiny_clip: MotionClip) 
         ({"body_names": np.arange(3)}, "body_names holds int64, expected strings"),
         ({"fps": np.ones(2)}, r"fps has shape \(2,\), expected one number"),
         ({"root_translation": np.zeros((2, 3))}, r"root_translation has shape \(2, 3\)"),
-        ({"parent_indices": np.array([{}], dtype=object)}, "Object arrays cannot be loaded"),
+        ({"parent_indices": np.array([{}], dtype=object)}, "holds objects"),
     ],
 )
 def test_bad_content_is_refused(tmp_path: Path, tiny_clip, changes, message: str) -> None:
@@ -67,7 +67,7 @@ def test_damaged_files_are_refused(tmp_path: Path, tiny_clip: MotionClip) -> Non
     path = tmp_path / "bad.npz"
     for content in (b"", b"text", whole[: len(whole) // 2], whole[:200] + b"x" * 20 + whole[220:]):
         path.write_bytes(content)
-        _expect_error(path, "no readable .npz archive")
+        _expect_error(path, "no .npz archive")
     with path.open("wb") as stream:
         np.save(stream, np.zeros(3))
     _expect_error(path, "single array")

@@ -87,7 +87,7 @@ _NUMBERS = {"context": {"dtype": "float32"}}
         (_change(rotation={"arr": np.zeros((3, 2, 4)), **_NUMBERS}), r"shape \(3, 2, 4\)"),
         (_change(fps="fast"), "fps is 'fast', expected a number"),
         (_change(fps=[1, 2]), r"fps is \[1, 2\], expected a number"),
-        (_change(fps=0), "fps is 0.0, expected a number above 0"),
+        (_change(fps=0), "fps is 0, expected 0.1 to 10000"),
     ],
 )
 def test_bad_content_is_refused(

@@ -1,0 +1,1 @@
+"""Broken and hostile files against the readers: python -m benchmarks.fuzz."""

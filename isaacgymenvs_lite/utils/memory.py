@@ -1,0 +1,63 @@
+"""Compares the memory that is needed with the memory that there is, before it is taken.
+
+Linux grants memory that it does not have, and ends the process once it is used: without a line.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from isaacgymenvs_lite.errors import ConfigError
+
+_GIB = 2**30
+# Limits of the container, by version of control groups; "max" means none.
+_CGROUP_LIMITS = (
+    Path("/sys/fs/cgroup/memory.max"),
+    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)
+
+
+def total_memory_bytes() -> int | None:
+    """Return the memory of this machine or container in bytes, None if it is not known."""
+    limits = []
+    if hasattr(os, "sysconf"):  # not on Windows
+        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for file in _CGROUP_LIMITS:
+        try:
+            text = file.read_text(encoding="ascii").strip()
+        except (OSError, ValueError):
+            continue
+        if text.isdecimal():
+            limits.append(int(text))
+    return min((limit for limit in limits if limit > 0), default=None)
+
+
+def check_memory(needed: Mapping[str, float], advice: str, total_bytes: int | None = None) -> None:
+    """Refuse what cannot fit into the memory of this machine, also if nothing else ran on it.
+
+    Args:
+        needed: what it is for -> bytes, of which each is certain to be used.
+        advice: what to lower.
+        total_bytes: of the machine; None finds it out.
+
+    Raises:
+        ConfigError: the sum exceeds the machine's memory.
+    """
+    total_bytes = total_bytes or total_memory_bytes()
+    needed_bytes = sum(needed.values())
+    if total_bytes is None or needed_bytes <= total_bytes:
+        return
+    largest = sorted(needed.items(), key=lambda item: -item[1])
+    parts = ", ".join(
+        f"{what} {_gib(size)}" for what, size in largest if size > 0.01 * needed_bytes
+    )
+    raise ConfigError(
+        f"not enough memory: this needs at least {_gib(needed_bytes)} ({parts}), and this machine"
+        f" has {_gib(total_bytes)}; lower {advice}"
+    )
+
+
+def _gib(size: float) -> str:
+    return f"{size / _GIB:,.1f} GiB"
