@@ -35,7 +35,13 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
+from isaacgymenvs_lite.errors import (
+    CheckpointError,
+    ConfigError,
+    NotFiniteError,
+    UserError,
+    one_line,
+)
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
@@ -81,11 +87,14 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
-            training had begun (`NotFiniteError`).
+            training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
+        KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
+            (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
     """
     command = command or TypedCommand()
     launch = _read_launch(cfg, command)
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
+    interrupt: KeyboardInterrupt | None = None
+    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
         viewers = Viewers(launch.settings)
         # Made before the agent, so that its mistakes show before a run folder exists.
         task = make_task(launch.num_envs)
@@ -111,9 +120,11 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         except UserError:
             launch.folder.remove_if_unused()
             raise
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
+            interrupt = error
             log.warning("stopped at once")
             _save(observers.agent, launch, "_interrupted")
+            launch.folder.remove_if_unused()
         finally:
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
@@ -123,6 +134,9 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         if not launch.checkpoint_file("").exists():
             _save(observers.agent, launch, "")
         _report_end(launch, command, stop.requested)
+        if interrupt is not None:
+            raise interrupt
+        _check_saved(launch.folder)
 
 
 def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -365,6 +379,23 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     log.info("saved %s; play it: %s", newest, command.play(task))
     if was_stopped:
         log.info("go on with it: %s", command.resume(task))
+
+
+def _check_saved(folder: RunFolder) -> None:
+    """Check that the end of a training is in a file.
+
+    Raises:
+        CheckpointError: the last checkpoint could not be written anywhere.
+    """
+    if not folder.save_failed:
+        return
+    newest = folder.newest_checkpoint()
+    what = f"the newest one is {newest}" if newest else "nothing of this training is saved"
+    raise CheckpointError(
+        f"the last checkpoint could not be written, neither to {folder.checkpoints} nor below the"
+        f" temporary folder: {what}; free some space, or choose another folder with"
+        " +train.params.config.train_dir=FOLDER"
+    )
 
 
 @contextmanager
