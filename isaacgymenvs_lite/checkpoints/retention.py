@@ -20,21 +20,17 @@ class Retention:
         self._keep = keep
         self._files: dict[int, set[Path]] = {}
 
-    def written(self, file: Path, epoch: int, needed: Path | None = None) -> None:
+    def written(self, file: Path, epoch: int) -> None:
         """Note a file that was written, and remove those that are too old.
 
         Args:
             file: the checkpoint, or where it was rescued to.
             epoch: of the training, from 1.
-            needed: a checkpoint that stays, whatever its age.
         """
         if self._keep == 0:
             return
         self._files.setdefault(epoch, set()).add(file)
         for old in sorted(self._files)[: -self._keep]:
-            for path in self._files[old] - {needed}:
+            for path in self._files.pop(old):
                 with contextlib.suppress(OSError):
                     path.unlink()
-                self._files[old].discard(path)
-            if not self._files[old]:
-                del self._files[old]
