@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -233,21 +232,15 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     name = run_name_of(cfg)
     train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
     if exact := settings.full_experiment_name:
-        run_name = str(read_run_name(exact, "full_experiment_name"))
+        folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        run_name = _new_run_name(train_dir, str(name))
+        stamped = str(name) + datetime.now().strftime("_%d-%H-%M-%S")
+        folder = RunFolder(train_dir, stamped, is_exact=False)
     given = settings.checkpoint or checkpoint_in_file(cfg)
     checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(cfg, settings, seed, name.name, RunFolder(train_dir, run_name), checkpoint)
-
-
-def _new_run_name(train_dir: Path, name: str) -> str:
-    """Return `<name>_<dd-HH-MM-SS>`, with a number after it if a run of this second exists."""
-    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
-    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
-    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
+    return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
 
 
 @contextmanager

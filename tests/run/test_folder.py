@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import stat
@@ -35,6 +36,16 @@ def open_run(tmp_path: Path) -> Iterator[OpenRun]:
             return folder
 
         yield make
+
+
+def test_runs_of_one_second_get_folders_of_their_own(tmp_path):
+    """As seeds that a shell starts at once: all have chosen a name before one makes its folder."""
+    folders = [RunFolder(tmp_path, "walk_22-10-00-00", is_exact=False) for _ in range(3)]
+    with ExitStack() as opened:
+        names = [opened.enter_context(folder).path.name for folder in folders]
+        assert names == ["walk_22-10-00-00", "walk_22-10-00-00_2", "walk_22-10-00-00_3"]
+        assert RunFolder(tmp_path, "walk_22-10-00-00", is_exact=False).name.endswith("_4")
+    assert list(tmp_path.iterdir()) == []  # nothing was made in them
 
 
 @pytest.fixture
@@ -161,16 +172,16 @@ def test_what_is_deleted_is_made_again_at_the_next_save(deleted, open_run, tmp_p
 def test_a_folder_that_another_run_made_again_is_left_to_it(open_run, tmp_dir):
     first = open_run()
     shutil.rmtree(first.path)
-    second = open_run(task="Humanoid")
-    rescued = save(first, epoch=1)
-    assert rescued is not None
-    assert rescued.is_relative_to(tmp_dir)
-    assert save(second, epoch=2) == second.checkpoints / "walk.pth"
-    assert load_checkpoint(second.checkpoints / "walk.pth")["epoch"] == 2
-    assert "Humanoid" in (second.path / "config.yaml").read_text()
-    first.__exit__()
-    with pytest.raises(FolderInUseError):  # the end of the first does not end the other's lock
-        open_run()
+    first.path.mkdir()
+    with (first.path / LOCK_FILE).open("w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        rescued = save(first)
+        assert rescued is not None
+        assert rescued.is_relative_to(tmp_dir)
+        first.__exit__()  # does not end the other's lock
+        with pytest.raises(FolderInUseError):
+            open_run()
+    assert [file.name for file in first.path.iterdir()] == [LOCK_FILE]
 
 
 # --- rescued -----------------------------------------------------------------------------------
