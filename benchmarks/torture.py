@@ -19,19 +19,20 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 
 from benchmarks.machine import describe_machine
-from isaacgymenvs_lite.checkpoints.files import load_checkpoint
+from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
+from isaacgymenvs_lite.checkpoints.training_state import read_training_state
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.registration import build_runner
 from isaacgymenvs_lite.runner import run
 
-GO_ON = "checkpoint=last"
+GO_ON = "resume=last"
 """The word with which a killed training is started again."""
 
 _CONFIG = "train.params.config"
@@ -124,11 +125,11 @@ class _Run:
 
     def start(self) -> None:
         """Start the training, from its newest checkpoint if there is one."""
-        go_on = [GO_ON] if any(self._checkpoints()) else []
+        goes_on = bool(self._checkpoints())
         self._read = self._log.stat().st_size if self._log.exists() else 0
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([_train.__module__])
-        arguments = ((*self._words, *go_on), self._folder, self._log)
+        arguments = (self._words, goes_on, self._folder, self._log)
         self._process = context.Process(target=_train, args=arguments, daemon=True)
         self._process.start()
 
@@ -198,12 +199,14 @@ class _Run:
         self._waiting += 1
         self._last_epoch = max([self._last_epoch, *self._epochs()])
         self._result.writing += self._is_writing()
-        files = list(self._checkpoints())
+        files = self._checkpoints()
         names = [file.name for file in files if file.parent.name == "nn"]
         self._result.no_episode += all("rew_-inf" in name for name in names)
         for file in files:
             try:
-                load_checkpoint(file)
+                state = read_training_state(file)
+                if state.memory is not None and state.buffers is None:
+                    raise CheckpointError(f"{file}: its buffers are missing")
             except CheckpointError as error:
                 self._result.unreadable += 1
                 self._result.failures.append(str(error))
@@ -233,21 +236,23 @@ class _Run:
         assert self._process is not None
         return any(self._folder.glob(f"runs/*/*/.*.{self._process.pid}.partial"))
 
-    def _checkpoints(self) -> Iterator[Path]:
-        return self._folder.glob("runs/*/*/*.pth")
+    def _checkpoints(self) -> list[Path]:
+        """Return all files that a training could go on from."""
+        files = self._folder.glob("runs/*/*/*.pth")
+        return [file for file in files if not file.name.endswith("_buffers.pth")]
 
 
 _MOMENTS = (_Run.wait_for_write, _Run.pause, _Run.wait_for_write, lambda run: None)
 
 
-def _train(words: Sequence[str], folder: Path, log: Path) -> None:
-    """Train in a process of its own, with its log in a file."""
+def _train(words: Sequence[str], goes_on: bool, folder: Path, log: Path) -> None:
+    """Train in a process of its own, or go on with what trained, with the log in a file."""
     os.chdir(folder)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (1, 2):
         os.dup2(file, stream)
     logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
-    run(compose(words))
+    run(resumed_tree([GO_ON]) if goes_on else compose(words))
 
 
 def torture(name: str, kills: int, folder: Path, seed: int) -> Result:

@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner, _override_sigma
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.checkpoints.training_state import run_of_file
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.startup_notes import startup_notes
@@ -108,7 +109,7 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             task.max_episode_length,
             stop,
         )
-        launch.folder.create(cfg)
+        launch.folder.create(launch.repeatable)
         try:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log():
@@ -208,6 +209,14 @@ class _Launch:
         return int(self.cfg.task.env.numEnvs)
 
     @property
+    def repeatable(self) -> DictConfig:
+        """The tree as config.yaml stores it: with the drawn seed, and nothing to resume."""
+        cfg = self.cfg.copy()
+        with open_dict(cfg):
+            cfg.seed, cfg.resume = self.seed, ""
+        return cfg
+
+    @property
     def overrides(self) -> dict[str, Any]:
         """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
@@ -224,6 +233,12 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     """
     settings = check_config(cfg)
     apply_wrapper_limits(cfg)
+    resumed = Path(settings.resume) if settings.resume else None
+    if resumed is not None and not resumed.is_file():
+        raise ConfigError(
+            f"resume={resumed}: a program composes such a tree with"
+            " checkpoints.run_config.resumed_tree(['resume=...'])"
+        )
     if command is not None:
         for note in startup_notes(cfg, command.check(str(cfg.task.name))):
             log.info("%s", note)
@@ -231,6 +246,9 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     seed_everything(seed, settings.torch_deterministic)
     name = run_name_of(cfg)
     train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+    if resumed is not None:
+        folder = RunFolder.at(run_of_file(resumed), train_dir)
+        return _Launch(cfg, settings, seed, name.name, folder, str(resumed))
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
@@ -286,6 +304,11 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
         names=known_names(build_runner()),
     )
     check_env_name(params)
+    if not isinstance(save_buffers := params["config"].get("save_buffers", True), bool):
+        raise ConfigError(
+            f"train.params.config.save_buffers={save_buffers!r}: expected True or False"
+        )
+    params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
     if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
     if settings.latent:
@@ -371,7 +394,7 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     task = str(launch.cfg.task.name)
     log.info("saved %s; play it: %s", newest, command.play(task))
     if was_stopped:
-        log.info("go on with it: %s", command.resume(task))
+        log.info("go on with it: %s", command.resume(launch.folder.path))
 
 
 def _check_saved(folder: RunFolder) -> None:

@@ -77,8 +77,13 @@ def _run_hydra() -> None:
     Raises:
         ConfigError: the configuration cannot be composed.
     """
-    _check_options(sys.argv[1:])
     command = TypedCommand.of_this_process()
+    if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
+        from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
+
+        _run_job(resumed_tree(sys.argv[1:]), command)
+        return
+    _check_options(sys.argv[1:])
     sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy that is played
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.

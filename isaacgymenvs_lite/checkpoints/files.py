@@ -73,7 +73,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
         The file that was written; None if none could be.
     """
     path = Path(f"{filename}.pth")
-    state = _plain_numbers(state)
+    state = plain_numbers(state)
     folder = folder_of_checkpoint(path)
     try:
         folder.make_again()
@@ -129,16 +129,16 @@ def _reason(error: OSError | FolderInUseError) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
-def _plain_numbers(value: Any) -> Any:
+def plain_numbers(value: Any) -> Any:
     """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
     if isinstance(value, dict):
-        return type(value)((key, _plain_numbers(entry)) for key, entry in value.items())
+        return type(value)((key, plain_numbers(entry)) for key, entry in value.items())
     if isinstance(value, (list, tuple)):
-        return type(value)(_plain_numbers(entry) for entry in value)
+        return type(value)(plain_numbers(entry) for entry in value)
     return value
 
 
@@ -306,7 +306,7 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     wanted = {key: value for key, value in wanted.items() if value}
     rescued = [run for folder in rescue_dirs(train_dir) for run in run_folders(folder)]
     runs = [*run_folders(train_dir), *rescued]
-    matching = [run for run in runs if _settings_of_run(run, wanted) == wanted]
+    matching = [run for run in runs if settings_of_run(run, wanted) == wanted]
     file = newest(file for run in matching for file in run.glob("nn/*.pth"))
     if file is None:
         task = f"task={task_name}" if task_name else "any task"
@@ -327,11 +327,12 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 
 
 def _tasks_of_checkpoints(runs: Iterable[Path]) -> set[str]:
-    names = [_settings_of_run(run, ["task.name"]) for run in runs if any(run.glob("nn/*.pth"))]
+    names = [settings_of_run(run, ["task.name"]) for run in runs if any(run.glob("nn/*.pth"))]
     return {str(found["task.name"]) for found in names if found and found["task.name"]}
 
 
-def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+    """Return settings of a run by their paths; None if it is no run of this project."""
     from omegaconf.errors import OmegaConfBaseException
 
     from isaacgymenvs_lite.config.yaml_files import read_yaml

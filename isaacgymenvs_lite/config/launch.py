@@ -37,6 +37,8 @@ class LaunchSettings:
     """Play instead of train."""
     checkpoint: str = setting("")
     """File to restore, `last`, or ''."""
+    resume: str = setting("")
+    """File of the run to go on with; a command line also gives `last` or a run folder."""
     sigma: float | None = setting(None, blank=True)
     """Replaces the log standard deviation of a policy with fixed sigma."""
     latent: str = setting("")
@@ -122,6 +124,11 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     }
     settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
     _check_features(settings, cfg)
+    if settings.resume and settings.test:
+        raise ConfigError(
+            f"resume={settings.resume} goes on with a training; to play a policy give checkpoint="
+            " instead"
+        )
     if settings.latent and not settings.test:
         raise ConfigError(
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"

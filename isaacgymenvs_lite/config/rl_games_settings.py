@@ -194,6 +194,7 @@ SAC_OTHER_KEYS = frozenset(
         *("actor_betas", "critic_betas", "alphas_betas", "weight_decay", "is_train", "player"),
         *("device", "device_name", "env_config", "env_info", "features", "full_experiment_name"),
         *("multi_gpu", "network", "num_actors", "pbt_idx", "population_based_training"),
+        "save_buffers",
         # published files only
         *("num_seed_steps", "max_env_steps", "use_diagnostics", "torch_compile", "log_path"),
         *("normalize_value", "normalize_advantage"),

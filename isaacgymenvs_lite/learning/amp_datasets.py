@@ -44,6 +44,21 @@ class AMPDataset(PublishedNames, PPODataset):
         self._row_limits = dict(row_limits or {})
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
+    def stored_state(self) -> dict[str, Any]:
+        """Return the order of the next rows, for `restore_state`."""
+        return {"order": self._idx_buf.cpu().clone()}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` of a set of the same size returned.
+
+        Raises:
+            ValueError: it is of a set of another size.
+        """
+        order = state["order"]
+        if not torch.equal(order.sort().values, torch.arange(self.batch_size)):
+            raise ValueError(f"an order of {len(order)} rows, expected {self.batch_size}")
+        self._idx_buf = order.to(self.device)
+
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
         """Not supported: minibatches are random rows, which cannot be written back in order.
 

@@ -104,6 +104,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
     control_steps_per_action = 1
+    stored_episodes = ("dataset",)
 
     # rl_games declares these as None and sets them in its constructors.
     vec_env: Any

@@ -70,6 +70,7 @@ class HRLAgent(CommonAgent):
         "disc_reward_std": "info/disc_reward_std",
     }
 
+    stored_episodes = ("_noise",)
     _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
     _task_size = ReadOnly("llc.num_task_obs", "the task")
     _llc_steps = ReadOnly("_hrl.llc_steps")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +25,8 @@ class _EndOfEpoch(AlgoObserver):
         agent: the agent that is checked and saved.
         observer: of the training.
     """
+
+    stored = ("_observer",)
 
     def __init__(self, agent: SACAgent, observer: AlgoObserver) -> None:
         super().__init__()
@@ -67,8 +70,9 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
     Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
-    resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
-    MB): a resumed run acts with its policy until the buffer holds a batch, and then learns.
+    run that starts from one would start again with `init_alpha`. They do not hold the replay buffer
+    (hundreds of MB), which only `resume=` restores: from a checkpoint the policy acts until the
+    buffer holds a batch, and then learns.
 
     `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
     values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own
@@ -107,6 +111,9 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
                 critic.Q1 = BFloat16HiddenLayers(*critic.Q1)
                 critic.Q2 = BFloat16HiddenLayers(*critic.Q2)
             network.actor.trunk = BFloat16HiddenLayers(*network.actor.trunk)
+
+    stored = ("_step", "update_counter", "_last_of_actor")
+    stored_buffers = ("_replayed",)
 
     @property
     def curr_frames(self) -> int:
@@ -169,6 +176,29 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
             f"train.params.config.{key}={rate / 2:g} (now {rate:g})" for key, rate in rates.items()
         )
 
+    def train_epoch(self) -> Any:
+        """Train an epoch. Before it, store a state or go on from one."""
+        self.epoch_num -= 1  # rl_games has counted the epoch that starts
+        self.go_on()
+        self.store_if_due()
+        self.epoch_num += 1
+        return super().train_epoch()
+
+    def train(self) -> Any:
+        """Train as rl_games, and store the state at the end."""
+        result = super().train()
+        self.store_training_state()
+        return result
+
+    @property
+    def next_logged_frame(self) -> int:
+        """Frame under which the next epoch writes its scalars: the one at its end."""
+        return self.frame + 1
+
+    @property
+    def _replayed(self) -> _StoredReplay:
+        return _StoredReplay(self.replay_buffer)
+
     def check_epoch(self) -> None:
         """Check networks and optimisers after an epoch.
 
@@ -201,6 +231,45 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         if updates_actor:
             self._last_of_actor = of_actor
         return self._last_of_actor, *of_critics
+
+
+class _StoredReplay:
+    """The rows of rl_games' replay buffer as a training state holds them.
+
+    Args:
+        buffer: the agent's.
+    """
+
+    _NAMES = ("obses", "next_obses", "actions", "rewards", "dones")
+
+    def __init__(self, buffer: Any) -> None:
+        self._buffer = buffer
+
+    def stored_state(self) -> dict[str, Any]:
+        """Return the rows and the place of the next ones."""
+        buffer = self._buffer
+        n = buffer.capacity if buffer.full else buffer.idx
+        rows = {name: getattr(buffer, name)[:n].cpu() for name in self._NAMES}
+        # A part of a tensor would be written to a file with the whole one.
+        rows = rows if buffer.full else {name: row.clone() for name, row in rows.items()}
+        return {"rows": rows, "idx": buffer.idx, "full": buffer.full}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` of a buffer of the same size returned.
+
+        Raises:
+            ValueError: it is of a buffer of another size.
+        """
+        buffer, n = self._buffer, len(state["rows"]["rewards"])
+        if (
+            n > buffer.capacity
+            or not 0 <= state["idx"] < buffer.capacity
+            or (n != (buffer.capacity if state["full"] else state["idx"]))
+        ):
+            raise ValueError(f"a replay buffer of {n} rows, expected up to {buffer.capacity}")
+        for name in self._NAMES:
+            getattr(buffer, name)[:n].copy_(state["rows"][name])
+        buffer.idx, buffer.full = state["idx"], bool(state["full"])
 
 
 def _played_parts(model: Any) -> Parts:

@@ -17,13 +17,13 @@ from typing import Any
 
 import torch
 from rl_games.algos_torch.a2c_continuous import A2CAgent
-from rl_games.interfaces.base_algorithm import BaseAlgorithm
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
+from isaacgymenvs_lite.learning.resuming import Resuming
 
 # Rows of a rollout -> their name in messages; each may be the cause of the next.
 _ROLLOUT = {
@@ -40,16 +40,11 @@ _ROLLOUT = {
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
 
 
-class Safeguards(BaseAlgorithm):
+class Safeguards(Resuming):
     """Checkpoints that fit and that are finite, for every agent; a base before rl_games' class."""
 
-    config: dict[str, Any]
-    epoch_num: int
-    save_freq: int
     game_rewards: Any
     nn_dir: str
-    writer: Any
-    frame: int
     _restored_from = ""
     _last_saved: Path | None = None
     _has_learned = False
@@ -68,7 +63,8 @@ class Safeguards(BaseAlgorithm):
         """
         former, self._restored_from = self._restored_from, str(fn)
         try:
-            self.set_full_state_weights(load_checkpoint(fn), set_epoch)
+            read = self.read_resumed if self.config.get("resume") else load_checkpoint
+            self.set_full_state_weights(read(fn), set_epoch)
         except CheckpointError:
             self._restored_from = former  # no good checkpoint to name later
             raise
@@ -84,7 +80,8 @@ class Safeguards(BaseAlgorithm):
 
     @property
     def _source(self) -> str:
-        return f"checkpoint={self._restored_from or '(given as a dictionary)'}"
+        key = "resume" if self.config.get("resume") else "checkpoint"
+        return f"{key}={self._restored_from or '(given as a dictionary)'}"
 
     # --- saving ----------------------------------------------------------------------------
 
@@ -228,6 +225,12 @@ class PPOSafeguards(Safeguards, A2CAgent):
     saves.
     """
 
+    stored = (
+        *("game_shaped_rewards", "mean_rewards", "last_lr", "entropy_coef"),
+        *("central_value_net.lr", "central_value_net.epoch_num", "central_value_net.frame"),
+    )
+    stored_episodes = ("current_shaped_rewards", "rnn_states", "central_value_net.rnn_states")
+
     # Policy steps of the rollout so far.
     _acted = 0
 
@@ -244,6 +247,24 @@ class PPOSafeguards(Safeguards, A2CAgent):
         return Parts(
             modules, optimizers, scalers=scalers, optional=frozenset(optional), counts=True
         )
+
+    def update_epoch(self) -> int:
+        """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
+        self.go_on()
+        self.store_if_due()
+        epoch_num: int = super().update_epoch()
+        return epoch_num
+
+    def train(self) -> Any:
+        """Train as rl_games, and store the state at the end."""
+        result = super().train()
+        self.store_training_state()
+        return result
+
+    def _rates_restored(self) -> None:
+        self.update_lr(float(self.last_lr))
+        if self.has_central_value:
+            self.central_value_net.update_lr(self.central_value_net.lr)
 
     def _check_batch_size(self) -> None:
         """Check that an epoch has a standard deviation, by which advantages are divided.

@@ -20,7 +20,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tensorboardX.proto.event_pb2 import Event  # type: ignore[attr-defined]  # made at run time
+from tensorboardX.proto.event_pb2 import (  # type: ignore[attr-defined]  # made at run time
+    Event,
+    SessionLog,
+)
 from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
@@ -141,6 +144,19 @@ def install(writer: Any) -> None:
                 header.unlink()
     # FileWriter's exit handler closes `event_writer`, and the new one cannot hang.
     file_writer.event_writer = RetryingEventWriter(old.get_logdir())
+
+
+def continue_log(writer: Any, frame: int) -> None:
+    """Make readers drop the scalars from `frame` on of a run that was killed and goes on there.
+
+    Args:
+        writer: of the run that goes on; events of the killed one are in the same folder.
+        frame: under which the next scalars are written.
+    """
+    if hasattr(writer, "file_writer"):  # not of the processes that write nothing
+        start = SessionLog(status=SessionLog.START)
+        event = Event(wall_time=time.time(), step=frame, session_log=start)
+        writer.file_writer.event_writer.add_event(event)
 
 
 def _record(data: bytes) -> bytes:

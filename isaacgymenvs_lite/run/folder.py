@@ -36,13 +36,13 @@ class RunFolder:
         is_exact: False adds a number to the name if such a folder exists.
 
     Attributes:
+        train_dir: folder of all runs.
         name: of the run; final once the folder is reserved.
-        path: of the folder.
         save_failed: whether the last checkpoint could not be written anywhere.
     """
 
     def __init__(self, train_dir: Path, run_name: str, is_exact: bool = True) -> None:
-        self._train_dir = train_dir
+        self.train_dir = train_dir
         self._real_train_dir = Path(os.path.realpath(train_dir))
         self._is_exact = is_exact
         self.name = run_name
@@ -55,10 +55,18 @@ class RunFolder:
         self._config = ""
         self._lock: FolderLock | None = None
 
+    @classmethod
+    def at(cls, path: Path, train_dir: Path) -> RunFolder:
+        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere."""
+        root = train_dir.absolute()
+        if not path.is_relative_to(root):
+            root = path.parent
+        return cls(root, str(path.relative_to(root)))
+
     @property
     def path(self) -> Path:
         """Path of the folder."""
-        return self._train_dir / self.name
+        return self.train_dir / self.name
 
     @property
     def checkpoints(self) -> Path:
@@ -74,10 +82,10 @@ class RunFolder:
             ConfigError: the folder cannot be written, is part of another run, or another run
                 writes into it.
         """
-        for folder in self.path.relative_to(self._train_dir).parents:
-            if folder.parts and (self._train_dir / folder / _CONFIG_FILE).exists():
+        for folder in self.path.relative_to(self.train_dir).parents:
+            if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
                 raise ConfigError(
-                    f"{self.path} lies in the folder of another run, {self._train_dir / folder};"
+                    f"{self.path} lies in the folder of another run, {self.train_dir / folder};"
                     " choose another experiment=NAME"
                 )
         with self._errors_explained():
@@ -102,7 +110,7 @@ class RunFolder:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         for name in _numbered(self.name):
             try:
-                (self._train_dir / name).mkdir()
+                (self.train_dir / name).mkdir()
             except FileExistsError:
                 if self._is_exact:
                     break

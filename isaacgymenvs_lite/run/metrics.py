@@ -65,6 +65,7 @@ class MetricsObserver(AlgoObserver):
     """
 
     latest: EpochMetrics | None = None
+    stored = ("_falls",)
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""

@@ -17,6 +17,8 @@ class TaskScalarsObserver(AlgoObserver):
     "/", as `<key>/frame`, `/iter`, `/time`.
     """
 
+    stored = ("_running", "_finished")
+
     def after_init(self, algo: Any) -> None:
         """Store the agent, and begin without values."""
         self._algo = algo

@@ -17,7 +17,7 @@ after all bodies of the robot in the file. Body and DOF tensors do not contain t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import mujoco
@@ -202,6 +202,18 @@ class SimulationBackend(Protocol):
             env_ids: (n,) int64, each once, in any order.
             object_ids: (k,) int64, places in `object_names`, each once, in any order.
             states: (n, k, 13) as `object_states`.
+        """
+        ...
+
+    def stored_state(self) -> dict[str, Any]:
+        """Return copies of all that the next steps depend on, for `restore_state`."""
+        ...
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` returned, bit by bit, in simulations of an equal model.
+
+        Raises:
+            KeyError, TypeError, ValueError, RuntimeError: the state is of other simulations.
         """
         ...
 

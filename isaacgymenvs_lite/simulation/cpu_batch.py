@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -46,6 +47,7 @@ _TIMED_STEPS = 5
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
+    "_expanded",
 )
 
 
@@ -88,6 +90,7 @@ class CpuBatchSimulation:
             model, num_envs, num_threads or _worthwhile_threads(model, num_envs, substeps)
         )
         self._batch: Batch | None = batch
+        self._expanded: dict[str, npt.NDArray[Any]] = {}
         self._allocate()
         self._bind_views(batch)
         self._refresh()
@@ -231,7 +234,8 @@ class CpuBatchSimulation:
 
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Return a field's values for each environment; see `SimulationBackend.expand`."""
-        return self.batch.expand(field)
+        self._expanded[field] = values = self.batch.expand(field)
+        return values
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
         """See `SimulationBackend.update_constants`."""
@@ -303,6 +307,47 @@ class CpuBatchSimulation:
         self._object_qpos[places], self._object_qvel[places] = qpos, qvel
         self._warmstart_rows[rows] = 0.0
         self._buffers.replace_objects(rows, objects, self._converter.states_of_objects(qpos, qvel))
+
+    def stored_state(self) -> dict[str, Any]:
+        """See `SimulationBackend.stored_state`."""
+        memory = {name: torch.from_numpy(rows.copy()) for name, rows in self._memory().items()}
+        bodies = [self._buffers.bodies_are_current, self._buffers.has_body_velocities]
+        return {**memory, "num_failures": self.num_failures, "bodies": bodies}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """See `SimulationBackend.restore_state`."""
+        if "forces.0" in state:
+            _ = self.dof_forces  # binds them
+        memory = self._memory()
+        for name, rows in memory.items():
+            stored = state[name].numpy()
+            if stored.shape != rows.shape or stored.dtype != rows.dtype:
+                raise ValueError(f"{name} of the simulation: {stored.shape}, expected {rows.shape}")
+        for name, rows in memory.items():
+            measured = not rows.flags.writeable  # by the batch, which writes it at every step
+            if measured:
+                rows.flags.writeable = True
+            rows[...] = state[name].numpy()
+            if measured:
+                rows.flags.writeable = False
+        self.num_failures = int(state["num_failures"])
+        self._buffers.bodies_are_current, self._buffers.has_body_velocities = map(
+            bool, state["bodies"]
+        )
+        if self._expanded:
+            self.batch.set_const(np.arange(self.num_envs))
+
+    def _memory(self) -> dict[str, np.ndarray]:
+        """Return the memory that the next steps depend on, and what is read before them."""
+        return {
+            "state": self.batch.state,
+            "sensordata": self._sensor_rows,
+            "written": self._written,
+            "failed": self.failed.numpy(),
+            **self._buffers.memory,
+            **{f"forces.{i}": rows for i, rows in enumerate(self._force_rows or ())},
+            **{f"model.{field}": values for field, values in self._expanded.items()},
+        }
 
     def _refresh(self) -> None:
         """Convert the batch's rows of all environments into the state tensors."""

@@ -219,6 +219,8 @@ class VecTask(Env):
     """`BEFORE_PHYSICS`: an action counts as zero in the step that starts an episode, because it was
     chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
     keeps_final_observations: bool = False
+    not_stored: ClassVar[tuple[str, ...]] = ("cfg", "sim_params", "listeners", "_camera")
+    """Attributes that a resumed training makes again; all others are stored, see `object_state`."""
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
     """What video recorders read."""
 
