@@ -22,7 +22,7 @@ from isaacgymenvs_lite.checkpoints.training_state import (
     read_training_state,
     write_training_state,
 )
-from isaacgymenvs_lite.errors import CheckpointError, one_line
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
 from isaacgymenvs_lite.utils.object_state import (
     read_generators,
@@ -57,6 +57,7 @@ class Resuming(BaseAlgorithm):
 
     config: dict[str, Any]
     epoch_num: int
+    max_epochs: int
     frame: int
     save_freq: int
     algo_observer: Any
@@ -75,6 +76,12 @@ class Resuming(BaseAlgorithm):
 
     # --- storing -----------------------------------------------------------------------------
 
+    def train(self) -> Any:
+        """Train as rl_games, and store the state at the end."""
+        result = super().train()  # type: ignore[safe-super]  # rl_games' class comes after
+        self.store_training_state()
+        return result
+
     def store_if_due(self) -> None:
         """Write a training state at the end of the epochs that have a periodic checkpoint."""
         if self.save_freq > 0 and self.epoch_num > 0 and self.epoch_num % self.save_freq == 0:
@@ -88,10 +95,11 @@ class Resuming(BaseAlgorithm):
         if self._stored_epoch == self.epoch_num:
             return
         start = time.monotonic()
+        weights: Any = self.get_full_state_weights()
         buffers = None
         if self.config.get("save_buffers", True):
             buffers = {name: read_state(value) for name, value in self._values("stored_buffers")}
-        state = TrainingState(self.get_full_state_weights(), self._memory(), buffers)
+        state = TrainingState(weights, self._memory(), buffers or None)
         try:
             files, too_large = write_training_state(
                 Path(self.experiment_dir), state, self.epoch_num
@@ -128,9 +136,25 @@ class Resuming(BaseAlgorithm):
             "episodes": {
                 name: read_state(value) for name, value in self._values("stored_episodes")
             },
-            "task": None if self._task is None else read_state(self._task),
+            "task": self._read_task(),
             "generators": read_generators(),
         }
+
+    def _read_task(self) -> Any:
+        """Return the task's state; None if it has none, or it is of a kind that fails."""
+        if self._task is None:
+            return None
+        try:
+            return read_state(self._task)
+        except Exception as error:  # an attribute of a user's own task may be anything
+            if self._stored_epoch < 0:
+                log.warning(
+                    "the state of %s cannot be stored (%s), so that resume= starts its episodes"
+                    " again; name the attribute in its `not_stored`",
+                    type(self._task).__name__,
+                    one_line(error),
+                )
+            return None
 
     def _values(self, kind: str) -> Iterator[tuple[str, Any]]:
         """Yield names and values of the attributes of a kind that the agent has."""
@@ -187,10 +211,16 @@ class Resuming(BaseAlgorithm):
 
         Raises:
             CheckpointError: it does not fit. Nothing was trained.
+            ConfigError: the run had reached its last epoch.
         """
         state, self._to_resume = self._to_resume, None
         if state is None:
             return
+        if self.epoch_num >= self.max_epochs > 0:
+            raise ConfigError(
+                f"resume={self._resumed_from}: the run has trained its {self.max_epochs} epochs; to"
+                " go on give more of them: max_iterations=N"
+            )
         fresh: list[str] = []
         try:
             self._write_memory(state, fresh)
@@ -234,7 +264,8 @@ class Resuming(BaseAlgorithm):
             write_state(self._task, memory["task"], self._task.device)
         else:
             fresh.append(
-                "settings of the task, num_envs or horizon_length changed, so that episodes start again"
+                "settings of the task, num_envs or horizon_length changed, so that episodes"
+                " start again"
             )
         write_generators(memory["generators"])
 

@@ -184,12 +184,6 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         self.epoch_num += 1
         return super().train_epoch()
 
-    def train(self) -> Any:
-        """Train as rl_games, and store the state at the end."""
-        result = super().train()
-        self.store_training_state()
-        return result
-
     @property
     def next_logged_frame(self) -> int:
         """Frame under which the next epoch writes its scalars: the one at its end."""

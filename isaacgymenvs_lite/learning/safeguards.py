@@ -255,12 +255,6 @@ class PPOSafeguards(Safeguards, A2CAgent):
         epoch_num: int = super().update_epoch()
         return epoch_num
 
-    def train(self) -> Any:
-        """Train as rl_games, and store the state at the end."""
-        result = super().train()
-        self.store_training_state()
-        return result
-
     def _rates_restored(self) -> None:
         self.update_lr(float(self.last_lr))
         if self.has_central_value:

@@ -20,13 +20,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tensorboardX.proto.event_pb2 import (  # type: ignore[attr-defined]  # made at run time
-    Event,
-    SessionLog,
-)
+from tensorboardX.proto import event_pb2
 from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
+
+# Classes that are made at run time.
+Event: Any = event_pb2.Event  # type: ignore[attr-defined]
+SessionLog: Any = event_pb2.SessionLog  # type: ignore[attr-defined]
 
 # Most bytes of events that wait for a full disk, about 20,000 scalars; later ones are dropped.
 _MAX_WAITING_BYTES = 2**20
@@ -55,7 +56,7 @@ class RetryingEventWriter:
         """Return the folder of the event file."""
         return str(self._logdir)
 
-    def add_event(self, event: Event) -> None:
+    def add_event(self, event: Any) -> None:
         """Add an event, which is written within ten seconds, or once the disk has room."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
             self._waiting += _record(event.SerializeToString())

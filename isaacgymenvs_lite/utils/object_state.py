@@ -145,7 +145,8 @@ class _Reader(_Walk):
     def read(self, value: Any) -> State:
         """Return a value's state, `_NOTHING` if it has none."""
         if value is None or type(value) in _NUMBERS:
-            return value
+            # A larger one fits in no checkpoint.
+            return value if type(value) is not int or abs(value) < 2**63 else _NOTHING
         if isinstance(value, Tensor):
             return value.detach().cpu().clone(memory_format=torch.contiguous_format)
         if isinstance(value, np.ndarray):

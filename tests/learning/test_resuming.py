@@ -138,7 +138,7 @@ def of_another_state(run: Path) -> None:
         (without_buffers, (), "without their file the replay buffers start empty"),
         (of_another_state, (), "without their file the replay buffers start empty"),
         (without_state, (), "a checkpoint has no training state, so that episodes, learning rate"),
-        (None, ("num_envs=8",), "or horizon_length changed, so that episodes start again"),
+        (None, ("num_envs=8",), "or horizon_length changed, so that episodes"),
         (None, (f"{CONFIG}.learning_rate=1e-5",), "learning rates start at the new setting"),
     ],
 )
@@ -175,6 +175,7 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
         (["resume=last", "task=Ant"], "resume=last: no run with task.name=Ant"),
         (["resume=last", "task.env.num_legs=3"], r"task.env.num_legs=3.*settings of the run"),
         (["resume=last", "--multirun"], "only settings can be given"),
+        (["resume=last", "max_iterations=2"], "has trained its 2 epochs; to go on give more"),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
     ],
 )
