@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass, field, fields
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from benchmarks.machine import describe_machine
@@ -61,7 +62,7 @@ _KILLS_OF_A_RUN = 6
 _START_LIMIT_S = 120.0
 _WRITE_LIMIT_S = 10.0
 _MAX_PAUSE_S = 0.5
-_POLL_S = 1e-3
+_POLL_S = 2e-3
 
 
 @dataclass
@@ -117,7 +118,7 @@ class _Run:
         self._folder, self._interval, self._result, self._rng = folder, interval, result, rng
         self._log = folder / "train.log"
         self._read = 0
-        self._process: multiprocessing.process.BaseProcess | None = None
+        self._process: BaseProcess | None = None
         self._start_s = 1.0
         self._last_epoch = 0
         self._waiting = 0
@@ -130,8 +131,9 @@ class _Run:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([_train.__module__])
         arguments = (self._words, goes_on, self._folder, self._log)
-        self._process = context.Process(target=_train, args=arguments, daemon=True)
-        self._process.start()
+        process = context.Process(target=_train, args=arguments, daemon=True)
+        process.start()
+        self._process = process
 
     def kill_while_starting(self) -> None:
         """Kill before the first epoch, if the training is not faster than before."""
@@ -177,6 +179,11 @@ class _Run:
                     return
                 os.kill(self._process.pid, signal.SIGCONT)
             time.sleep(_POLL_S)
+
+    def wait_for_later_write(self) -> None:
+        """Wait until one of the next files is being written."""
+        self.pause()
+        self.wait_for_write()
 
     def end(self) -> None:
         """Check that the last kill cost nothing; end the process."""
@@ -242,7 +249,7 @@ class _Run:
         return [file for file in files if not file.name.endswith("_buffers.pth")]
 
 
-_MOMENTS = (_Run.wait_for_write, _Run.pause, _Run.wait_for_write, lambda run: None)
+_MOMENTS = (_Run.wait_for_later_write, _Run.pause, _Run.wait_for_write, _Run.pause)
 
 
 def _train(words: Sequence[str], goes_on: bool, folder: Path, log: Path) -> None:
