@@ -25,6 +25,10 @@ SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
 _TRAIN_DIR = "train.params.config.train_dir"
+# What a run's file, perhaps a stranger's, does not decide: who looks on, and what is sent away.
+_TYPED_AGAIN = frozenset(
+    ("viewer", "viewer_host", "viewer_port", "viewer_allowed_hosts", "wandb_logcode_dir")
+)
 _RL_DEVICES = ("cpu", "cuda:0")
 # Hidden layers: section of the network -> pattern of the name in the model.
 _LAYERS = {
@@ -89,6 +93,10 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     file = resume_file(values["resume"], train_dir, wanted)
     cfg = read_yaml(run_of_file(file) / "config.yaml")
     check_expansion(cfg)
+    for key in _TYPED_AGAIN:
+        cfg.pop(key, None)
+    for key in _TYPED_AGAIN & values.keys():
+        cfg[key] = None  # the word sets it
     settings = [
         word for key, word in given.items() if key not in ("task", "train", "resume", _TRAIN_DIR)
     ]

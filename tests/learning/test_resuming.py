@@ -10,10 +10,12 @@ from typing import Any
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
+from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import CheckpointError, UserError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
@@ -165,6 +167,16 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
     torch.save(content, file)
     with pytest.raises(CheckpointError, match=r"resume=.*2.pth: the training state does not fit"):
         go_on("resume=last")
+
+
+def test_a_run_does_not_decide_who_looks_on(stopped):
+    cfg = OmegaConf.load(stopped / "config.yaml")
+    cfg.viewer, cfg.viewer_host, cfg.wandb_logcode_dir = "web", "0.0.0.0", "/"
+    OmegaConf.save(cfg, stopped / "config.yaml")
+    settings = check_config(resumed_tree(["resume=last"]))
+    assert (settings.viewer, settings.viewer_host) == ("", "localhost")
+    assert settings.wandb_logcode_dir == ""
+    assert check_config(resumed_tree(["resume=last", "viewer=web"])).viewer == "web"
 
 
 @pytest.mark.parametrize(
