@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -37,7 +36,13 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
+from isaacgymenvs_lite.errors import (
+    CheckpointError,
+    ConfigError,
+    NotFiniteError,
+    UserError,
+    one_line,
+)
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
@@ -87,11 +92,14 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
-            training had begun (`NotFiniteError`).
+            training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
+        KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
+            (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
     """
     command = command or TypedCommand()
     launch = _read_launch(cfg, command)
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
+    interrupt: KeyboardInterrupt | None = None
+    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
         viewers = Viewers(launch.settings)
         if launch.num_envs > _MANY_ENVS:
             with _quiet("isaacgymenvs_lite.config"):
@@ -122,9 +130,11 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         except UserError:
             launch.folder.remove_if_unused()
             raise
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
+            interrupt = error
             log.warning("stopped at once")
             _save(observers.agent, launch, "_interrupted")
+            launch.folder.remove_if_unused()
         finally:
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
@@ -134,6 +144,9 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         if not launch.checkpoint_file("").exists():
             _save(observers.agent, launch, "")
         _report_end(launch, command, stop.requested)
+        if interrupt is not None:
+            raise interrupt
+        _check_saved(launch.folder)
 
 
 def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -247,25 +260,18 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     name = run_name_of(cfg)
     train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
     if resumed is not None:
-        train_dir, run_name = run_of_file(resumed).parent, run_of_file(resumed).name
-    elif exact := settings.full_experiment_name:
-        run_name = str(read_run_name(exact, "full_experiment_name"))
+        folder = RunFolder.at(run_of_file(resumed), train_dir)
+        return _Launch(cfg, settings, seed, name.name, folder, str(resumed))
+    if exact := settings.full_experiment_name:
+        folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        run_name = _new_run_name(train_dir, str(name))
-    if resumed is not None:
-        return _Launch(cfg, settings, seed, name.name, RunFolder(train_dir, run_name), str(resumed))
+        stamped = str(name) + datetime.now().strftime("_%d-%H-%M-%S")
+        folder = RunFolder(train_dir, stamped, is_exact=False)
     given = settings.checkpoint or checkpoint_in_file(cfg)
     checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(cfg, settings, seed, name.name, RunFolder(train_dir, run_name), checkpoint)
-
-
-def _new_run_name(train_dir: Path, name: str) -> str:
-    """Return `<name>_<dd-HH-MM-SS>`, with a number after it if a run of this second exists."""
-    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
-    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
-    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
+    return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
 
 
 @contextmanager
@@ -412,6 +418,23 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     log.info("saved %s; play it: %s", newest, command.play(task))
     if was_stopped:
         log.info("go on with it: %s", command.resume(launch.folder.path))
+
+
+def _check_saved(folder: RunFolder) -> None:
+    """Check that the end of a training is in a file.
+
+    Raises:
+        CheckpointError: the last checkpoint could not be written anywhere.
+    """
+    if not folder.save_failed:
+        return
+    newest = folder.newest_checkpoint()
+    what = f"the newest one is {newest}" if newest else "nothing of this training is saved"
+    raise CheckpointError(
+        f"the last checkpoint could not be written, neither to {folder.checkpoints} nor below the"
+        f" temporary folder: {what}; free some space, or choose another folder with"
+        " +train.params.config.train_dir=FOLDER"
+    )
 
 
 @contextmanager

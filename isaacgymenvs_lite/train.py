@@ -31,23 +31,32 @@ from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
+
+log = logging.getLogger(__name__)
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line in `sys.argv`; exits with 2 after a user's mistake."""
+    """Run the command line in `sys.argv`; exits with 2 after a user's mistake.
+
+    A second Ctrl-C or SIGTERM ends with 130 or 143, as shells expect.
+    """
     configure_logging()
     try:
         _run_hydra()
     except UserError as error:
         _fail(error)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        status = EXIT_INTERRUPTED
+        if isinstance(interrupt, StoppedAtOnceError):
+            status = interrupt.exit_status
+        log.warning("ended by the user: exit status %d", status)
+        sys.exit(status)
 
 
 def configure_logging() -> None:

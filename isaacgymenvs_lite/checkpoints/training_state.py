@@ -24,7 +24,7 @@ from isaacgymenvs_lite.checkpoints.files import (
     write_atomically,
 )
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.run.folder import run_folders, run_of_checkpoint
+from isaacgymenvs_lite.run.folder import newest, run_folders, run_of_checkpoint
 
 KEY = "training_state"
 """Key of a checkpoint for what it holds beside the networks."""
@@ -169,7 +169,7 @@ def newest_state(run: Path) -> Path | None:
     """Return the newest training state of a run, without one the newest checkpoint."""
     states = [f for f in (run / FOLDER).glob("*.pth") if _STATE.fullmatch(f.name)]
     files = states or list(run.glob("nn/*.pth"))
-    return max(files, key=_written_at, default=None)
+    return newest(files)
 
 
 def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> Path:
@@ -179,17 +179,14 @@ def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> Path:
         for run in run_folders(train_dir)
         if settings_of_run(run, wanted) == wanted and (file := newest_state(run)) is not None
     ]
-    if not files:
+    file = newest(files)
+    if file is None:
         of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
         raise CheckpointError(
             f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on from;"
             " start one without resume="
         )
-    return run_of_file(max(files, key=_written_at))
-
-
-def _written_at(file: Path) -> float:
-    return file.stat().st_mtime
+    return run_of_file(file)
 
 
 def run_of_file(file: Path) -> Path:

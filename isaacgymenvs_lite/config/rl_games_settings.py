@@ -45,6 +45,8 @@ class RunSettings:
     """Mean episode reward at which training ends."""
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
+    keep_checkpoints: int = setting(0, minimum=0)
+    """Newest checkpoints of save_frequency that stay, beside the best; 0: all."""
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     reward_shaper: Mapping[str, Any] = setting({})

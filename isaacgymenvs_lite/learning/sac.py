@@ -47,9 +47,28 @@ class _EndOfEpoch(AlgoObserver):
         self._agent.check_epoch()
         self._observer.after_print_stats(frame, epoch_num, total_time)
         self._agent.save_before_first_episode()
+        self._agent.end_before_first_episode()
 
 
-class SACAgent(Safeguards, RLGamesSACAgent):
+class _LastEpochError(Exception):
+    """Leaves rl_games' loop after the last epoch."""
+
+
+class _EndsAtItsLimits(RLGamesSACAgent):
+    """Ends a training at its last epoch; rl_games looks at limits only after an episode's end."""
+
+    def train(self) -> Any:
+        """Train as rl_games; return the best mean reward and the last epoch."""
+        try:
+            return super().train()
+        except _LastEpochError:
+            return self.last_mean_rewards, self.epoch_num
+
+    def _is_at_limit(self) -> bool:
+        return 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
+
+
+class SACAgent(Safeguards, _EndsAtItsLimits):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
     Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
@@ -194,6 +213,12 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         """
         self._check_learned()
         self._has_learned = True
+
+    def end_before_first_episode(self) -> None:
+        """End the training at max_epochs or max_frames with a checkpoint, also without a reward."""
+        if self.game_rewards.current_size == 0 and self._is_at_limit():
+            self._save_without_reward()
+            raise _LastEpochError
 
     def update(self, step: int) -> Any:
         """Make a gradient step, once the replay buffer holds a batch.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.resuming import Resuming
@@ -91,15 +93,29 @@ class Safeguards(Resuming):
         """
         self._check_learned()
         state: Any = self.get_full_state_weights()
-        self._last_saved = save_checkpoint(fn, state) or self._last_saved
+        saved = save_checkpoint(fn, state)
+        if saved is None:
+            return
+        self._last_saved = saved
+        if saved.name.startswith(f"last_{self.config['name']}_"):
+            self._retention.written(saved, self.epoch_num)
+
+    @cached_property
+    def _retention(self) -> Retention:
+        return Retention(self.config.get("keep_checkpoints", 0))
 
     def save_before_first_episode(self) -> None:
         """Write the periodic checkpoint that rl_games leaves out before it has a mean reward."""
-        due = self.save_freq > 0 and self.epoch_num % self.save_freq == 0
-        if due and self.game_rewards.current_size == 0:
-            # rl_games' name of the last checkpoint in this case.
-            name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
-            self.save(os.path.join(self.nn_dir, name))
+        if self.save_freq > 0 and self.epoch_num % self.save_freq == 0:
+            self._save_without_reward()
+
+    def _save_without_reward(self) -> None:
+        """Write a checkpoint of this epoch unless a mean reward exists: rl_games writes it then."""
+        if self.game_rewards.current_size > 0:
+            return
+        # rl_games' name of the last checkpoint in this case.
+        name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
+        self.save(os.path.join(self.nn_dir, name))
 
     # --- numbers that are not finite -------------------------------------------------------
 

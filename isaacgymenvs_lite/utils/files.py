@@ -9,6 +9,9 @@ from pathlib import Path
 
 from isaacgymenvs_lite.errors import ConfigError
 
+PARTIAL_FILE = r"\..+\.\d+\.partial"
+"""Pattern of the names of temporary files; one that stays was left by a kill."""
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
