@@ -13,6 +13,7 @@ may say more:
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import random
 from collections import deque
@@ -131,6 +132,13 @@ class _Walk:
             name for base in type(value).__mro__ for name in base.__dict__.get("not_stored", ())
         }
         yield from (n for n in (vars(value) if only is None else only) if n not in left_out)
+
+
+def _may_be_added(value: Any, name: str) -> bool:
+    """Return whether an object may get an attribute: it has none, or its class has a default."""
+    default = inspect.getattr_static(value, name, None)
+    not_stored = any(name in base.__dict__.get("not_stored", ()) for base in type(value).__mro__)
+    return not not_stored and (default is None or type(default) in _NUMBERS)
 
 
 def _is_frozen(value: Any) -> bool:
@@ -279,7 +287,7 @@ class _Writer(_Walk):
     def _write_attributes(self, value: Any, state: State) -> None:
         known = set(self.names(value))
         for name, part in state.items():
-            if name not in known and hasattr(value, name):
+            if name not in known and not _may_be_added(value, name):
                 raise ValueError(f"{type(value).__name__}.{name} is not stored")
             put = partial(object.__setattr__ if _is_frozen(value) else setattr, value, name)
             self.write(getattr(value, name, None), part, put)

@@ -57,6 +57,8 @@ class OwnState:
 class Robot:
     """A task as a user may write it."""
 
+    left_out: Tensor | None = None
+
     def __init__(self) -> None:
         self.planes = torch.zeros(2, 3)
         self.commands = self.planes.t()
@@ -82,6 +84,7 @@ class Robot:
         self.planes[:] = torch.arange(6.0).view(2, 3)
         self.last_actions, self.actions = torch.ones(3), torch.full((3,), 2.0)
         self.steps, self.on = 7, True
+        self.left_out = torch.ones(2)
         self.rows += 4.0
         self.drawn = (torch.arange(3), torch.ones(2, 2))
         self.sums["a"] += 2.0
@@ -111,7 +114,7 @@ def restored(tmp_path: Path) -> tuple[Robot, Robot]:
 
 def test_tensors_arrays_and_numbers(restored):
     lived, other = restored
-    for name in ("planes", "commands", "actions", "last_actions", "held"):
+    for name in ("planes", "commands", "actions", "last_actions", "held", "left_out"):
         assert torch.equal(getattr(other, name), getattr(lived, name)), name
     assert (other.steps, other.on, other.name) == (7, True, "robot")
     assert np.array_equal(other.rows, lived.rows)
