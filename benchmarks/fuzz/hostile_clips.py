@@ -102,7 +102,6 @@ def npz(canary: Path) -> _Files:
     yield "zip_bomb_unread_key", _archive({"unread": b"\0" * (1024 * _MB // 4)})
     header = _npy_header("<f4", (2**28,))
     yield "promise", _archive({"fps": header})
-    yield "promise_unread", _archive({"unread": header + b"\0" * (200 * _MB)})
     yield "bomb", _archive({"local_rotation": header + b"\0" * (256 * _MB)})
     yield "huge_shape", _archive({"fps": _npy_header("<f8", (2**62, 8))})
     yield "negative_shape", _archive({"fps": _npy_header("<f8", (-1,))})
@@ -125,7 +124,7 @@ def npz(canary: Path) -> _Files:
     yield "odd_names", _archive({"\x1b[31m\n/../../fps": b"", "x" * 60_000: b""})
     yield "empty", b""
     for method in (12, 14):  # bzip2, lzma
-        yield f"method_{method}", _archive({"fps": b"\0" * (40 * _MB)}, method)
+        yield f"method_{method}", _archive({"fps": b"\0" * (4 * _MB)}, method)
     yield (
         "lzma_dictionary",
         _patched(_archive({"fps": bytes(1000)}, 14), b"\x5d", struct.pack("<BI", 0x5D, 2**32 - 1)),

@@ -70,7 +70,8 @@ class LimitedUnpickler(_PythonUnpickler):
         super().__init__(stream, **options)
         too_long = self.error(f"a pickle of more than {self.max_instructions:,} instructions")
         # Of this instance only: the class keeps the plain table.
-        vars(self)["dispatch"] = _CountingDispatch(self.dispatch, self.max_instructions, too_long)
+        counting = _CountingDispatch(self.dispatch, self.max_instructions, too_long)
+        object.__setattr__(self, "dispatch", counting)
 
     @abstractmethod
     def find_class(self, module: str, name: str) -> Any:

@@ -19,10 +19,10 @@ from benchmarks.fuzz.kinds import Kind
 from isaacgymenvs_lite.errors import UserError
 
 SEED = 19
-MUTATIONS = 40
+MUTATIONS = 30
 # The long ones take seconds; the benchmark itself reads them.
-LONGEST = 2**20
-LIMITS = Limits(memory_bytes=2**28)
+LONGEST = 2**17
+LIMITS = Limits(memory_bytes=2**27)
 
 
 @pytest.mark.parametrize("kind", clips.KINDS, ids=lambda kind: kind.name)

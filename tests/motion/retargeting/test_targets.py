@@ -27,7 +27,7 @@ def test_size_is_taken_from_the_legs(tmp_path: Path, write_bvh, humanoid, size) 
 
 def test_a_source_without_legs_is_refused(tmp_path: Path, write_bvh, humanoid) -> None:
     path = write_bvh(tmp_path / "a.bvh", load_clips("stand")[0][0], "cmu", size=1e-3)
-    with pytest.raises(MotionFileError, match=r"legs are .* m long with mapping=cmu"):
+    with pytest.raises(MotionFileError, match="m long with mapping=cmu"):
         targets_of(path, "cmu", humanoid)
 
 
