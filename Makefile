@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-dev train demo test test-slow lint format bench wheel clean
+.PHONY: help install install-dev train demo test test-slow lint ruff format bench wheel clean
 
 help:
 	@echo "make install      virtual environment with the tested set of packages; then: . $(BIN)/activate"
@@ -45,16 +45,22 @@ train: install
 demo: $(VENV)/.installed-video
 	$(BIN)/python -m isaacgymenvs_lite.demo $(ARGS)
 
-test: lint
-	$(BIN)/python -m pytest -n logical --dist loadfile $(ARGS)
+# pyright needs one CPU for half a minute: it runs beside the tests, and its lines come after theirs.
+test: ruff
+	@types=$$(mktemp); $(BIN)/pyright --pythonpath $(BIN)/python >$$types 2>&1 & pyright=$$!; \
+	$(BIN)/python -m pytest -n logical --dist loadfile $(ARGS); tests=$$?; \
+	wait $$pyright; code=$$?; cat $$types; rm $$types; \
+	exit $$((tests ? tests : code))
 
 test-slow: install-dev
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-lint: install-dev
+lint: ruff
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+ruff: install-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: install-dev
 	$(BIN)/ruff check --fix .

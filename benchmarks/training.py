@@ -45,16 +45,19 @@ class Plan:
     def command(self, cores: Sequence[int]) -> list[str]:
         """Return the command line of train.py for so many CPUs."""
         run_dir = self.run.folder.absolute()
-        own = [
-            f"seed={self.run.seed}",
+        threads = [
             f"num_threads={len(cores)}",
             f"++train.params.torch_threads={len(cores)}",
+        ]
+        train = [sys.executable, str(ROOT / "train.py")]
+        if self.checkpoint is not None:
+            return [*train, override("resume", str(run_dir)), *threads]
+        own = [
+            f"seed={self.run.seed}",
             override("+full_experiment_name", run_dir.name),
             override("+train.params.config.train_dir", str(run_dir.parent)),
         ]
-        if self.checkpoint is not None:
-            own.append(override("checkpoint", str(self.checkpoint.absolute())))
-        return [sys.executable, str(ROOT / "train.py"), *self.settings, *own]
+        return [*train, *self.settings, *own, *threads]
 
 
 def plan(experiment: Experiment, run: Run, minutes: float, resume: bool) -> Plan:

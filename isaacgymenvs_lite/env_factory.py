@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
 from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
@@ -135,6 +137,33 @@ def make_from_config(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
+
+
+def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
+    """Return the model of a diverged simulation, for `simulation.replay`.
+
+    Args:
+        file: `<run>/diverged/<name>.npz`.
+        words: of the user, `["task=Ant", "task.sim.dt=0.02"]`; none: the run's config.yaml counts.
+
+    Raises:
+        ConfigError: no task is named, or its configuration cannot be used.
+    """
+    config = run_config_file(file)
+    if words:
+        cfg = compose([*words, "num_envs=1"])
+    elif config.is_file():
+        cfg = OmegaConf.create(read_run_config(config, {}))
+        OmegaConf.update(cfg, "task.env.numEnvs", 1)
+    else:
+        raise ConfigError(
+            f"{file}: which task? expected it in <run>/diverged/, beside the run's config.yaml, or"
+            " the words of its training after FILE: task=Ant"
+        )
+    seed_everything(max(0, int(cfg.get("seed") or 0)))
+    task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+    task.close()
+    return task.simulation.model
 
 
 def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:

@@ -218,6 +218,24 @@ class ReferenceEnv(Env, Protocol):
 E = TypeVar("E")
 
 
+def diverged_in(infos: Any, device: Any) -> Tensor | None:
+    """Return where the simulation diverged in a step, (N,) bool on `device`; None if nowhere.
+
+    Args:
+        infos: of the step; `diverged` (N,) bool is of a task that reports it.
+        device: of the result.
+    """
+    diverged = infos.get("diverged") if isinstance(infos, dict) else None
+    if not reports_divergence(diverged) or not bool(diverged.any()):
+        return None
+    return diverged.to(device)
+
+
+def reports_divergence(diverged: Any) -> TypeGuard[Tensor]:
+    """Return whether an info of this name is that of `VecTask`: a task may have another."""
+    return isinstance(diverged, Tensor) and diverged.ndim == 1 and diverged.dtype == torch.bool
+
+
 def fits(env: object, contract: type[E]) -> TypeGuard[E]:
     """Return whether `env` has all members of a Protocol of this module."""
     return not _missing_members(env, contract)

@@ -52,6 +52,18 @@ class NotFiniteError(UserError, ArithmeticError):
     """Numbers of a training are nan or infinite; it cannot go on."""
 
 
+class StoppedAtOnceError(KeyboardInterrupt):
+    """The user ended a training in the middle of an epoch, with a second Ctrl-C or SIGTERM.
+
+    Attributes:
+        exit_status: what the process ends with, as shells expect it after this signal.
+    """
+
+    def __init__(self, signal_number: int) -> None:
+        super().__init__()
+        self.exit_status = 128 + signal_number
+
+
 class WrapperError(UserError, TypeError):
     """An adapter got something else than a task."""
 

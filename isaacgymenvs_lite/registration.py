@@ -70,7 +70,7 @@ _NETWORKS: dict[str, type] = {
 }
 _ENV_NAME = "rlgpu"
 # Keys of train.params.config that `runner` reads, beside those of the agents.
-_RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction")
+_RUNNER_KEYS = ("imitation_frequency", "print_disc_prediction", "save_buffers")
 
 
 def register(runner: Runner) -> None:

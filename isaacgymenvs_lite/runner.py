@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner, _override_sigma
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.checkpoints.training_state import run_of_file
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.config.resolvers import without_environment
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
@@ -36,9 +36,16 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
-from isaacgymenvs_lite.errors import ConfigError, NotFiniteError, UserError, one_line
+from isaacgymenvs_lite.errors import (
+    CheckpointError,
+    ConfigError,
+    NotFiniteError,
+    UserError,
+    one_line,
+)
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
+from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.stop_request import StopRequest
@@ -85,11 +92,14 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
-            training had begun (`NotFiniteError`).
+            training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
+        KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
+            (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
     """
     command = command or TypedCommand()
     launch = _read_launch(cfg, command)
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task:
+    interrupt: KeyboardInterrupt | None = None
+    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
         viewers = Viewers(launch.settings)
         if launch.num_envs > _MANY_ENVS:
             with _quiet("isaacgymenvs_lite.config"):
@@ -108,7 +118,8 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             task.max_episode_length,
             stop,
         )
-        launch.folder.create(without_environment(cfg))
+        launch.folder.create(launch.repeatable)
+        task.listeners.append(DivergenceFiles(task, launch.folder.path))
         try:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log():
@@ -119,9 +130,11 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         except UserError:
             launch.folder.remove_if_unused()
             raise
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
+            interrupt = error
             log.warning("stopped at once")
             _save(observers.agent, launch, "_interrupted")
+            launch.folder.remove_if_unused()
         finally:
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
@@ -131,6 +144,9 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         if not launch.checkpoint_file("").exists():
             _save(observers.agent, launch, "")
         _report_end(launch, command, stop.requested)
+        if interrupt is not None:
+            raise interrupt
+        _check_saved(launch.folder)
 
 
 def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -203,6 +219,17 @@ class _Launch:
         return int(self.cfg.task.env.numEnvs)
 
     @property
+    def repeatable(self) -> DictConfig:
+        """The tree as config.yaml stores it: with the drawn seed, and nothing to resume.
+
+        Values of the environment are written out: a file that reads them could not be used again.
+        """
+        cfg = without_environment(self.cfg)
+        with open_dict(cfg):
+            cfg.seed, cfg.resume = self.seed, ""
+        return cfg
+
+    @property
     def overrides(self) -> dict[str, Any]:
         """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
@@ -219,6 +246,12 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     """
     settings = check_config(cfg)
     apply_wrapper_limits(cfg)
+    resumed = Path(settings.resume) if settings.resume else None
+    if resumed is not None and not resumed.is_file():
+        raise ConfigError(
+            f"resume={resumed}: a program composes such a tree with"
+            " checkpoints.run_config.resumed_tree(['resume=...'])"
+        )
     if command is not None:
         for note in startup_notes(cfg, command.check(str(cfg.task.name))):
             log.info("%s", note)
@@ -226,22 +259,19 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     seed_everything(seed, settings.torch_deterministic)
     name = run_name_of(cfg)
     train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+    if resumed is not None:
+        folder = RunFolder.at(run_of_file(resumed), train_dir)
+        return _Launch(cfg, settings, seed, name.name, folder, str(resumed))
     if exact := settings.full_experiment_name:
-        run_name = str(read_run_name(exact, "full_experiment_name"))
+        folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        run_name = _new_run_name(train_dir, str(name))
+        stamped = str(name) + datetime.now().strftime("_%d-%H-%M-%S")
+        folder = RunFolder(train_dir, stamped, is_exact=False)
     given = settings.checkpoint or checkpoint_in_file(cfg)
     checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(cfg, settings, seed, name.name, RunFolder(train_dir, run_name), checkpoint)
-
-
-def _new_run_name(train_dir: Path, name: str) -> str:
-    """Return `<name>_<dd-HH-MM-SS>`, with a number after it if a run of this second exists."""
-    stamped = name + datetime.now().strftime("_%d-%H-%M-%S")
-    candidates = itertools.chain([stamped], (f"{stamped}_{i}" for i in itertools.count(2)))
-    return next(candidate for candidate in candidates if not (train_dir / candidate).exists())
+    return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
 
 
 @contextmanager
@@ -287,6 +317,11 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
         names=known_names(build_runner()),
     )
     check_env_name(params)
+    if not isinstance(save_buffers := params["config"].get("save_buffers", True), bool):
+        raise ConfigError(
+            f"train.params.config.save_buffers={save_buffers!r}: expected True or False"
+        )
+    params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
     if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
     if settings.latent:
@@ -382,7 +417,24 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     task = str(launch.cfg.task.name)
     log.info("saved %s; play it: %s", newest, command.play(task))
     if was_stopped:
-        log.info("go on with it: %s", command.resume(task))
+        log.info("go on with it: %s", command.resume(launch.folder.path))
+
+
+def _check_saved(folder: RunFolder) -> None:
+    """Check that the end of a training is in a file.
+
+    Raises:
+        CheckpointError: the last checkpoint could not be written anywhere.
+    """
+    if not folder.save_failed:
+        return
+    newest = folder.newest_checkpoint()
+    what = f"the newest one is {newest}" if newest else "nothing of this training is saved"
+    raise CheckpointError(
+        f"the last checkpoint could not be written, neither to {folder.checkpoints} nor below the"
+        f" temporary folder: {what}; free some space, or choose another folder with"
+        " +train.params.config.train_dir=FOLDER"
+    )
 
 
 @contextmanager

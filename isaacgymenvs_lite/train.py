@@ -31,23 +31,32 @@ from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
+
+log = logging.getLogger(__name__)
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line in `sys.argv`; exits with 2 after a user's mistake."""
+    """Run the command line in `sys.argv`; exits with 2 after a user's mistake.
+
+    A second Ctrl-C or SIGTERM ends with 130 or 143, as shells expect.
+    """
     configure_logging()
     try:
         _run_hydra()
     except UserError as error:
         _fail(error)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        status = EXIT_INTERRUPTED
+        if isinstance(interrupt, StoppedAtOnceError):
+            status = interrupt.exit_status
+        log.warning("ended by the user: exit status %d", status)
+        sys.exit(status)
 
 
 def configure_logging() -> None:
@@ -68,8 +77,13 @@ def _run_hydra() -> None:
     Raises:
         ConfigError: the configuration cannot be composed.
     """
-    _check_options(sys.argv[1:])
     command = TypedCommand.of_this_process()
+    if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
+        from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
+
+        _run_job(resumed_tree(sys.argv[1:]), command)
+        return
+    _check_options(sys.argv[1:])
     sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy that is played
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.

@@ -14,8 +14,6 @@ _CHECK = "isaacgymenvs_lite.check"
 _NUM_PLAYED = 16
 # Root keys that a policy depends on, beside all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
-# Keys that `resume` writes itself.
-_REPLACED = ("task", "train", "checkpoint", "test")
 # Hydra's options for the places of files; each has a value.
 _KEPT_OPTIONS = ("--config-dir", "-cd", "--config-path", "-cp", "--config-name", "-cn")
 
@@ -46,11 +44,9 @@ class TypedCommand:
         played = ["test=True", "checkpoint=last", f"num_envs={_NUM_PLAYED}"]
         return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
 
-    def resume(self, task: str) -> str:
-        """Return the command that resumes the run, for a shell; `task` as in `play`."""
-        groups = self._task_words(task)
-        rest = [word for word in self.words if _key(word) not in _REPLACED]
-        return shlex.join([*self.program, *groups, *rest, "checkpoint=last"])
+    def resume(self, run: Path) -> str:
+        """Return the command that goes on with the training in a run folder, for a shell."""
+        return shlex.join([*self.program, f"resume={run}"])
 
     def check(self, task: str) -> str:
         """Return the command that describes the run's files, for a shell; `task` as in `play`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,12 @@ from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what lives as long as the process: modules and tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -30,12 +30,17 @@ import isaacgymenvs_lite
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
+from isaacgymenvs_lite.errors import (
+    CheckpointError,
+    ConfigError,
+    NotFiniteError,
+    StoppedAtOnceError,
+)
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.registration import register_env
 from isaacgymenvs_lite.runner import load_player, run
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from tests.tiny import CONFIG, TINY_AMP
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO
 
 TINY = (
     "task=HumanoidAMP",
@@ -122,10 +127,13 @@ def read_scalars(run_folder: Path) -> dict[str, list[Any]]:
 # --- what a training leaves behind ------------------------------------------------------------
 
 
+RUN_FOLDER = {"config.yaml", "nn", "resume", "summaries"}
+
+
 def test_the_run_folder(trained_run):
     # runs/<name>_<dd-HH-MM-SS>
     assert re.fullmatch(r"HumanoidAMP_\d\d-\d\d-\d\d-\d\d", trained_run.name)
-    assert {path.name for path in trained_run.iterdir()} == {"config.yaml", "nn", "summaries"}
+    assert {path.name for path in trained_run.iterdir()} == RUN_FOLDER
     names = {path.name for path in (trained_run / "nn").iterdir()}
     assert "HumanoidAMP.pth" in names
     assert any(name.startswith("last_HumanoidAMP_ep_2_rew_") for name in names)
@@ -248,7 +256,7 @@ def test_a_run_in_a_folder_of_its_own(in_tmp, walk_clip, caplog):
     run(tiny(walk_clip, "max_iterations=1", "experiment=amp/walk1"))
     (folder,) = (in_tmp / "runs" / "amp").iterdir()
     assert re.fullmatch(r"walk1(_\d\d){1}(-\d\d){3}", folder.name)
-    assert {path.name for path in folder.iterdir()} == {"config.yaml", "nn", "summaries"}
+    assert {path.name for path in folder.iterdir()} == RUN_FOLDER
     names = {path.name for path in (folder / "nn").iterdir()}
     assert "walk1.pth" in names
     assert any(name.startswith("last_walk1_ep_1_rew_") for name in names)
@@ -519,11 +527,13 @@ def test_one_signal_finishes_the_epoch_and_saves(number, in_tmp, walk_clip, in_e
 def test_two_signals_end_at_once_with_a_checkpoint(in_tmp, walk_clip, in_epoch, caplog):
     def twice() -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
         threading.Event().wait(1.0)  # the handler runs here at the latest
 
     in_epoch(2, twice)
-    run(tiny(walk_clip, "max_iterations=20"))
+    with pytest.raises(StoppedAtOnceError) as caught:
+        run(tiny(walk_clip, "max_iterations=20"))
+    assert caught.value.exit_status == 128 + signal.SIGTERM
     (folder,) = (in_tmp / "runs").iterdir()
     saved = checkpoints.load_checkpoint(folder / "nn" / "HumanoidAMP_interrupted.pth")
     assert saved["epoch"] == 2
@@ -542,13 +552,48 @@ def test_a_full_disk_does_not_end_the_training(in_tmp, walk_clip, monkeypatch, c
         real_save(obj, file)
 
     monkeypatch.setattr(torch, "save", save)
-    run(tiny(walk_clip))
+    with caplog.at_level(logging.INFO):
+        run(tiny(walk_clip))
     (folder,) = (in_tmp / "runs").iterdir()
     assert list((folder / "nn").iterdir()) == []
     rescued = list(rescue.rglob("*.pth"))
     assert rescued
     assert checkpoints.load_checkpoint(rescued[0])["epoch"] == 2
     assert "No space left on device" in caplog.text
+    (closing,) = [message for message in caplog.messages if "; play it: " in message]
+    assert closing.startswith(f"saved {rescue}")
+    # What the closing line says finds the file.
+    with caplog.at_level(logging.INFO):
+        run(tiny(walk_clip, "test=True", "checkpoint=last", f"+{CONFIG}.player.games_num=4"))
+    assert "checkpoint=last takes a rescued checkpoint" in caplog.text
+    assert "played 4 episodes" in caplog.text
+
+
+def test_a_run_that_can_save_nothing_is_a_mistake(in_tmp, walk_clip, monkeypatch):
+    def fail(obj: Any, file: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.tempdir", str(in_tmp))
+    monkeypatch.setattr(torch, "save", fail)
+    with pytest.raises(CheckpointError, match=r"nothing of this training is saved.*train_dir="):
+        run(tiny(walk_clip, "max_iterations=1"))
+    (folder,) = (in_tmp / "runs").iterdir()
+    assert list(folder.glob("summaries/events.*"))  # the curve stays
+
+
+def test_the_newest_checkpoints_stay_and_what_was_there_before(in_tmp):
+    """keep_checkpoints removes own files only."""
+    earlier = in_tmp / "runs" / "mine" / "nn" / "last_Cartpole_ep_1_rew_9.pth"
+    earlier.parent.mkdir(parents=True)
+    earlier.write_bytes(b"earlier")
+    settings = ("save_frequency=1", "save_best_after=1", "keep_checkpoints=2")
+    words = ["task=Cartpole", *TINY_PPO, *(f"++{CONFIG}.{setting}" for setting in settings)]
+    run(compose([*words, "max_iterations=6", "+full_experiment_name=mine"]))
+    assert earlier.read_bytes() == b"earlier"
+    names = {path.name for path in earlier.parent.iterdir()} - {earlier.name}
+    assert "Cartpole.pth" in names
+    epochs = [re.search(r"_ep_(\d+)_", name) for name in names]
+    assert {found[1] for found in epochs if found} == {"5", "6"}
 
 
 def start_training(clip: Path, *before: str, **kwargs: Any) -> subprocess.Popen[str]:
@@ -644,7 +689,5 @@ def test_ctrl_c_on_the_command_line(in_tmp, walk_clip):
     assert epoch < 100000
     # What the line says goes on where this one ended.
     (going_on,) = re.findall(r"^go on with it: (.*)$", rest, re.MULTILINE)
-    typed = shlex.split(going_on)
-    given = {*TINY, f"task.env.motion_file={walk_clip}", "max_iterations=100000"}
-    assert {*given, "checkpoint=last"} < set(typed)
+    assert shlex.split(going_on)[-1] == f"resume=runs/{folder.name}"
     assert f"\nepoch {epoch}/100000, " in f"\n{shown}{rest}"

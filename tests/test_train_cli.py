@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import pytest
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite import train
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, StoppedAtOnceError
 from isaacgymenvs_lite.typed_command import TypedCommand
 from tests.train_command import make_train_command
 
@@ -127,10 +128,20 @@ def test_bugs_keep_their_traceback(call: Call, runner, error):
     assert raised.value is error
 
 
-def test_interrupt_ends_without_a_traceback(call: Call, runner, capsys):
-    runner.error = KeyboardInterrupt()
-    assert call() == train.EXIT_INTERRUPTED
-    assert "Traceback" not in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (KeyboardInterrupt(), 130),
+        (StoppedAtOnceError(signal.SIGINT), 130),
+        (StoppedAtOnceError(signal.SIGTERM), 143),
+    ],
+)
+def test_interrupt_ends_without_a_traceback(error, status, call: Call, runner, capsys):
+    runner.error = error
+    assert call() == status
+    shown = capsys.readouterr().err
+    assert shown.splitlines()[-1] == f"warning: ended by the user: exit status {status}"
+    assert "Traceback" not in shown
 
 
 def test_runs_of_a_sweep_follow_one_another(call: Call, runner):

@@ -54,8 +54,7 @@ def test_playing(words: list[str], expected: str) -> None:
 
 def test_going_on() -> None:
     typed = command("num_envs=64", "task=Ant", "checkpoint=runs/a/nn/a.pth", "max_iterations=9")
-    expected = "python train.py task=Ant num_envs=64 max_iterations=9 checkpoint=last"
-    assert typed.resume("Default") == expected
+    assert typed.resume(Path("runs/my ant")) == "python train.py 'resume=runs/my ant'"
 
 
 def test_checking() -> None:

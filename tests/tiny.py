@@ -6,10 +6,13 @@ All are words of a command line; of a key that is given twice the last value cou
 
 from __future__ import annotations
 
+import copy
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from omegaconf import DictConfig
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run
@@ -60,6 +63,19 @@ TINY_SAC = (
     "train.params.network.mlp.units=[32,32]",
 )
 """The task of SAC; updates begin in the second epoch."""
+
+
+def composed(words: Sequence[str]) -> DictConfig:
+    """Return what `compose` does; the same words are composed once in a process.
+
+    For fixtures that make the same task for many tests.
+    """
+    return copy.deepcopy(_compose_once(tuple(words)))
+
+
+@functools.lru_cache(maxsize=128)
+def _compose_once(words: tuple[str, ...]) -> DictConfig:
+    return compose(words)
 
 
 def train_in(folder: Path, words: Sequence[str]) -> Path:

@@ -204,7 +204,10 @@ def mutate_tree(tree: Any, rng: random.Random) -> Any:
     """
     changed = copy.deepcopy(tree)
     for _ in range(rng.choice((1, 1, 2, 4))):
-        changed = _changed_somewhere(changed, rng)
+        try:
+            changed = _changed_somewhere(changed, rng)
+        except RecursionError:  # nested before, and now repeated: deep enough
+            break
     return changed
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import errno
 import logging
 import math
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,9 @@ from isaacgymenvs_lite.checkpoints.archive import (
 )
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.run.folder import run_folders
+from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, run_folders
+from isaacgymenvs_lite.run.lock import FolderInUseError
+from isaacgymenvs_lite.run.rescue import rescue_dirs
 from isaacgymenvs_lite.utils.files import atomic_write
 
 log = logging.getLogger(__name__)
@@ -64,21 +65,25 @@ def install() -> None:
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
-    If the folder cannot be written (read-only, full), the failure is logged, the checkpoint is
-    written to a folder below the system's temporary one, and the training goes on: losing the run
-    would be worse than losing a file.
+    A run folder that was removed is made again. If it cannot be written (read-only, full), the
+    failure is logged, the checkpoint is written to a private folder below the system's temporary
+    one, and the training goes on: losing the run would be worse than losing a file.
 
     Returns:
         The file that was written; None if none could be.
     """
     path = Path(f"{filename}.pth")
-    state = _plain_numbers(state)
+    state = plain_numbers(state)
+    folder = folder_of_checkpoint(path)
     try:
+        folder.make_again()
         write_atomically(path, state)
-    except OSError as error:
-        return _rescue(path, state, error)
-    log.debug("saved %s", path)
-    return path
+        saved = path
+    except (OSError, FolderInUseError) as error:
+        saved = _rescue(path, state, folder, error)
+    folder.save_failed = saved is None
+    log.debug("saved %s", saved)
+    return saved
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
@@ -95,41 +100,45 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
             raise OSError("the disk is full or broken") from error
 
 
-def _rescue(path: Path, state: dict[str, Any], error: OSError) -> Path | None:
-    reason = error.strerror or error
-    folder = Path(tempfile.gettempdir()) / "isaacgymenvs_lite_rescue" / path.parent.parent.name
+def _rescue(
+    path: Path, state: dict[str, Any], folder: RunFolder, error: OSError | FolderInUseError
+) -> Path | None:
+    """Write a checkpoint to the place of rescue; return its path, None if that fails, too."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / path.name, state)
+        rescued = folder.make_rescue() / path.name
+        write_atomically(rescued, state)
     except OSError as second_error:
         log.error(
-            "cannot write the checkpoint %s (%s), nor below %s (%s); training goes on, free some"
-            " space before the next save",
+            "cannot write the checkpoint %s (%s), nor below the temporary folder (%s); training"
+            " goes on, free some space before the next save",
             path,
-            reason,
-            folder,
-            second_error.strerror or second_error,
+            _reason(error),
+            _reason(second_error),
         )
         return None
     log.error(
         "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
         path,
-        reason,
-        folder / path.name,
+        _reason(error),
+        rescued,
     )
-    return folder / path.name
+    return rescued
 
 
-def _plain_numbers(value: Any) -> Any:
+def _reason(error: OSError | FolderInUseError) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def plain_numbers(value: Any) -> Any:
     """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
     if isinstance(value, dict):
-        return type(value)((key, _plain_numbers(entry)) for key, entry in value.items())
+        return type(value)((key, plain_numbers(entry)) for key, entry in value.items())
     if isinstance(value, (list, tuple)):
-        return type(value)(_plain_numbers(entry) for entry in value)
+        return type(value)(plain_numbers(entry) for entry in value)
     return value
 
 
@@ -266,8 +275,8 @@ def resolve_checkpoint(
     """Return the path that the key `checkpoint` means.
 
     Args:
-        checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, or the
-            name of a shipped policy.
+        checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, also a
+            rescued one, or the name of a shipped policy.
         train_dir: folder of the run folders.
         task_name: task of the runs that `last` searches; '': all.
         network_name: name of their networks; '': all. Several levels of a hierarchy are trained on
@@ -295,28 +304,35 @@ def resolve_checkpoint(
 def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     wanted = {"task.name": task_name, "train.params.network.name": network_name}
     wanted = {key: value for key, value in wanted.items() if value}
-    runs = [run for run in run_folders(train_dir) if _settings_of_run(run, wanted) == wanted]
-    files = [file for run in runs for file in run.glob("nn/*.pth")]
-    if not files:
+    rescued = [run for folder in rescue_dirs(train_dir) for run in run_folders(folder)]
+    runs = [*run_folders(train_dir), *rescued]
+    matching = [run for run in runs if settings_of_run(run, wanted) == wanted]
+    file = newest(file for run in matching for file in run.glob("nn/*.pth"))
+    if file is None:
         task = f"task={task_name}" if task_name else "any task"
         command = f"python train.py task={task_name or 'HumanoidAMP'}"
-        others = _tasks_of_checkpoints(train_dir) - {task_name}
+        others = _tasks_of_checkpoints(runs) - {task_name}
         hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
             f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
             f" train one first: {command}"
         )
-    return max(files, key=lambda file: file.stat().st_mtime).absolute()
+    if file.parents[1] in rescued:
+        log.warning(
+            "checkpoint=last takes a rescued checkpoint, %s: its run folder could not be written",
+            file,
+        )
+    return file.absolute()
 
 
-def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
-    runs = [run for run in run_folders(train_dir) if any(run.glob("nn/*.pth"))]
-    names = [_settings_of_run(run, ["task.name"]) for run in runs]
+def _tasks_of_checkpoints(runs: Iterable[Path]) -> set[str]:
+    names = [settings_of_run(run, ["task.name"]) for run in runs if any(run.glob("nn/*.pth"))]
     return {str(found["task.name"]) for found in names if found and found["task.name"]}
 
 
-def _settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
+    """Return settings of a run by their paths; None if it is no run of this project."""
     from omegaconf.errors import OmegaConfBaseException
 
     from isaacgymenvs_lite.config.yaml_files import read_yaml

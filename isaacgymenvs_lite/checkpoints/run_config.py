@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.checkpoints.training_state import resume_file, run_of_file
+from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.expansion import check_expansion
+from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.rl_games_settings import scale_units
 from isaacgymenvs_lite.config.yaml_files import read_yaml
@@ -20,6 +24,11 @@ from isaacgymenvs_lite.errors import ConfigError, one_line
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
+_TRAIN_DIR = "train.params.config.train_dir"
+# What a run's file, perhaps a stranger's, does not decide: who looks on, and what is sent away.
+_TYPED_AGAIN = frozenset(
+    ("viewer", "viewer_host", "viewer_port", "viewer_allowed_hosts", "wandb_logcode_dir")
+)
 _RL_DEVICES = ("cpu", "cuda:0")
 # Hidden layers: section of the network -> pattern of the name in the model.
 _LAYERS = {
@@ -52,6 +61,56 @@ def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     check_expansion(stored)
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
     return next((tree for tree in trees if has_units_of(tree, model)), trees[0])
+
+
+def resumed_tree(words: Sequence[str]) -> DictConfig:
+    """Return the tree of a run that goes on: its own settings, changed by the words.
+
+    Args:
+        words: `resume=last`, `resume=FOLDER` or `resume=FILE`, and settings that change. `task=`
+            and `train=` choose the runs that `last` searches.
+
+    Returns:
+        The tree; `resume` is the path of the file to go on from.
+
+    Raises:
+        CheckpointError: there is no such run.
+        ConfigError: a word cannot be used, or config.yaml of the run cannot.
+    """
+    register_resolvers()
+    given = {word.partition("=")[0].lstrip("+"): word for word in words}
+    for word in words:
+        if word.startswith("-"):
+            raise ConfigError(f"{word}: with resume= only settings can be given, as key=value")
+    values = {key: word.partition("=")[2] for key, word in given.items()}
+    groups = [given[key] for key in ("task", "train") if key in given]
+    wanted: dict[str, str] = {}
+    if groups:
+        cfg = compose(groups)
+        paths = ("task.name", "train.params.network.name")
+        wanted = {path: str(OmegaConf.select(cfg, path)) for path in paths}
+    train_dir = Path(values.get(_TRAIN_DIR, "runs"))
+    file = resume_file(values["resume"], train_dir, wanted)
+    cfg = read_yaml(run_of_file(file) / "config.yaml")
+    check_expansion(cfg)
+    for key in _TYPED_AGAIN:
+        cfg.pop(key, None)
+    for key in _TYPED_AGAIN & values.keys():
+        cfg[key] = None  # the word sets it
+    settings = [
+        word for key, word in given.items() if key not in ("task", "train", "resume", _TRAIN_DIR)
+    ]
+    OmegaConf.set_struct(cfg, True)
+    try:
+        apply_overrides(settings, cfg)
+        with open_dict(cfg):
+            cfg.resume = str(file)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise ConfigError(
+            f"{' '.join(settings)}: {one_line(error)}; these words change settings of the run"
+            f" {run_of_file(file)}"
+        ) from error
+    return cfg
 
 
 def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:

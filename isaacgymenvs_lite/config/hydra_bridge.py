@@ -7,7 +7,6 @@ to mend. The rules for files of other people are not here: callers pass them as 
 from __future__ import annotations
 
 import argparse
-import copy
 import functools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -99,6 +98,7 @@ class Interpolations:
     has_composed_path: bool
 
 
+@functools.lru_cache(maxsize=256)
 def parse_interpolations(text: str) -> Interpolations:
     """Return what the interpolations in a text refer to.
 
@@ -367,7 +367,7 @@ class Loader(ConfigLoaderImpl):
             if any(self._is_foreign(source) for source in cfg.hydra.runtime.config_sources):
                 parsed = parse_overrides(overrides)
                 own = [str(word.input_line) for word in parsed if _is_about_hydra(word)]
-                changes_hydra = _settings_of_hydra(cfg) != self._own_settings(own, *rest)
+                changes_hydra = _settings_of_hydra(cfg) != _own_settings(tuple(own), *rest)
                 self._rules.check_tree(cfg, parsed, changes_hydra)
         return cfg
 
@@ -403,20 +403,6 @@ class Loader(ConfigLoaderImpl):
             source.schema != "file" or self._rules.is_foreign(Path(source.path))
         )
 
-    def _own_settings(self, overrides: list[str], *rest: Any) -> Any:
-        """Return Hydra's settings as cfg/config.yaml and the command line alone give them."""
-        search_path = copy.deepcopy(self.config_search_path)
-        elements = search_path.get_path()
-        elements[:] = [item for item in elements if not _is_file_path(item.path)]
-        place = next(i for i, item in enumerate(elements) if item.path == _HYDRAS_OWN)
-        search_path.append("main", str(cfg_dir()))
-        elements.insert(place + 1, elements.pop())
-        try:
-            loader = ConfigLoaderImpl(search_path)
-            return _settings_of_hydra(loader.load_configuration(CONFIG_NAME, overrides, *rest))
-        except (HydraException, OmegaConfBaseException, ValueError):
-            return None  # an override of Hydra's section that needs a file from outside
-
 
 def loader_of_folders(
     rules: Rules, files: NamedFiles, folder: Path | str, first: Path | None = None
@@ -440,13 +426,19 @@ def program_composes_by(rules: Rules, files: NamedFiles) -> Iterator[None]:
         program.ConfigLoaderImpl = former
 
 
-def _is_file_path(path: str) -> bool:
-    return not path.startswith(("pkg://", "structured://"))
-
-
 def _is_about_hydra(word: Override) -> bool:
     package = (word.package or "").removeprefix("_global_.")
     return word.is_hydra_override() or package.split(".")[0] == "hydra"
+
+
+@functools.lru_cache(maxsize=32)
+def _own_settings(overrides: tuple[str, ...], *rest: Any) -> Any:
+    """Return Hydra's settings as cfg/config.yaml and the command line alone give them."""
+    try:
+        loader = ConfigLoaderImpl(create_config_search_path(str(cfg_dir())))
+        return _settings_of_hydra(loader.load_configuration(CONFIG_NAME, list(overrides), *rest))
+    except (HydraException, OmegaConfBaseException, ValueError):
+        return None  # an override of Hydra's section that needs a file from outside
 
 
 def _settings_of_hydra(cfg: DictConfig) -> Any:

@@ -40,6 +40,8 @@ class LaunchSettings:
     """Play instead of train."""
     checkpoint: str = setting("")
     """File to restore, `last`, or ''."""
+    resume: str = setting("")
+    """File of the run to go on with; a command line also gives `last` or a run folder."""
     sigma: float | None = setting(None, blank=True)
     """Replaces the log standard deviation of a policy with fixed sigma."""
     latent: str = setting("")
@@ -71,6 +73,8 @@ class LaunchSettings:
     """Of the page; 0 takes a free one."""
     viewer_host: str = setting("localhost")
     """Where the page is served; 0.0.0.0 for all addresses of the machine."""
+    viewer_allowed_hosts: list[str] = setting([])
+    """More hosts, with or without a port, at which browsers may reach the page."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
     """Environment steps from the start of one video to the start of the next."""
@@ -125,6 +129,11 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
     }
     settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
     _check_features(settings, cfg)
+    if settings.resume and settings.test:
+        raise ConfigError(
+            f"resume={settings.resume} goes on with a training; to play a policy give checkpoint="
+            " instead"
+        )
     if settings.latent and not settings.test:
         raise ConfigError(
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"

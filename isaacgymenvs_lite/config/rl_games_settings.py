@@ -45,6 +45,8 @@ class RunSettings:
     """Mean episode reward at which training ends."""
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
+    keep_checkpoints: int = setting(0, minimum=0)
+    """Newest checkpoints of save_frequency that stay, beside the best; 0: all."""
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     reward_shaper: Mapping[str, Any] = setting({})
@@ -251,6 +253,7 @@ SAC_OTHER_KEYS = frozenset(
         *("actor_betas", "critic_betas", "alphas_betas", "weight_decay", "is_train", "player"),
         *("device", "device_name", "env_config", "env_info", "features", "full_experiment_name"),
         *("multi_gpu", "network", "num_actors", "pbt_idx", "population_based_training"),
+        "save_buffers",
         # published files only
         *("num_seed_steps", "max_env_steps", "use_diagnostics", "torch_compile", "log_path"),
         *("normalize_value", "normalize_advantage"),

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import player_class_note
-from isaacgymenvs_lite.env_interface import Env, ReferenceEnv, fits
+from isaacgymenvs_lite.env_interface import Env, ReferenceEnv, diverged_in, fits
 from isaacgymenvs_lite.evaluation.pose_error import (
     EpisodeRecorder,
     ImitationResult,
@@ -76,7 +76,10 @@ class _ImitationProbe:
     def record(self, dones: Tensor, infos: dict[str, Any]) -> None:
         self._recorder.record(self._sim.body_pos, self._sim.root_states[:, 3:7])
         ids = dones.to(self._device).nonzero().flatten()
-        self._recorder.finish(ids, infos["terminate"].to(self._device)[ids].bool())
+        fell = infos["terminate"].to(self._device).bool()
+        if (diverged := diverged_in(infos, self._device)) is not None:
+            fell = fell | diverged  # the last pose is not the policy's
+        self._recorder.finish(ids, fell[ids])
 
     def result(self) -> ImitationResult:
         return self._metric.evaluate(self._recorder.episodes)

@@ -6,6 +6,7 @@ import functools
 import getpass
 import logging
 import os
+import stat
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ import numpy as np
 
 from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.env_factory import seed_everything
+from isaacgymenvs_lite.errors import ConfigError
 
 __all__ = [
     "ensure_dir_exists",
@@ -123,5 +125,17 @@ def get_username() -> str:
 
 
 def project_tmp_dir() -> str:
-    """Make and return the folder `ige_<user>` among the system's temporary files."""
-    return safe_ensure_dir_exists(str(Path(tempfile.gettempdir()) / f"ige_{get_username()}"))
+    """Make and return the folder `ige_<user>` among the system's temporary files.
+
+    Raises:
+        ConfigError: somebody else has made it, or a link of that name.
+    """
+    folder = Path(tempfile.gettempdir()) / f"ige_{get_username()}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+        raise ConfigError(
+            f"{folder}: is a link or belongs to another user; remove it, or set TMPDIR to a folder"
+            " of your own"
+        )
+    return str(folder)

@@ -64,6 +64,7 @@ class AMPAgent(StyleRewards, CommonAgent):
     """
 
     discriminator: DiscriminatorTrainer
+    stored_buffers = ("demo_buffer", "replay_buffer")
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
     env_contract: ClassVar[Any] = AMPEnv

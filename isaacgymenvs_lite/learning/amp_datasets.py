@@ -44,6 +44,28 @@ class AMPDataset(PublishedNames, PPODataset):
         self._row_limits = dict(row_limits or {})
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
+    def stored_state(self) -> dict[str, Any]:
+        """Return the order of the next rows, for `restore_state`."""
+        return {"order": self._idx_buf.cpu().clone()}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` of a set of the same size returned.
+
+        Raises:
+            ValueError: it is of a larger set.
+        """
+        order = state["order"]
+        is_order = torch.equal(order.sort().values, torch.arange(len(order)))
+        if not is_order or len(order) > self.batch_size:  # rows of an epoch may be left out
+            raise ValueError(f"an order of {len(order)} rows, expected {self.batch_size}")
+        self._idx_buf = order.to(self.device)
+
+    def update_values_dict(self, values_dict: dict[str, Any]) -> None:
+        """Set the rows of an epoch, `batch_size` each."""
+        super().update_values_dict(values_dict)
+        if len(self._idx_buf) != self.batch_size:
+            self._shuffle_idx_buf()
+
     def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
         """Not supported: minibatches are random rows, which cannot be written back in order.
 

@@ -59,11 +59,12 @@ from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
-from isaacgymenvs_lite.env_interface import Env
+from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
+from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_dataset, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
@@ -104,6 +105,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
     control_steps_per_action = 1
+    stored_episodes = ("dataset",)
 
     # rl_games declares these as None and sets them in its constructors.
     vec_env: Any
@@ -144,6 +146,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._epoch_info: dict[str, Any] = {}
         self._rollout_rewards: dict[str, Tensor] = {}
         self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
+        self._mask = RolloutMask(self.horizon_length)
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -271,6 +274,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             buffer.update_data("rewards", n, shaped_rewards)
             buffer.update_data("dones", n, self.dones)
             self._queue_bootstrap_values(n, infos)
+            self._mask.add(diverged_in(infos, self.ppo_device))
             self._record_step(n, infos)
             self._track_episodes(rewards, shaped_rewards, infos)
         return self._rollout_batch(step_time_s)
@@ -318,13 +322,20 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     ) -> None:
         """Update the statistics of episodes, and the observers."""
         finished = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
-        self._episodes.add((rewards, shaped_rewards, 1.0), self.dones, finished)
+        diverged = diverged_in(infos, finished.device)
+        counted = finished if diverged is None else finished[~diverged[finished.flatten()]]
+        self._episodes.add((rewards, shaped_rewards, 1.0), self.dones, counted)
         self.algo_observer.process_infos(infos, finished)
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
         self._evaluate_bootstrap_queue()
         buffer = self.experience_buffer.tensor_dict
         rewards = self._total_rewards(buffer["rewards"])
+        kept = self._mask.kept
+        if kept is not None:
+            # The advantage of a row that is left out is zero: earlier returns end with its value.
+            rewards = torch.where(kept.unsqueeze(-1), rewards, buffer["values"])
+            buffer["next_values"].masked_fill_(~kept.unsqueeze(-1), 0.0)
         advantages = self.discount_values(
             buffer["dones"], buffer["values"], rewards, buffer["next_values"]
         )
@@ -332,6 +343,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         batch["returns"] = swap_and_flatten01(advantages + buffer["values"])
         for name, part in {**self._rollout_rewards, "rewards": rewards}.items():
             batch[name] = swap_and_flatten01(part)
+        if kept is not None:
+            batch = take_rows(batch, swap_and_flatten01(kept))
         batch["played_frames"] = self.batch_size * self.control_steps_per_action
         batch["step_time"] = step_time_s
         return batch
@@ -470,6 +483,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages, and pass all rows to the dataset."""
+        num_rows = self._enough_rows(len(batch_dict["returns"]))
+        fit_dataset(self.dataset, num_rows, self.num_minibatches)
         super().prepare_dataset(batch_dict)
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
         self.dataset.values_dict.update(self._extra_dataset(batch_dict))

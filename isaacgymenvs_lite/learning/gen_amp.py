@@ -58,6 +58,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_reward_std": "info/enc_reward_std",
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
+    stored_episodes = ("schedule",)
     _amp: GenAMPParams
     _env: SkillEnv
     _latent_dim = ReadOnly("_amp.latent_dim")

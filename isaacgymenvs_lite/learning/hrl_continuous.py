@@ -21,7 +21,7 @@ from isaacgymenvs_lite.checkpoints.llc_reference import (
 )
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
-from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, require
+from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, failures
@@ -70,6 +70,7 @@ class HRLAgent(CommonAgent):
         "disc_reward_std": "info/disc_reward_std",
     }
 
+    stored_episodes = ("_noise",)
     _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
     _task_size = ReadOnly("llc.num_task_obs", "the task")
     _llc_steps = ReadOnly("_hrl.llc_steps")
@@ -170,12 +171,14 @@ class HRLAgent(CommonAgent):
         Returns:
             The observation after the last step, of an episode that ended before: the one at its
             end; mean rewards (N, 1); dones (N,), 1.0 where any step ended the episode; the infos of
-            the last step, with `terminate` 1 where the episode's end was a failure.
+            the last step, with `terminate` 1 where the episode's end was a failure, and `diverged`
+            True where the simulation diverged before it.
         """
         actions = self.preprocess_actions(actions)
         obs = self._obs_tensor(self.obs)
         going_on = torch.ones(len(actions), device=self.ppo_device)
         terminate = torch.zeros_like(going_on)
+        diverged = torch.zeros_like(going_on, dtype=torch.bool)
         rewards = torch.zeros(len(actions), 1, device=self.ppo_device)
         self.style_rewards = torch.zeros_like(rewards)
         infos: dict[str, Any] = {}
@@ -192,12 +195,14 @@ class HRLAgent(CommonAgent):
                 self.style_rewards += playing * self._calc_disc_reward(amp_obs, *given)
             dones = dones.to(self.ppo_device)
             terminate += going_on * failures(dones, infos).float()
+            if (in_step := diverged_in(infos, self.ppo_device)) is not None:
+                diverged |= in_step & going_on.bool()
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
         # Later steps may have cleared the mark of an episode that ended in an earlier one.
         reset_buf = self._env.reset_buf
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
-        infos = {**infos, "terminate": terminate}
+        infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos
 
     def _calc_disc_reward(self, amp_obs: Tensor, latents: Tensor | None = None) -> Tensor:

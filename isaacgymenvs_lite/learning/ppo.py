@@ -6,12 +6,20 @@ from typing import Any
 
 import torch
 from rl_games.algos_torch.players import PpoPlayerContinuous
+from rl_games.common.a2c_common import swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.diverged import (
+    EpisodeMeters,
+    RolloutMask,
+    fit_dataset,
+    take_rows,
+)
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
@@ -21,7 +29,8 @@ class PPOAgent(PPOSafeguards):
     """The agent of `algo: name: a2c_continuous`: rl_games' loops, losses and checkpoints.
 
     On a CPU a `ParallelNetwork` evaluates its networks, the asymmetric critic's too, as in
-    CommonAgent; on a GPU it is rl_games' agent as it is.
+    CommonAgent; on a GPU it is rl_games' agent as it is. Transitions of simulations that diverged
+    are left out of the update; see `diverged`.
 
     Args:
         base_name: name for rl_games' bookkeeping.
@@ -42,6 +51,8 @@ class PPOAgent(PPOSafeguards):
             config.get("torch_compile"), device.type, can_compile=True
         )
         super().__init__(base_name, params)
+        self._mask = RolloutMask(self.horizon_length)
+        self._meters = EpisodeMeters(self, ("game_rewards", "game_shaped_rewards", "game_lengths"))
         if self.normalize_advantage:
             self._check_batch_size()
         self._sliced = on_cpu and not self.is_rnn
@@ -64,6 +75,55 @@ class PPOAgent(PPOSafeguards):
         if self._sliced:
             torch.set_num_threads(1)
         return super().env_reset()
+
+    def env_step(self, actions: Tensor) -> Any:
+        """Step the task, and store which simulations diverged."""
+        result: Any = super().env_step(actions)
+        *_, dones, infos = result
+        diverged = diverged_in(infos, self.ppo_device)
+        self._mask.add(diverged)
+        self._meters.leave_out(diverged, dones)
+        return result
+
+    def discount_values(
+        self,
+        fdones: Tensor,
+        last_extrinsic_values: Tensor,
+        mb_fdones: Tensor,
+        mb_extrinsic_values: Tensor,
+        mb_rewards: Tensor,
+    ) -> Any:
+        """Return advantages (H, N, values), zero where a simulation diverged; as rl_games."""
+        rollout = (fdones, last_extrinsic_values, mb_fdones, mb_extrinsic_values, mb_rewards)
+        kept = self._mask.kept
+        if kept is None:
+            return super().discount_values(*rollout)
+        return self.discount_values_masks(*rollout, kept.float())
+
+    def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
+        """Make the training set of the rows whose simulation did not diverge."""
+        kept = self._mask.kept
+        if kept is not None:
+            flat = swap_and_flatten01(kept)
+            self._enough_rows(int(flat.sum()))
+            if self.is_rnn:
+                batch_dict["rnn_masks"] = flat.float()
+            else:
+                batch_dict = take_rows(batch_dict, flat)
+        if not self.is_rnn:
+            num_rows = len(batch_dict["returns"])
+            fit_dataset(self.dataset, num_rows, self.num_minibatches)
+            if self.has_central_value:
+                central = self.central_value_net
+                fit_dataset(central.dataset, num_rows, central.num_minibatches)
+        super().prepare_dataset(batch_dict)
+
+    def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
+        """Take a gradient step; the mean of a recurrent policy's losses is over unmasked rows."""
+        masks = input_dict.get("rnn_masks")
+        if masks is not None:
+            input_dict["rnn_masks"] = masks / masks.mean().clamp(min=1.0 / len(masks))
+        return super().train_actor_critic(input_dict)
 
 
 class PPOPlayer(EpisodePlayer, RestoringPlayer, PpoPlayerContinuous):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -111,6 +114,41 @@ class ReplayBuffer(PublishedNames):
         if self._sample_head >= self._buffer_size:
             self._reset_sample_idx()
         return {name: stored.index_select(0, rows) for name, stored in self._data_buf.items()}
+
+    def stored_state(self) -> dict[str, Any]:
+        """Return the stored rows and the place of the next ones, for `restore_state`."""
+        # A part of a ring would be written to a file with the whole ring.
+        is_full = self._total_count >= self._buffer_size
+        rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
+        counts = [self._head, self._total_count, self._sample_head]
+        return {"rows": rows, "counts": counts, "order": self._sample_idx.cpu().clone()}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` of a buffer of the same size returned.
+
+        Raises:
+            ValueError: it is of a buffer of another size.
+        """
+        rows, order = state["rows"], state["order"]
+        head, total, sample_head = state["counts"]
+        n, size = min(total, self._buffer_size), self._buffer_size
+        if (
+            any(len(values) != n for values in rows.values())
+            or not 0 <= head < size
+            or not 0 <= sample_head < size
+            or not torch.equal(order.sort().values, torch.arange(size))
+        ):
+            raise ValueError(f"a replay buffer of {len(order)} rows, expected {size}")
+        for name, values in rows.items():
+            own = self._data_buf.get(name)
+            if own is not None and (own.shape[1:], own.dtype) != (values.shape[1:], values.dtype):
+                raise ValueError(f"rows {name} of another shape in the replay buffer")
+        if not self._data_buf:
+            self._init_data_buf(rows)
+        for name, values in rows.items():
+            self._data_buf[name][:n] = values
+        self._head, self._total_count, self._sample_head = head, total, sample_head
+        self._sample_idx = order.to(self._device)
 
     def _reset_sample_idx(self) -> None:
         """Draw the order in which rows are sampled."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +12,10 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
+from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards
 
@@ -24,6 +27,8 @@ class _EndOfEpoch(AlgoObserver):
         agent: the agent that is checked and saved.
         observer: of the training.
     """
+
+    stored = ("_observer",)
 
     def __init__(self, agent: SACAgent, observer: AlgoObserver) -> None:
         super().__init__()
@@ -42,14 +47,36 @@ class _EndOfEpoch(AlgoObserver):
         self._agent.check_epoch()
         self._observer.after_print_stats(frame, epoch_num, total_time)
         self._agent.save_before_first_episode()
+        self._agent.end_before_first_episode()
 
 
-class SACAgent(Safeguards, RLGamesSACAgent):
+class _LastEpochError(Exception):
+    """Leaves rl_games' loop after the last epoch."""
+
+
+class _EndsAtItsLimits(RLGamesSACAgent):
+    """Ends a training at its last epoch; rl_games looks at limits only after an episode's end."""
+
+    def train(self) -> Any:
+        """Train as rl_games; return the best mean reward and the last epoch."""
+        try:
+            return super().train()
+        except _LastEpochError:
+            return self.last_mean_rewards, self.epoch_num
+
+    def _is_at_limit(self) -> bool:
+        return 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
+
+
+class SACAgent(Safeguards, _EndsAtItsLimits):
     """The agent of `algo: name: sac`: rl_games' loop, losses and replay buffer.
 
     Its checkpoints also hold the temperature and the best reward, which rl_games' leave out: a
-    resumed run would start again with `init_alpha`. The replay buffer is not stored (hundreds of
-    MB): a resumed run acts with its policy until the buffer holds a batch, and then learns.
+    run that starts from one would start again with `init_alpha`. They do not hold the replay buffer
+    (hundreds of MB), which only `resume=` restores: from a checkpoint the policy acts until the
+    buffer holds a batch, and then learns.
+
+    Transitions of simulations that diverged are not stored; see `diverged`.
 
     `mixed_precision` on a CPU: the hidden layers compute in bfloat16, the outputs in float32, as
     values of some hundreds in bfloat16 differ by more than the reward of a step. rl_games' own
@@ -77,6 +104,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         # rl_games takes over an environment that exists in its other agents only.
         self.vec_env = config.get("vec_env")
         super().__init__(base_name, params)
+        former = self.replay_buffer
+        shapes = (former.obses.shape[1:], former.actions.shape[1:])
+        self.replay_buffer = KeptTransitions(*shapes, former.capacity, former.device)
+        self._meters = EpisodeMeters(self, ("game_rewards", "game_lengths"))
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
         self._step = 0
         nothing = torch.zeros((), device=self._device)
@@ -88,6 +119,9 @@ class SACAgent(Safeguards, RLGamesSACAgent):
                 critic.Q1 = BFloat16HiddenLayers(*critic.Q1)
                 critic.Q2 = BFloat16HiddenLayers(*critic.Q2)
             network.actor.trunk = BFloat16HiddenLayers(*network.actor.trunk)
+
+    stored = ("_step", "update_counter", "_last_of_actor")
+    stored_buffers = ("_replayed",)
 
     @property
     def curr_frames(self) -> int:
@@ -128,6 +162,10 @@ class SACAgent(Safeguards, RLGamesSACAgent):
             NotFiniteError: one is not; the message names it. The networks were not trained on it.
         """
         result: Any = super().env_step(actions)
+        *_, dones, infos = result
+        diverged = diverged_in(infos, dones.device)
+        self.replay_buffer.left_out = diverged
+        self._meters.leave_out(diverged, dones)
         rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
         step = self._step % self.num_steps_per_episode
         self._check_rows({name: value.unsqueeze(0) for name, value in rows.items()}, step)
@@ -150,6 +188,23 @@ class SACAgent(Safeguards, RLGamesSACAgent):
             f"train.params.config.{key}={rate / 2:g} (now {rate:g})" for key, rate in rates.items()
         )
 
+    def train_epoch(self) -> Any:
+        """Train an epoch. Before it, store a state or go on from one."""
+        self.epoch_num -= 1  # rl_games has counted the epoch that starts
+        self.go_on()
+        self.store_if_due()
+        self.epoch_num += 1
+        return super().train_epoch()
+
+    @property
+    def next_logged_frame(self) -> int:
+        """Frame under which the next epoch writes its scalars: the one at its end."""
+        return self.frame + 1
+
+    @property
+    def _replayed(self) -> _StoredReplay:
+        return _StoredReplay(self.replay_buffer)
+
     def check_epoch(self) -> None:
         """Check networks and optimisers after an epoch.
 
@@ -158,6 +213,12 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         """
         self._check_learned()
         self._has_learned = True
+
+    def end_before_first_episode(self) -> None:
+        """End the training at max_epochs or max_frames with a checkpoint, also without a reward."""
+        if self.game_rewards.current_size == 0 and self._is_at_limit():
+            self._save_without_reward()
+            raise _LastEpochError
 
     def update(self, step: int) -> Any:
         """Make a gradient step, once the replay buffer holds a batch.
@@ -176,6 +237,45 @@ class SACAgent(Safeguards, RLGamesSACAgent):
         if updates_actor:
             self._last_of_actor = of_actor
         return self._last_of_actor, *of_critics
+
+
+class _StoredReplay:
+    """The rows of rl_games' replay buffer as a training state holds them.
+
+    Args:
+        buffer: the agent's.
+    """
+
+    _NAMES = ("obses", "next_obses", "actions", "rewards", "dones")
+
+    def __init__(self, buffer: Any) -> None:
+        self._buffer = buffer
+
+    def stored_state(self) -> dict[str, Any]:
+        """Return the rows and the place of the next ones."""
+        buffer = self._buffer
+        n = buffer.capacity if buffer.full else buffer.idx
+        rows = {name: getattr(buffer, name)[:n].cpu() for name in self._NAMES}
+        # A part of a tensor would be written to a file with the whole one.
+        rows = rows if buffer.full else {name: row.clone() for name, row in rows.items()}
+        return {"rows": rows, "idx": buffer.idx, "full": buffer.full}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` of a buffer of the same size returned.
+
+        Raises:
+            ValueError: it is of a buffer of another size.
+        """
+        buffer, n = self._buffer, len(state["rows"]["rewards"])
+        if (
+            n > buffer.capacity
+            or not 0 <= state["idx"] < buffer.capacity
+            or (n != (buffer.capacity if state["full"] else state["idx"]))
+        ):
+            raise ValueError(f"a replay buffer of {n} rows, expected up to {buffer.capacity}")
+        for name in self._NAMES:
+            getattr(buffer, name)[:n].copy_(state["rows"][name])
+        buffer.idx, buffer.full = state["idx"], bool(state["full"])
 
 
 def _played_parts(model: Any) -> Parts:

@@ -10,18 +10,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import torch
 from rl_games.algos_torch.a2c_continuous import A2CAgent
-from rl_games.interfaces.base_algorithm import BaseAlgorithm
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
+from isaacgymenvs_lite.learning.resuming import Resuming
 
 # Rows of a rollout -> their name in messages; each may be the cause of the next.
 _ROLLOUT = {
@@ -38,16 +40,11 @@ _ROLLOUT = {
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
 
 
-class Safeguards(BaseAlgorithm):
+class Safeguards(Resuming):
     """Checkpoints that fit and that are finite, for every agent; a base before rl_games' class."""
 
-    config: dict[str, Any]
-    epoch_num: int
-    save_freq: int
     game_rewards: Any
     nn_dir: str
-    writer: Any
-    frame: int
     _restored_from = ""
     _last_saved: Path | None = None
     _has_learned = False
@@ -66,7 +63,8 @@ class Safeguards(BaseAlgorithm):
         """
         former, self._restored_from = self._restored_from, str(fn)
         try:
-            self.set_full_state_weights(load_checkpoint(fn), set_epoch)
+            read = self.read_resumed if self.config.get("resume") else load_checkpoint
+            self.set_full_state_weights(read(fn), set_epoch)
         except CheckpointError:
             self._restored_from = former  # no good checkpoint to name later
             raise
@@ -82,7 +80,8 @@ class Safeguards(BaseAlgorithm):
 
     @property
     def _source(self) -> str:
-        return f"checkpoint={self._restored_from or '(given as a dictionary)'}"
+        key = "resume" if self.config.get("resume") else "checkpoint"
+        return f"{key}={self._restored_from or '(given as a dictionary)'}"
 
     # --- saving ----------------------------------------------------------------------------
 
@@ -94,15 +93,29 @@ class Safeguards(BaseAlgorithm):
         """
         self._check_learned()
         state: Any = self.get_full_state_weights()
-        self._last_saved = save_checkpoint(fn, state) or self._last_saved
+        saved = save_checkpoint(fn, state)
+        if saved is None:
+            return
+        self._last_saved = saved
+        if saved.name.startswith(f"last_{self.config['name']}_"):
+            self._retention.written(saved, self.epoch_num)
+
+    @cached_property
+    def _retention(self) -> Retention:
+        return Retention(self.config.get("keep_checkpoints", 0))
 
     def save_before_first_episode(self) -> None:
         """Write the periodic checkpoint that rl_games leaves out before it has a mean reward."""
-        due = self.save_freq > 0 and self.epoch_num % self.save_freq == 0
-        if due and self.game_rewards.current_size == 0:
-            # rl_games' name of the last checkpoint in this case.
-            name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
-            self.save(os.path.join(self.nn_dir, name))
+        if self.save_freq > 0 and self.epoch_num % self.save_freq == 0:
+            self._save_without_reward()
+
+    def _save_without_reward(self) -> None:
+        """Write a checkpoint of this epoch unless a mean reward exists: rl_games writes it then."""
+        if self.game_rewards.current_size > 0:
+            return
+        # rl_games' name of the last checkpoint in this case.
+        name = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_{-torch.inf}"
+        self.save(os.path.join(self.nn_dir, name))
 
     # --- numbers that are not finite -------------------------------------------------------
 
@@ -212,6 +225,12 @@ class PPOSafeguards(Safeguards, A2CAgent):
     saves.
     """
 
+    stored = (
+        *("game_shaped_rewards", "mean_rewards", "last_lr", "entropy_coef"),
+        *("central_value_net.lr", "central_value_net.epoch_num", "central_value_net.frame"),
+    )
+    stored_episodes = ("current_shaped_rewards", "rnn_states", "central_value_net.rnn_states")
+
     # Policy steps of the rollout so far.
     _acted = 0
 
@@ -229,6 +248,18 @@ class PPOSafeguards(Safeguards, A2CAgent):
             modules, optimizers, scalers=scalers, optional=frozenset(optional), counts=True
         )
 
+    def update_epoch(self) -> int:
+        """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
+        self.go_on()
+        self.store_if_due()
+        epoch_num: int = super().update_epoch()
+        return epoch_num
+
+    def _rates_restored(self) -> None:
+        self.update_lr(float(self.last_lr))
+        if self.has_central_value:
+            self.central_value_net.update_lr(self.central_value_net.lr)
+
     def _check_batch_size(self) -> None:
         """Check that an epoch has a standard deviation, by which advantages are divided.
 
@@ -240,6 +271,21 @@ class PPOSafeguards(Safeguards, A2CAgent):
                 "one environment with horizon_length 1 gives one sample per epoch, whose spread is"
                 " undefined; expected at least two: raise num_envs or horizon_length"
             )
+
+    def _enough_rows(self, num_rows: int) -> int:
+        """Return how many rows of a rollout are left without diverged simulations.
+
+        Raises:
+            NotFiniteError: fewer than two, whose spread is undefined.
+        """
+        if num_rows < 2:
+            raise self._end(
+                f"the simulations diverged in all steps of epoch {self.epoch_num}: nothing is left"
+                " to learn from; look at a file of <run>/diverged/ with python -m"
+                " isaacgymenvs_lite.simulation.replay, and make task.sim.dt smaller or the"
+                " actuators weaker"
+            )
+        return num_rows
 
     def restore_central_value_function(self, fn: str) -> None:
         """Load the asymmetric critic alone from the checkpoint `fn`.

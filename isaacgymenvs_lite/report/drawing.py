@@ -74,8 +74,8 @@ def draw(chart: Chart) -> str:
             }
         )
     parts.append(f'<line class="cursor" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}"/></svg>')
-    # "</" would end the script element
-    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
+    # "</" would end the script element, "<!--" would let it go on
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     parts.append(f'<script type="application/json">{text}</script><output></output></figure>')
     return "".join(parts)
 

@@ -37,7 +37,8 @@ def write_report(run: Path, out: Path | None = None) -> Path:
     out = out or run / "report.html"
     page = build_page(run, out)
     with written_for_user(out, "out") as partial:
-        partial.write_text(page, encoding="utf-8")
+        # Names of files may have bytes that are no UTF-8.
+        partial.write_text(page, encoding="utf-8", errors="replace")
     return out
 
 
@@ -96,12 +97,20 @@ def _check_run(run: Path) -> None:
         )
 
 
+def _is_own(file: Path, run: Path) -> bool:
+    """Whether a file lies in the run's folder; a link may show any other file."""
+    return file.is_file() and file.resolve().is_relative_to(run.resolve())
+
+
 def _config_text(run: Path) -> str:
+    path = run / "config.yaml"
+    if not _is_own(path, run):
+        return ""  # rl_games' own runs have none
     try:
-        with (run / "config.yaml").open("rb") as file:
+        with path.open("rb") as file:
             return file.read(MAX_BYTES).decode("utf-8", errors="replace")
     except OSError:
-        return ""  # rl_games' own runs have none
+        return ""
 
 
 def _facts(facts: Mapping[str, str]) -> str:
@@ -122,14 +131,17 @@ def _folded(title: str, content: str) -> str:
 
 def _video(run: Path, out: Path) -> str:
     """Return the newest video of a run; '' if it has none."""
-    files = sorted(run.glob("videos/**/*.mp4"), key=lambda file: file.stat().st_mtime)
+    own = (file for file in run.glob("videos/**/*.mp4") if _is_own(file, run))
+    files = sorted(own, key=lambda file: file.stat().st_mtime)
     if not files:
         return ""
     file = files[-1]
     if file.stat().st_size <= MAX_EMBEDDED_BYTES:
         source = f"data:video/mp4;base64,{base64.b64encode(file.read_bytes()).decode()}"
     else:
-        source = quote(os.path.relpath(file.absolute(), out.absolute().parent))
+        source = quote(
+            os.path.relpath(file.absolute(), out.absolute().parent), errors="surrogateescape"
+        )
     name = html.escape(str(file.relative_to(run)))
     return (
         f"<h2>{name}</h2>"

@@ -80,7 +80,7 @@ def first_of(scalars: Mapping[str, Series], tags: Sequence[str]) -> Series:
 
 def event_files(summaries: Path) -> list[Path]:
     """Return the event files in a run's folder summaries/, the oldest first."""
-    return sorted(summaries.glob("events.out.tfevents.*"))
+    return sorted(file for file in summaries.glob("events.out.tfevents.*") if file.is_file())
 
 
 def read_scalars(summaries: Path) -> dict[str, Series]:

@@ -48,7 +48,8 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
     for name, (tags, pattern) in _NEWEST.items():
         series = first_of(scalars, tags)
         facts[name] = pattern.format(series.last) if len(series) else ""
-    checkpoints = sorted(run.glob("nn/*.pth"), key=lambda file: file.stat().st_mtime)
+    files = (file for file in run.glob("nn/*.pth") if file.is_file())
+    checkpoints = sorted(files, key=lambda file: file.stat().st_mtime)
     facts["newest checkpoint"] = f"nn/{checkpoints[-1].name}" if checkpoints else ""
     return {name: value for name, value in facts.items() if value}
 

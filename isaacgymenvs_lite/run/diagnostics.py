@@ -394,6 +394,8 @@ class DiagnosticsObserver(AlgoObserver):
         diagnostics: the rules; set once there is an agent.
     """
 
+    stored = ()
+
     def __init__(
         self,
         metrics: MetricsObserver,

@@ -20,10 +20,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tensorboardX.proto.event_pb2 import Event  # type: ignore[attr-defined]  # made at run time
+from tensorboardX.proto import event_pb2
 from tensorboardX.record_writer import masked_crc32c
 
 _log = logging.getLogger(__name__)
+
+# Classes that are made at run time.
+Event: Any = event_pb2.Event  # type: ignore[attr-defined]
+SessionLog: Any = event_pb2.SessionLog  # type: ignore[attr-defined]
 
 # Most bytes of events that wait for a full disk, about 20,000 scalars; later ones are dropped.
 _MAX_WAITING_BYTES = 2**20
@@ -52,7 +56,7 @@ class RetryingEventWriter:
         """Return the folder of the event file."""
         return str(self._logdir)
 
-    def add_event(self, event: Event) -> None:
+    def add_event(self, event: Any) -> None:
         """Add an event, which is written within ten seconds, or once the disk has room."""
         if len(self._waiting) < _MAX_WAITING_BYTES:
             self._waiting += _record(event.SerializeToString())
@@ -141,6 +145,19 @@ def install(writer: Any) -> None:
                 header.unlink()
     # FileWriter's exit handler closes `event_writer`, and the new one cannot hang.
     file_writer.event_writer = RetryingEventWriter(old.get_logdir())
+
+
+def continue_log(writer: Any, frame: int) -> None:
+    """Make readers drop the scalars from `frame` on of a run that was killed and goes on there.
+
+    Args:
+        writer: of the run that goes on; events of the killed one are in the same folder.
+        frame: under which the next scalars are written.
+    """
+    if hasattr(writer, "file_writer"):  # not of the processes that write nothing
+        start = SessionLog(status=SessionLog.START)
+        event = Event(wall_time=time.time(), step=frame, session_log=start)
+        writer.file_writer.event_writer.add_event(event)
 
 
 def _record(data: bytes) -> bytes:

@@ -47,6 +47,7 @@ class ImitationObserver(AlgoObserver):
 
     MAX_TIME_SHARE = 0.02
     _SEED = 1234
+    stored = ()
 
     def __init__(self, make_env: Callable[[int], Any], frequency: int, num_episodes: int) -> None:
         super().__init__()

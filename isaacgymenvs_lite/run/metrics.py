@@ -10,6 +10,8 @@ from rl_games.algos_torch.torch_ext import AverageMeter
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in
+
 
 @dataclass(frozen=True)
 class EpochMetrics:
@@ -65,6 +67,7 @@ class MetricsObserver(AlgoObserver):
     """
 
     latest: EpochMetrics | None = None
+    stored = ("_falls",)
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
@@ -74,6 +77,8 @@ class MetricsObserver(AlgoObserver):
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Count how the episodes of `done_indices` (n, 1) ended."""
         rows = done_indices.flatten()
+        if (diverged := diverged_in(infos, rows.device)) is not None:
+            rows = rows[~diverged[rows]]  # cut off: neither a fall nor none
         if "terminate" in infos:
             self._falls.update(infos["terminate"][rows].bool().unsqueeze(1))
         elif "time_outs" in infos:

@@ -21,6 +21,8 @@ from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 class MultiObserver(AlgoObserver):
     """Passes every call on to several observers, in order."""
 
+    stored = ("observers",)
+
     def __init__(self, observers: list[AlgoObserver]) -> None:
         super().__init__()
         self.observers = observers

@@ -34,6 +34,8 @@ class ProgressObserver(AlgoObserver):
         line_interval_s: seconds between lines where the output is no terminal.
     """
 
+    stored = ()
+
     def __init__(
         self,
         stop: StopRequest,

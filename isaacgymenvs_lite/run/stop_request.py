@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from isaacgymenvs_lite.errors import StoppedAtOnceError
+
 log = logging.getLogger(__name__)
 
 # Of an ssh session or a terminal that closes; Windows has none.
@@ -17,7 +19,7 @@ _HANGUP = getattr(signal, "SIGHUP", None)
 
 
 class StopRequest:
-    """Turns the first Ctrl-C or SIGTERM into a request, the second into a KeyboardInterrupt.
+    """Turns the first Ctrl-C or SIGTERM into a request, the second into a StoppedAtOnceError.
 
     Use it in a `with` statement, which installs the signal handlers. SIGHUP is always a request,
     because a session that ends may send several. A process started by nohup ignores SIGHUP and goes
@@ -47,7 +49,7 @@ class StopRequest:
         if self.requested:
             if number == _HANGUP:
                 return
-            raise KeyboardInterrupt
+            raise StoppedAtOnceError(number)
         self.requested = True
         name = signal.Signals(number).name
         log.warning("%s: ending after this epoch with a checkpoint; once more ends at once", name)

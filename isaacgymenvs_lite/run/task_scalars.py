@@ -8,14 +8,19 @@ import torch
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
+
 
 class TaskScalarsObserver(AlgoObserver):
     """Writes a task's infos to TensorBoard, with the tags of IsaacGymEnvs' RLGPUAlgoObserver.
 
     `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
     of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
-    "/", as `<key>/frame`, `/iter`, `/time`.
+    "/", as `<key>/frame`, `/iter`, `/time`. Also `sim/diverged`: how many simulations diverged in
+    the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means.
     """
+
+    stored = ("_running", "_finished")
 
     def after_init(self, algo: Any) -> None:
         """Store the agent, and begin without values."""
@@ -24,6 +29,7 @@ class TaskScalarsObserver(AlgoObserver):
         self._scalars: dict[str, float] = {}
         self._running: dict[str, Tensor] = {}
         self._finished: dict[str, list[float]] = {}
+        self._diverged: int | None = None
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Collect the values of a step.
@@ -33,24 +39,36 @@ class TaskScalarsObserver(AlgoObserver):
         """
         if not isinstance(infos, dict):
             raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")
+        diverged = diverged_in(infos, done_indices.device)
+        if reports_divergence(infos.get("diverged")):
+            found = 0 if diverged is None else int(diverged.sum())
+            self._diverged = (self._diverged or 0) + found
         if "episode" in infos:
             self._episode_infos.append(infos["episode"])
         if "episode_cumulative" in infos:
-            self._accumulate(infos["episode_cumulative"], done_indices.flatten())
+            self._accumulate(infos["episode_cumulative"], done_indices.flatten(), diverged)
         self._scalars = dict(_flat_scalars(infos))
 
-    def _accumulate(self, values: dict[str, Tensor], done_ids: Tensor) -> None:
+    def _accumulate(
+        self, values: dict[str, Tensor], done_ids: Tensor, diverged: Tensor | None
+    ) -> None:
+        counted = done_ids
+        if diverged is not None:
+            counted = done_ids[~diverged[done_ids]]
         for key, value in values.items():
             total = self._running.setdefault(key, torch.zeros_like(value))
             total += value
             finished = self._finished.setdefault(key, [])
-            finished += total[done_ids].tolist()
+            finished += total[counted].tolist()
             del finished[: -self._algo.games_to_track]
             total[done_ids] = 0
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Write what was collected."""
         writer = self._algo.writer
+        if self._diverged is not None:
+            writer.add_scalar("sim/diverged", self._diverged, frame)
+            self._diverged = 0
         if self._episode_infos:
             for key in self._episode_infos[0]:
                 values = [torch.as_tensor(i[key]).float().flatten() for i in self._episode_infos]

@@ -29,6 +29,8 @@ class WandbObserver(AlgoObserver):
             file's name.
     """
 
+    stored = ()
+
     def __init__(self, cfg: DictConfig, settings: LaunchSettings, run_name: str) -> None:
         super().__init__()
         self._cfg = cfg

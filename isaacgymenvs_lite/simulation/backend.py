@@ -17,7 +17,7 @@ after all bodies of the robot in the file. Body and DOF tensors do not contain t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import mujoco
@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.simulation.recording import Recording
 from isaacgymenvs_lite.utils.memory import check_memory
 
 
@@ -55,6 +56,10 @@ class SimulationBackend(Protocol):
 
     num_failures: int
     """How often a simulation diverged since the start, all environments together."""
+
+    recordings: list[Recording]
+    """The last steps of the first few simulations that diverged; whoever takes them removes them,
+    which makes room for the next."""
 
     @property
     def dt(self) -> float:
@@ -149,7 +154,10 @@ class SimulationBackend(Protocol):
     def failed(self) -> Tensor:
         """(N,) bool: the simulation, the robot or an object, diverged in the last `step()`.
 
-        It was reset to its default state; the task should end the episode.
+        Its state was not finite or beyond what is physical: MuJoCo's warnings BADQPOS, BADQVEL and
+        BADQACC (an absolute value above 1e10), after which MuJoCo itself resets the simulation
+        without an error, or a speed above 1000 rad/s or m/s. It was reset to its default state; the
+        task ends the episode.
         """
         ...
 
@@ -203,6 +211,18 @@ class SimulationBackend(Protocol):
             env_ids: (n,) int64, each once, in any order.
             object_ids: (k,) int64, places in `object_names`, each once, in any order.
             states: (n, k, 13) as `object_states`.
+        """
+        ...
+
+    def stored_state(self) -> dict[str, Any]:
+        """Return copies of all that the next steps depend on, for `restore_state`."""
+        ...
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `stored_state` returned, bit by bit, in simulations of an equal model.
+
+        Raises:
+            KeyError, TypeError, ValueError, RuntimeError: the state is of other simulations.
         """
         ...
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -23,6 +24,7 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.simulation.kinematics import Floats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.simulation.recording import Recording, StepHistory, model_identity
 from isaacgymenvs_lite.simulation.state_buffers import (
     StateBuffers,
     StateConverter,
@@ -37,15 +39,18 @@ _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 # A joint faster than this (rad/s or m/s) means that the simulation diverges;
 # PhysX stopped such bodies at 100 rad/s.
-_MAX_SPEED = 1000.0
+MAX_SPEED = 1000.0
 _ROWS_IN_CACHE = 128
 # Waking a thread takes some 10 us, and 100 us on a busy machine: less work is not worth one.
 _WORK_PER_THREAD_S = 50e-6
 _TIMED_STEPS = 5
+# Recordings that wait for somebody to take them.
+_MAX_RECORDINGS = 8
 # Attributes that share the batch's own memory.
 _VIEWS = (
     *("_state_rows", "_qpos_rows", "_qvel_rows", "_object_qpos", "_object_qvel"),
     *("_warmstart_rows", "_warnings", "_ctrl64", "_contacts", "_sensor_rows", "_force_rows"),
+    *("_history", "_own_fields"),
 )
 
 
@@ -84,6 +89,8 @@ class CpuBatchSimulation:
         self.dof_names = self.layout.dof_names
         self.object_names = self.layout.object_names
         self.num_failures = 0
+        self.recordings: list[Recording] = []
+        self._own_fields: dict[str, npt.NDArray[Any]] = {}
         batch = Batch(
             model, num_envs, num_threads or _worthwhile_threads(model, num_envs, substeps)
         )
@@ -95,6 +102,7 @@ class CpuBatchSimulation:
     def _bind_views(self, batch: Batch) -> None:
         self._state_rows = batch.state
         self._default_state = batch.state[0].copy()
+        self._history = StepHistory(self._state_rows)
         self._qpos_rows = batch.bind("qpos")
         self._qvel_rows = batch.bind("qvel")
         self._object_qpos, self._object_qvel = self._converter.of_objects(
@@ -231,7 +239,9 @@ class CpuBatchSimulation:
 
     def expand(self, field: str) -> npt.NDArray[Any]:
         """Return a field's values for each environment; see `SimulationBackend.expand`."""
-        return self.batch.expand(field)
+        values = self.batch.expand(field)
+        self._own_fields[field] = values
+        return values
 
     def update_constants(self, env_ids: npt.NDArray[np.integer]) -> None:
         """See `SimulationBackend.update_constants`."""
@@ -245,6 +255,7 @@ class CpuBatchSimulation:
     def step(self) -> None:
         """Advance all simulations by `substeps` physics steps and refresh the state tensors."""
         batch = self.batch
+        self._history.add()
         try:
             batch.step(nstep=self.substeps)
             raised = None
@@ -260,8 +271,8 @@ class CpuBatchSimulation:
         diverged = np.zeros(self.num_envs, dtype=bool)
         for speeds in self._speeds:
             # Testing each environment is slow: only if some number is too large or NaN.
-            if not -_MAX_SPEED <= speeds.min() <= speeds.max() <= _MAX_SPEED:
-                diverged |= (np.abs(speeds) > _MAX_SPEED).any(axis=0)
+            if not -MAX_SPEED <= speeds.min() <= speeds.max() <= MAX_SPEED:
+                diverged |= (np.abs(speeds) > MAX_SPEED).any(axis=0)
         if raised is not None:
             diverged[raised] = True
         if self._warnings.any():
@@ -271,10 +282,22 @@ class CpuBatchSimulation:
         if len(rows) == 0:
             return
         self.num_failures += len(rows)
+        self._record(rows)
         batch.reset(rows, stage=_STAGE_NONE)
         self._warnings[rows] = 0
         self._written[rows] = True
+        self._history.restart(rows)
         self._refresh_rows(rows, self._qpos_rows[rows], self._qvel_rows[rows])
+
+    def _record(self, rows: np.ndarray) -> None:
+        """Keep the last steps of the first few of the diverged simulations (n,)."""
+        room = _MAX_RECORDINGS - len(self.recordings)
+        model_id = model_identity(self.model) if room > 0 else ""
+        for row in rows[:room].tolist():
+            states = self._history.states(row)
+            fields = {name: values[row].copy() for name, values in self._own_fields.items()}
+            step = self._history.added - len(states)
+            self.recordings.append(Recording(states, self.substeps, model_id, fields, row, step))
 
     def write_state(
         self, env_ids: Tensor, root_states: Tensor, dof_pos: Tensor, dof_vel: Tensor
@@ -290,6 +313,7 @@ class CpuBatchSimulation:
         self._qpos_rows[rows] = qpos
         self._qvel_rows[rows] = qvel
         self._written[rows] = True
+        self._history.restart(rows)
         self._refresh_rows(rows, qpos, qvel)
 
     def write_object_states(self, env_ids: Tensor, object_ids: Tensor, states: Tensor) -> None:
@@ -303,6 +327,47 @@ class CpuBatchSimulation:
         self._object_qpos[places], self._object_qvel[places] = qpos, qvel
         self._warmstart_rows[rows] = 0.0
         self._buffers.replace_objects(rows, objects, self._converter.states_of_objects(qpos, qvel))
+
+    def stored_state(self) -> dict[str, Any]:
+        """See `SimulationBackend.stored_state`."""
+        memory = {name: torch.from_numpy(rows.copy()) for name, rows in self._memory().items()}
+        bodies = [self._buffers.bodies_are_current, self._buffers.has_body_velocities]
+        return {**memory, "num_failures": self.num_failures, "bodies": bodies}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """See `SimulationBackend.restore_state`."""
+        if "forces.0" in state:
+            _ = self.dof_forces  # binds them
+        memory = self._memory()
+        for name, rows in memory.items():
+            stored = state[name].numpy()
+            if stored.shape != rows.shape or stored.dtype != rows.dtype:
+                raise ValueError(f"{name} of the simulation: {stored.shape}, expected {rows.shape}")
+        for name, rows in memory.items():
+            measured = not rows.flags.writeable  # by the batch, which writes it at every step
+            if measured:
+                rows.flags.writeable = True
+            rows[...] = state[name].numpy()
+            if measured:
+                rows.flags.writeable = False
+        self.num_failures = int(state["num_failures"])
+        self._buffers.bodies_are_current, self._buffers.has_body_velocities = map(
+            bool, state["bodies"]
+        )
+        if self._own_fields:
+            self.batch.set_const(np.arange(self.num_envs))
+
+    def _memory(self) -> dict[str, np.ndarray]:
+        """Return the memory that the next steps depend on, and what is read before them."""
+        return {
+            "state": self.batch.state,
+            "sensordata": self._sensor_rows,
+            "written": self._written,
+            "failed": self.failed.numpy(),
+            **self._buffers.memory,
+            **{f"forces.{i}": rows for i, rows in enumerate(self._force_rows or ())},
+            **{f"model.{field}": values for field, values in self._own_fields.items()},
+        }
 
     def _refresh(self) -> None:
         """Convert the batch's rows of all environments into the state tensors."""

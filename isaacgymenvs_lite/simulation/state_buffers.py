@@ -76,6 +76,11 @@ class StateBuffers:
         self.bodies_are_current = False
         self.has_body_velocities = False
 
+    @property
+    def memory(self) -> dict[str, Floats]:
+        """The blocks that hold all of it, by name."""
+        return {"tensors": self._all, "body_velocities": self._body_velocities}
+
     def replace(self, env_ids: npt.NDArray[np.integer], others: StateBuffers) -> None:
         """Copy the n environments of `others` to `env_ids` (n,).
 

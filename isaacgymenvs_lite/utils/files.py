@@ -9,18 +9,24 @@ from pathlib import Path
 
 from isaacgymenvs_lite.errors import ConfigError
 
+PARTIAL_FILE = r"\..+\.\d+\.partial"
+"""Pattern of the names of temporary files; one that stays was left by a kill."""
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path to write to; it is renamed to `path` at the end, or removed.
 
     The content reaches the disk before the new name does, so that a crash leaves the old file or
-    the new one.
+    the new one. The temporary file is a new one: in a folder that others can write to, a link of
+    its name would lead to another file.
 
     Raises:
         OSError: the folder is missing, cannot be written or is full.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.unlink(missing_ok=True)  # the link or the file, not what a link leads to
+    partial.touch(exist_ok=False)
     try:
         yield partial
         with partial.open("rb") as file:

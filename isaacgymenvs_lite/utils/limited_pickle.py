@@ -43,6 +43,9 @@ class _CountingDispatch(dict[int, Any]):
             raise self._error
         return super().__getitem__(code)
 
+    def __missing__(self, code: int) -> Any:
+        raise ValueError(f"the instruction {chr(code)!r}, which no file here needs")
+
 
 class LimitedUnpickler(_PythonUnpickler):
     """Python's unpickler (the implementation in Python) with the instructions above.
@@ -66,7 +69,8 @@ class LimitedUnpickler(_PythonUnpickler):
     def __init__(self, stream: IO[bytes], **options: Any) -> None:
         super().__init__(stream, **options)
         too_long = self.error(f"a pickle of more than {self.max_instructions:,} instructions")
-        self.dispatch = _CountingDispatch(type(self).dispatch, self.max_instructions, too_long)
+        # Of this instance only: the class keeps the plain table.
+        vars(self)["dispatch"] = _CountingDispatch(self.dispatch, self.max_instructions, too_long)
 
     @abstractmethod
     def find_class(self, module: str, name: str) -> Any:

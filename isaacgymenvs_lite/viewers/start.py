@@ -27,7 +27,8 @@ class Viewers:
 
     Raises:
         RenderingError: this machine cannot draw.
-        ConfigError: a package is missing, there is no display, or a port is taken.
+        ConfigError: a package is missing, there is no display, a port is taken, or a host of the
+            page is misspelt.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
@@ -40,7 +41,7 @@ class Viewers:
         if not settings.headless:
             check_display()
         if settings.viewer == "web":
-            check_page(settings.viewer_host, settings.viewer_port)
+            check_page(settings.viewer_host, settings.viewer_port, settings.viewer_allowed_hosts)
 
     def start(
         self, env: Any, run_folder: Path, on_quit: Callable[[], None], prefix: str = "rl-video"
@@ -64,7 +65,13 @@ class Viewers:
             self._add(Window(env, folder, on_quit, every_step=settings.force_render))
         if settings.viewer == "web":
             # A play waits for the simulated time: it would be over too soon.
-            page = WebPage(env, settings.viewer_host, settings.viewer_port, real_time=settings.test)
+            page = WebPage(
+                env,
+                settings.viewer_host,
+                settings.viewer_port,
+                real_time=settings.test,
+                allowed_hosts=settings.viewer_allowed_hosts,
+            )
             self._add(page)
 
     def _add(self, listener: StepListener) -> None:

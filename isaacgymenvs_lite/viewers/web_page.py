@@ -1,7 +1,7 @@
 """A task in a browser: MuJoCo's web viewer, served on one port during a training or a play.
 
 The viewer runs in its own thread and draws in the browser; it receives a state up to 30 times a
-second. It has no password: everybody who reaches the port can watch, hence localhost by default.
+second. It listens at localhost by default; elsewhere its address has a secret token.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import io
 import logging
 import socket
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -28,7 +29,6 @@ log = logging.getLogger(__name__)
 
 # Limit of the states that are sent to browsers.
 _PICTURES_PER_S = 30.0
-_ADDRESSES = {"localhost": "127.0.0.1"}
 _MAX_GEOMS = 200
 
 
@@ -40,17 +40,26 @@ class WebPage:
         host: name or address to listen at.
         port: 0 takes a free one.
         real_time: let the task wait, so that it is no faster than the simulated time.
+        allowed_hosts: more hosts, with or without a port, at which browsers may reach the page.
 
     Attributes:
-        url: address of the page.
+        url: address of the page, with its token if other machines reach it.
         server: the running server.
 
     Raises:
-        ConfigError: the port is taken, or the viewer is not installed.
+        ConfigError: the port is taken, the viewer is not installed, or a host is misspelt.
     """
 
-    def __init__(self, env: Any, host: str, port: int, *, real_time: bool) -> None:
-        check_page(host, port)
+    def __init__(
+        self,
+        env: Any,
+        host: str,
+        port: int,
+        *,
+        real_time: bool,
+        allowed_hosts: Sequence[str] = (),
+    ) -> None:
+        check_page(host, port, allowed_hosts)
         self._env = env
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
@@ -65,11 +74,16 @@ class WebPage:
         self._next_step_s = self._next_picture_s = time.monotonic()
         from isaacgymenvs_lite.viewers.web_server import start_server  # imports all of the viewer
 
-        self.server = start_server(self._model, _ADDRESSES.get(host, host), port)
-        self.url = f"http://{host}:{self.server.port}/"
+        self.server = start_server(self._model, host, port, allowed_hosts)
+        name = socket.gethostname() if host == "0.0.0.0" else host
+        self.url = f"http://{name}:{self.server.port}/"
+        who = "every user of this machine can"
+        if self.server.token:
+            self.url += f"?token={self.server.token}"
+            who = "whoever has this address can; it is not encrypted"
         atexit.register(self.close)  # a thread that still runs when Python ends crashes it
         self.render()
-        log.info("watch it at %s (no password: everybody who reaches the port can watch)", self.url)
+        log.info("watch it at %s (%s)", self.url, who)
 
     @property
     def keeps_playing(self) -> bool:
@@ -105,15 +119,17 @@ class WebPage:
         atexit.unregister(self.close)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.handle.close()
+        # A viewer that is freed while the next page runs destroys that page's native state.
+        self.server.overlay.viewer = None
         gc.unfreeze()  # see start_server
 
 
-def check_page(host: str, port: int) -> None:
+def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
     """Check that a page can be served.
 
     Raises:
-        ConfigError: the port is taken, the host is not an address of this machine, or the viewer is
-            not installed.
+        ConfigError: the port is taken, the host is not an address of this machine, an allowed host
+            is misspelt, or the viewer is not installed.
     """
     try:
         importlib.import_module("mujoco.studio.web_viewer")
@@ -122,13 +138,17 @@ def check_page(host: str, port: int) -> None:
             f"viewer=web needs MuJoCo's web viewer, which cannot be imported ({error}); pip install"
             " mujoco-studio"
         ) from error
+    from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
+
+    read_hosts(allowed_hosts)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            trial.bind((_ADDRESSES.get(host, host), port))
+            trial.bind((address_of(host), port))
             trial.listen()
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
             raise ConfigError(
-                f"viewer_port={port}: cannot listen at {host}:{port} ({error.strerror or error});"
+                f"viewer_port={port}: cannot listen at {host[:80]}:{port} ({reason or error});"
                 " choose another port, 0 takes a free one"
             ) from error

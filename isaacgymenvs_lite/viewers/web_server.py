@@ -1,4 +1,4 @@
-"""MuJoCo's web viewer in a thread, with additional geoms, on one address and without prints.
+"""MuJoCo's web viewer in a thread, guarded, with additional geoms, and without prints.
 
 It imports all of `mujoco.studio`, so import it where it is needed.
 """
@@ -11,18 +11,22 @@ import io
 import logging
 import socket
 import threading
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 from mujoco.studio import launch_thread, messages, plugin, viewer_protocol, web_viewer
+from mujoco.studio.web import web_server
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.view import aim_camera
+from isaacgymenvs_lite.viewers.web_guard import PageGuard, address_of
 
 _START_TIMEOUT_S = 20.0
 # Custom number of a model with the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
+_GUARDING = threading.Lock()
 
 
 class OverlayPlugin(plugin.ViewerPlugin):
@@ -83,38 +87,47 @@ class WebServer:
         handle: receives states.
         overlay: the additional geoms.
         port: where browsers connect.
+        token: secret that browsers need; '' if only this machine reaches the page.
     """
 
     handle: Any
     overlay: OverlayPlugin
     port: int
+    token: str
 
 
-def start_server(model: mujoco.MjModel, address: str, port: int) -> WebServer:
+def start_server(
+    model: mujoco.MjModel, host: str, port: int, allowed_hosts: Iterable[str]
+) -> WebServer:
     """Start the viewer in a thread, and return when browsers can connect.
 
     Args:
         model: what is shown.
-        address: of this machine, where to listen.
+        host: name or address of this machine, where to listen.
         port: 0 takes a free one.
+        allowed_hosts: see `PageGuard`.
 
     Raises:
-        ConfigError: it does not start.
+        ConfigError: it does not start, or an allowed host is not one.
     """
     _silence_server_log()
-    overlay, started, ports = OverlayPlugin(), threading.Event(), []
-    config = viewer_protocol.ViewerConfig(
-        title="isaacgymenvs_lite", gfx="web", http_port=port or _free_port(address)
-    )
+    address = address_of(host)
+    overlay, started = OverlayPlugin(), threading.Event()
+    port = port or _free_port(address)
+    config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web", http_port=port)
+    guard = PageGuard(host, address, port, allowed_hosts)
 
     def serve(endpoint: Any) -> None:
+        viewer_class = type("Viewer", (QuietViewer,), {"address": address})
         try:
-            viewer_class = type("Viewer", (QuietViewer,), {"address": address})
-            viewer = viewer_class(config, endpoint, model=model, plugins=[overlay])
-            ports.append(config.http_port)
+            with _served_by(guard):
+                viewer = viewer_class(config, endpoint, model=model, plugins=[overlay])
         finally:
             started.set()
-        viewer_protocol.run_viewer_loop(viewer)
+        if guard.started.is_set():
+            viewer_protocol.run_viewer_loop(viewer)
+        else:
+            viewer.close()
 
     # Python collects garbage in the thread that happens to allocate. In a process with millions of
     # objects the viewer's thread hung and crashed while it freed objects of other threads. After
@@ -124,10 +137,27 @@ def start_server(model: mujoco.MjModel, address: str, port: int) -> WebServer:
     with contextlib.redirect_stdout(io.StringIO()):  # a banner
         handle = launch_thread.launch_thread(serve)
         started.wait(_START_TIMEOUT_S)
-    if not ports:
+    if not guard.started.is_set():
         gc.unfreeze()
         raise ConfigError(f"viewer=web: it did not start within {_START_TIMEOUT_S:.0f} s")
-    return WebServer(handle, overlay, ports[0])
+    return WebServer(handle, overlay, port, guard.token)
+
+
+@contextlib.contextmanager
+def _served_by(guard: PageGuard) -> Iterator[None]:
+    """Let the server of MuJoCo's that starts meanwhile run behind the guard.
+
+    It has no parameter for limits, so its name of `websockets.serve` is replaced until its thread
+    has called that. A version that no longer calls it is not served at all.
+    """
+    with _GUARDING:
+        original = web_server.serve
+        web_server.serve = guard.serve
+        try:
+            yield
+            guard.started.wait(_START_TIMEOUT_S / 2)
+        finally:
+            web_server.serve = original
 
 
 def _silence_server_log() -> None:

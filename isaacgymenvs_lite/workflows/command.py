@@ -38,7 +38,7 @@ LAST = "last"
 _TASK_KEYS = {
     *("task", "seed", "num_envs", "torch_deterministic"),
     *("sim_device", "rl_device", "pipeline", "num_threads"),
-    *("headless", "force_render", "viewer", "viewer_port", "viewer_host"),
+    *("headless", "force_render", "viewer", "viewer_port", "viewer_host", "viewer_allowed_hosts"),
     *("capture_video", "capture_video_freq", "capture_video_len", "capture_video_envs"),
     *("physics_engine", "solver_type", "num_subscenes", "graphics_device_id"),
 }

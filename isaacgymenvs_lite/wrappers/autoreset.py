@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
 from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
@@ -34,9 +35,10 @@ class Transition:
             episodes count. None if none ended.
         rewards: (N,) float32.
         terminated: (N,) bool, ended by a failure.
-        truncated: (N,) bool, ended by the time limit and nothing else.
+        truncated: (N,) bool, ended by the time limit and nothing else, or cut off because the
+            simulation diverged; the final observation is then the last good one.
         per_env: infos with a row for each environment, (N, ...), at the step's end: `amp_obs` of
-            an ended episode is its last.
+            an ended episode is its last. `diverged` (N,) bool only where a simulation did.
         scalars: infos about all of them, by name: `episode/rew_torque`.
         episodes: those that ended.
     """
@@ -183,11 +185,17 @@ def checked_task(env: Any, adapter: str) -> VecTask:
 def _sorted_infos(
     infos: Mapping[str, Any], num_envs: int
 ) -> tuple[dict[str, Tensor], dict[str, float]]:
-    """Split infos into those with a row for each environment and scalars; without `time_outs`."""
+    """Split infos into those with a row for each environment and scalars.
+
+    Without `time_outs`, and without `diverged` where it says nothing.
+    """
     per_env: dict[str, Tensor] = {}
     scalars: dict[str, float] = {}
     for name, value in infos.items():
-        if name == "time_outs":
+        says_nothing = (
+            name == "diverged" and reports_divergence(value) and diverged_in(infos, "cpu") is None
+        )
+        if name == "time_outs" or says_nothing:
             continue
         if isinstance(value, Mapping):
             scalars |= {f"{name}/{key}": float(entry) for key, entry in value.items()}

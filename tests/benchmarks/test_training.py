@@ -7,10 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from benchmarks.experiments import Experiment
 from benchmarks.runs import Run, start_now
 from benchmarks.training import Plan, Training, log_file, plan, train_all
+from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
 
@@ -83,14 +85,21 @@ def test_the_settings_of_a_start_that_failed_do_not_count(trained):
     assert plan(WALK, trained, 5.0, resume=True).minutes == 3.0
 
 
-def test_the_command_composes_and_names_the_folder(trained, tmp_path):
-    words = plan(WALK, trained, 5.0, resume=True).command([4, 7])
+def test_the_command_composes_and_names_the_folder(run, tmp_path):
+    words = plan(WALK, run, 5.0, resume=False).command([4, 7])
     assert words[0] == sys.executable
     assert Path(words[1]).name == "train.py"
     cfg = compose(words[2:])
     assert cfg.full_experiment_name == "walk_seed3"
     assert cfg.train.params.config.train_dir == str(tmp_path)
-    assert cfg.checkpoint == str(trained.newest_checkpoint())
+    assert (cfg.seed, cfg.num_threads, cfg.train.params.torch_threads) == (3, 2, 2)
+
+
+def test_a_run_goes_on_in_its_own_folder(trained):
+    words = Plan(trained, WALK.settings, None, 5.0).command([4])
+    OmegaConf.save(compose(words[2:]), trained.folder / "config.yaml")
+    cfg = resumed_tree(plan(WALK, trained, 5.0, resume=True).command([4, 7])[2:])
+    assert cfg.resume == str(trained.newest_checkpoint())
     assert (cfg.seed, cfg.num_threads, cfg.train.params.torch_threads) == (3, 2, 2)
 
 

@@ -20,7 +20,7 @@ ROOT_KEYS = {
     *("capture_video_len", "force_render", "headless", "latent"),
     # ours
     *("capture_video_envs", "progress_interval", "viewer", "viewer_port", "viewer_host"),
-    "task_checkout",
+    *("viewer_allowed_hosts", "task_checkout"),
 }
 
 

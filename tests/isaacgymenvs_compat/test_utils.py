@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import stat
 import tempfile
 from pathlib import Path
 
 import pytest
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.isaacgymenvs_compat import utils
 
 
@@ -62,4 +64,8 @@ def test_folders(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("LOGNAME", "someone")
     assert utils.get_username() == "someone"
     assert utils.project_tmp_dir() == str(tmp_path / "ige_someone")
-    assert (tmp_path / "ige_someone").is_dir()
+    assert stat.S_IMODE((tmp_path / "ige_someone").stat().st_mode) == 0o700
+    (tmp_path / "ige_someone").rmdir()
+    (tmp_path / "ige_someone").symlink_to(folder)
+    with pytest.raises(ConfigError, match="is a link"):
+        utils.project_tmp_dir()

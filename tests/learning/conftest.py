@@ -12,12 +12,11 @@ import torch
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
 from isaacgymenvs_lite.registration import build_runner, register_env
-from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP
+from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, composed
 
 _TINY = (
     "task=HumanoidAMP",
@@ -38,7 +37,7 @@ def make_runner(tmp_path: Path, walk_clip: Path) -> Iterator[Callable[..., Any]]
     tasks = []
 
     def make(*overrides: str, num_envs: int = 8, observer: AlgoObserver | None = None) -> Any:
-        cfg = compose(
+        cfg = composed(
             [*_TINY, f"task.env.motion_file={walk_clip}", f"num_envs={num_envs}", *overrides]
         )
         task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
@@ -70,7 +69,7 @@ def make_classic_runner(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     tasks = []
 
     def make(*overrides: str) -> Any:
-        cfg = compose([*ONE_THREAD, *overrides])
+        cfg = composed([*ONE_THREAD, *overrides])
         torch.manual_seed(0)
         task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
         tasks.append(task)

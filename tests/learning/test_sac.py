@@ -89,6 +89,22 @@ def test_the_first_batch_may_come_in_the_middle_of_an_epoch(make_classic_agent) 
     assert all(alpha_loss is not None for *_, alpha_loss in noted)
 
 
+@pytest.mark.parametrize(
+    ("limit", "epochs"), [("max_iterations=2", 2), ("++train.params.config.max_frames=100", 2)]
+)
+def test_it_ends_at_its_limit_before_an_episode_has_ended(
+    limit, epochs, make_classic_agent, tmp_path: Path
+) -> None:
+    """Two epochs of 8 steps of 8 environments; no episode of Ant is that short."""
+    agent = make_classic_agent(*TINY_SAC, limit, "train.params.config.save_frequency=1")
+    _, last_epoch = agent.train()
+    assert agent.game_rewards.current_size == 0
+    assert last_epoch == agent.epoch_num == epochs
+    for epoch in range(1, epochs + 1):
+        (file,) = tmp_path.rglob(f"last_AntSAC_ep_{epoch}_rew_-inf.pth")
+        assert load_checkpoint(file)["epoch"] == epoch
+
+
 def test_a_run_goes_on_with_its_temperature(trained, make_classic_agent, tmp_path: Path) -> None:
     trained.save(str(tmp_path / "saved"))
     assert trained.alpha.item() != 1.0

@@ -115,3 +115,15 @@ def test_other_dimensions_are_reported(humanoid: Skeleton, make_humanoid_clip, c
     with caplog.at_level(logging.WARNING):
         fit_to_skeleton(make_humanoid_clip(local_translation=offsets), humanoid)
     assert "the offset of 'right_shin' differs by 0.050 m" in caplog.text
+
+
+def test_speeds_and_places_that_are_doubtful_are_reported(
+    humanoid: Skeleton, make_humanoid_clip, caplog
+) -> None:
+    clip = make_humanoid_clip()
+    fast, far = clip.linear_velocity_w.copy(), clip.root_translation.copy()
+    fast[1, 2, 0], far[:, 1] = 80.0, 2_000.0
+    clip = dataclasses.replace(clip, linear_velocity_w=fast, root_translation=far)
+    fit_to_skeleton(clip, humanoid)
+    assert "a body moves at up to 80 m/s" in caplog.text
+    assert "the root is up to 2000 m from the origin" in caplog.text

@@ -130,3 +130,14 @@ def test_suffixes_are_tried_in_order(tmp_path: Path) -> None:
 def test_shipped_motions_lists_names(shipped: Path) -> None:
     (shipped / "README.md").touch()
     assert shipped_motions() == ["march"]
+
+
+def test_a_data_set_that_lists_a_clip_again_and_again_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "set.yaml"
+    path.write_text("motions:\n" + "- {file: walk, weight: 1}\n" * 3)
+    clips = load_clips(path)
+    assert len(clips) == 3
+    assert clips[0][0] is clips[2][0]
+    path.write_text("motions:\n" + "- {file: walk, weight: 1}\n" * 3000)
+    with pytest.raises(MotionFileError, match="list each once"):
+        load_clips(path)

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -89,4 +91,11 @@ def test_joints_that_are_no_ball_and_no_y_hinge_are_refused(tmp_path, joints: st
         f'<body name="arm">{joints}<geom size="0.1"/></body></body></worldbody></mujoco>'
     )
     with pytest.raises(ConfigError, match="joint 'bad'"):
+        Skeleton.from_mjcf(path)
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "body.xml"
+    path.write_text("<mujoco>")
+    with pytest.raises(ConfigError, match="no model that can be used"):
         Skeleton.from_mjcf(path)

@@ -10,10 +10,9 @@ import mujoco
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.paths import assets_dir
-from tests.tiny import ONE_THREAD
+from tests.tiny import ONE_THREAD, composed
 
 
 @pytest.fixture(scope="session")
@@ -29,7 +28,7 @@ def make_env(walk_clip: Path) -> Iterator[Callable[..., Any]]:
     def make(*overrides: str) -> Any:
         torch.manual_seed(0)
         size = ("num_envs=3", *ONE_THREAD)
-        cfg = compose(["task=HumanoidAMP", f"task.env.motion_file={walk_clip}", *size, *overrides])
+        cfg = composed(["task=HumanoidAMP", f"task.env.motion_file={walk_clip}", *size, *overrides])
         env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
         envs.append(env)
         env.reset()

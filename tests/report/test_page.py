@@ -11,11 +11,15 @@ import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from isaacgymenvs_lite.report import page as page_module
 from isaacgymenvs_lite.report.__main__ import main
+from isaacgymenvs_lite.report.charts import Chart, Line
+from isaacgymenvs_lite.report.drawing import draw
 from isaacgymenvs_lite.report.page import write_report
+from isaacgymenvs_lite.report.scalars import Series
 from tests.report.conftest import AMP, CONFIG, PPO
 
 VOID = {"meta", "line", "polyline", "circle"}
@@ -138,6 +142,63 @@ def test_a_long_video_is_linked(make_run, monkeypatch, tmp_path) -> None:
     assert read(write_report(run)).resources == ["videos/a%20%231.mp4"]
     elsewhere = write_report(run, tmp_path / "pages" / "run.html")
     assert read(elsewhere).resources == ["../runs/run/videos/a%20%231.mp4"]
+
+
+HOSTILE = "<!--<script>alert(1)<img src=x onerror=alert(2)>'\""
+
+
+def test_names_and_texts_of_files_are_no_html(make_run) -> None:
+    config = f"# {HOSTILE}</pre></script><script>alert(3)</script>\n"
+    run = make_run(AMP, config=config, name=HOSTILE)
+    (run / "nn" / f"{HOSTILE}.pth").touch()
+    add_video(run, f"{HOSTILE}\udcff.mp4", b"video", 1000)  # with a byte that is no UTF-8
+    path = write_report(run)
+    page, text = read(path), path.read_text(encoding="utf-8")
+    assert page.config == config
+    assert page.facts["newest checkpoint"] in (f"nn/{HOSTILE}.pth", "nn/last.pth")
+    assert len(page.resources) == 1  # the video
+    assert not re.search(r"<!--|<img|<script>alert", text)
+
+
+def test_names_of_scalars_are_no_html() -> None:
+    """Event files may have any; "<!--<script>" would keep the end of a script from ending it."""
+    series = Series(*np.ones((3, 1)))
+    lines = (Line(HOSTILE, series), Line("</script>", series))
+    text = draw(Chart(HOSTILE, lines))
+    page = Page(text)
+    assert page.titles == [HOSTILE]
+    assert [line["label"] for line in page.data[0]] == [HOSTILE, "</script>"]
+    assert not re.search(r"<!--|<img|<script>", text)
+    assert text.count("</script>") == 1
+
+
+@pytest.mark.parametrize("kind", ["link", "linked folder", "dangling link", "pipe", "folder"])
+def test_files_outside_of_the_run_are_not_on_its_page(kind, make_run, tmp_path) -> None:
+    """A run of somebody else may have a link to a file of the user, who then shows the page."""
+    (tmp_path / "secret").mkdir()
+    secret = tmp_path / "secret" / "secret.mp4"
+    secret.write_text("secret of the user")
+    run = make_run(AMP, config="")
+    videos = run / "videos"
+    if kind == "linked folder":
+        videos.symlink_to(secret.parent)
+        files = []
+    else:
+        videos.mkdir()
+        names = ("videos/a.mp4", "config.yaml", "nn/a.pth", "summaries/events.out.tfevents.0")
+        files = [run / name for name in names]
+    for file in files:
+        file.unlink(missing_ok=True)
+        if kind == "pipe":
+            os.mkfifo(file)
+        elif kind == "folder":
+            file.mkdir()
+        else:
+            file.symlink_to(secret if kind == "link" else tmp_path / "absent")
+    page = read(write_report(run))
+    assert page.resources == []
+    assert page.config == ""
+    assert page.facts["epochs"] == "3"
 
 
 def test_the_command(make_run, tmp_path, caplog) -> None:

@@ -84,3 +84,11 @@ def test_an_agent_without_a_discriminator(figures, agent, monkeypatch):
     assert latest.style_reward is None
     assert latest.disc_accuracy is None
     assert agent.writer.scalars == {}
+
+
+def test_a_diverged_episode_is_neither_a_fall_nor_none(figures):
+    flags = {"terminate": torch.tensor([1, 0, 0]), "diverged": torch.tensor([False, True, False])}
+    figures.process_infos(flags, torch.tensor([[0], [1]]))
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate == 1.0

@@ -74,3 +74,21 @@ def test_what_the_task_gave_is_not_changed(task_scalars):
 def test_infos_must_be_a_dictionary(task_scalars):
     with pytest.raises(TypeError, match="list"):
         task_scalars.process_infos([], NOBODY)
+
+
+def test_diverged_simulations_are_counted_in_each_epoch_and_in_no_episode(task_scalars, agent):
+    ended = torch.tensor([[0], [2]])
+
+    def step(diverged: list[bool], done: torch.Tensor) -> None:
+        work = {"work": torch.tensor([1.0, 10.0, 100.0])}
+        infos = {"diverged": torch.tensor(diverged), "episode_cumulative": work}
+        task_scalars.process_infos(infos, done)
+
+    step([False, False, True], ended)
+    step([True, False, True], NOBODY)
+    task_scalars.after_print_stats(1000, 1, 1.0)
+    step([False] * 3, torch.tensor([[2]]))
+    task_scalars.after_print_stats(2000, 2, 2.0)
+    assert agent.writer.scalars["sim/diverged"] == [(1000, 3), (2000, 0)]
+    # The diverged episode is in no mean, and its work is not in the next one.
+    assert agent.writer.scalars["episode_cumulative/work"] == [(1000, 1.0), (2000, 100.5)]

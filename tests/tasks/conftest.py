@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from torch import Tensor
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from tests.tiny import composed
 
 MakeHumanoid = Callable[..., HumanoidAMP]
 MakeASE = Callable[..., HumanoidASE]
@@ -100,7 +100,7 @@ def make_task() -> Iterator[Callable[..., Any]]:
     made: list[VecTask] = []
 
     def make(*overrides: str, num_envs: int = 4) -> Any:
-        cfg = compose([f"num_envs={num_envs}", "num_threads=1", *overrides])
+        cfg = composed([f"num_envs={num_envs}", "num_threads=1", *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
         return made[-1]
 

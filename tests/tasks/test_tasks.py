@@ -15,6 +15,7 @@ from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode, VecTask
+from tests.tiny import composed
 
 NUM_ENVS = 5
 
@@ -46,7 +47,7 @@ def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask
         fixed = [f"task={task_name}", f"num_envs={num_envs}", "num_threads=1"]
         if task_name not in CLASSIC:
             fixed += [f"task.env.motion_file={walk_clip}", "task.env.stateInit=Random"]
-        cfg = compose([*fixed, *overrides])
+        cfg = composed([*fixed, *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))
         return made[-1]
 
@@ -122,8 +123,9 @@ def test_what_it_says_of_observations_and_actions(make_task) -> None:
         torch.testing.assert_close(controls[0], scaling.offset + scaling.scale * actions)
 
 
-def test_a_thousand_random_steps_give_numbers(make_task) -> None:
-    task = make_task(num_envs=64)
+@pytest.mark.parametrize("num_envs", [16, pytest.param(64, marks=pytest.mark.slow)])
+def test_a_thousand_random_steps_give_numbers(num_envs: int, make_task) -> None:
+    task = make_task(num_envs=num_envs)
     task.reset()
     for observations, rewards, _, _ in _random_steps(task, 1000):
         assert observations["obs"].isfinite().all()

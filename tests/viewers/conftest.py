@@ -10,10 +10,9 @@ import av
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.viewers import video_writer
-from tests.tiny import ONE_THREAD
+from tests.tiny import ONE_THREAD, composed
 
 
 @pytest.fixture
@@ -29,7 +28,7 @@ def make_env() -> Iterator[Callable[..., Any]]:
 
     def make(*overrides: str) -> Any:
         seed_everything(0)
-        cfg = compose([*ONE_THREAD, *overrides])
+        cfg = composed([*ONE_THREAD, *overrides])
         env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
         envs.append(env)
         return env

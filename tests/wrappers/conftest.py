@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from tests.tiny import composed
 
 NUM_ENVS = 6
 MakeTask = Callable[..., VecTask]
@@ -29,7 +29,7 @@ def make_task(walk_clip: Path) -> Iterator[MakeTask]:
         if name == "AnymalTerrain":
             words += ["task.env.terrain.numLevels=2", "task.env.terrain.numTerrains=2"]
         made.append(
-            make_from_config(compose([*words, *overrides]), sim_device="cpu", rl_device="cpu")
+            make_from_config(composed([*words, *overrides]), sim_device="cpu", rl_device="cpu")
         )
         return made[-1]
 

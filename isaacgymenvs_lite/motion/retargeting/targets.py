@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
@@ -23,6 +24,7 @@ _LIMBS = ("lower_arm", "hand", "shin")
 _CONTACT_SPEED = 0.2  # m/s
 _CONTACT_HEIGHT_M = 0.01
 _FEWEST_CONTACT_FRAMES = 5
+_SHORTEST_LEG_M, _LONGEST_LEG_M = 0.05, 10.0
 # A larger tilt of the sole is no difference between rigs but part of the motion.
 _MOST_LEVELLING_RAD = np.radians(15.0)
 # The ground is at the lowest corner of a sole, hand or knee, except in this share of the frames
@@ -53,6 +55,7 @@ def make_targets(source: MotionClip, mapping: SkeletonMapping, skeleton: Skeleto
 
     Raises:
         ConfigError: the source lacks a joint of the mapping.
+        MotionFileError: its legs are too short or too long to be legs.
     """
     mapping.check_joints(source.body_names, source.name)
     everywhere, attitudes = source.global_poses()
@@ -63,7 +66,13 @@ def make_targets(source: MotionClip, mapping: SkeletonMapping, skeleton: Skeleto
         for body, entry in mapping.sources.items()
         if entry.frame is not None
     }
-    scale = _leg_length(_rest_places(skeleton)) / _leg_length(places)
+    leg_m = _leg_length(places)
+    if not _SHORTEST_LEG_M <= leg_m <= _LONGEST_LEG_M:
+        raise MotionFileError(
+            f"{source.name}: its legs are {leg_m:.3g} m long with mapping={mapping.name}, expected "
+            f"{_SHORTEST_LEG_M:g} to {_LONGEST_LEG_M:g}; check unit_m of the mapping"
+        )
+    scale = _leg_length(_rest_places(skeleton)) / leg_m
     scaled = {body: place * scale for body, place in places.items()}
     feet = [f"{side}_foot" for side in SIDES]
     for foot in feet:

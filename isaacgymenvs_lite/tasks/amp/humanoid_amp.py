@@ -58,6 +58,7 @@ class HumanoidAMP(HumanoidAMPBase):
         MotionFileError: a clip that cannot be used.
     """
 
+    not_stored = ("_motion_lib",)
     # Joint positions of the AMP observation as ASE encodes them.
     amp_obs_as_ase: ClassVar[bool] = False
 

@@ -8,8 +8,13 @@ most tasks share before the first step: checked keys and a model. A task of Isaa
 
 What differs from IsaacGymEnvs:
 
-- `time_outs` marks episodes that end at the time limit only: one that also *fails* in its last
-  step is no time-out, so that trainers which bootstrap there do not value a fall.
+- `time_outs` marks episodes that end at the time limit or whose simulation diverged: one that also
+  *fails* in its last step is no time-out, so that trainers which bootstrap there do not value a
+  fall.
+- A step whose simulation diverged earns nothing and cuts its episode off: not a failure, as the
+  task did not end it. Its last observation is that of the step before, the last good one, and
+  `infos["diverged"]` marks it, so that agents leave it out of their updates.
+- An action that is not finite is a failure without a reward; the physics gets zero in its place.
 - `step` returns copies, so that a caller may keep them over the next step.
 - There is no process-wide simulation: tasks can be made side by side, and `close()` frees one.
 """
@@ -69,6 +74,8 @@ class Done:
     TIME_OUT: Final = 1
     """It reached its time limit and did not fail."""
     FAILED: Final = 2
+    DIVERGED: Final = 3
+    """Its simulation diverged: the episode was cut off, which says nothing about the policy."""
 
 
 class ActionScaling(NamedTuple):
@@ -195,7 +202,9 @@ class VecTask(Env):
             first everywhere. A 1 that is written makes the next reset start an episode.
         done_buf: (N,) int64, how the last step left each episode, see `Done`. A reset within the
             step leaves it as it is, `reset_done` of an `ON_REQUEST` task clears it.
-        timeout_buf: (N,) bool, the last step ended the episode by its time limit.
+        timeout_buf: (N,) bool, the last step ended the episode by its time limit, or cut it off
+            because the simulation diverged.
+        diverged_buf: (N,) bool, the simulation diverged in the last step.
         progress_buf: (N,) int64, control steps of the running episode.
         actions: (N, numActions) of the last step, clamped.
         extras: what `step` returns as infos; the same dictionary at every step.
@@ -220,6 +229,8 @@ class VecTask(Env):
     """`BEFORE_PHYSICS`: an action counts as zero in the step that starts an episode, because it was
     chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
     keeps_final_observations: bool = False
+    not_stored: ClassVar[tuple[str, ...]] = ("cfg", "sim_params", "listeners", "_camera")
+    """Attributes that a resumed training makes again; all others are stored, see `object_state`."""
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
     """What video recorders read."""
 
@@ -240,6 +251,7 @@ class VecTask(Env):
         self.physics_engine = config.get("physics_engine", "physx")
         self.dt = self.sim_dt_s
         self._failures_reported = 0
+        self._warned_of_actions = False
         self.listeners: list[StepListener] = []
         self._camera = TaskCamera(self, *_PICTURE_SIZE)
         self.create_sim()
@@ -318,12 +330,17 @@ class VecTask(Env):
         self.reset_buf = torch.ones(n, dtype=torch.int64, device=device)
         self.done_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.timeout_buf = torch.zeros(n, dtype=torch.bool, device=device)
+        self.diverged_buf = torch.zeros_like(self.timeout_buf)
+        self._bad_actions = torch.zeros_like(self.timeout_buf)
+        # (N,) bool where the last step has no outcome; None: everywhere it has one.
+        self._discarded: Tensor | None = None
         self.progress_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.randomize_buf = torch.zeros(n, dtype=torch.int64, device=device)
         self.actions = torch.zeros(n, self.num_actions, device=device)
         self.reward_terms: Terms = {}
         self.extras: dict[str, Any] = {}
         self.obs_dict: dict[str, Tensor] = {}
+        self._observed_before: dict[str, Tensor] = {}
         self._final_observations: dict[str, Tensor] = {}
 
     # --- a step -----------------------------------------------------------------------------
@@ -336,23 +353,33 @@ class VecTask(Env):
 
         Returns:
             observations {"obs": (N, numObs)[, "states": (N, numStates)]}, rewards (N,), dones
-            (N,) int64 and infos, on rl_device. `infos["time_outs"]` is (N,) bool.
+            (N,) int64 and infos, on rl_device. `infos["time_outs"]` and `infos["diverged"]` are
+            (N,) bool.
         """
         with one_torch_thread():
-            actions = actions.to(self.device)
+            self._observed_before = dict(self.obs_dict)
+            actions = self._finite_actions(actions.to(self.device))
             if self.randomizer is not None:
                 actions = self.randomizer.noisy_actions(actions)
             self.done_buf.zero_()
             self.pre_physics_step(actions.clamp(-self.clip_actions, self.clip_actions))
             self.simulation.step()
+            self._find_discarded()
             self.post_physics_step()
             self.control_steps += 1
+            if self._discarded is not None:
+                self._end_discarded(self._discarded)
             dones = self._dones()
             self.timeout_buf = self.done_buf == Done.TIME_OUT
+            if self._discarded is not None:
+                self.timeout_buf |= self.done_buf == Done.DIVERGED
             self.extras.update(self.infos())
             self.extras["time_outs"] = self.timeout_buf.to(self.rl_device)
+            self.extras["diverged"] = self.diverged_buf.to(self.rl_device)
             if self.randomizer is not None:
                 self.obs_buf.copy_(self.randomizer.noisy_observations(self.obs_buf))
+            if self._discarded is not None and self.reset_mode is not ResetMode.SAME_STEP:
+                self._repeat_observations({"obs": self.obs_buf, "states": self.states_buf})
             for listener in self.listeners:
                 listener.after_step()
             return (
@@ -385,6 +412,8 @@ class VecTask(Env):
             if self.keeps_final_observations and self.reset_buf.any():
                 self.compute_observations()
                 self._final_observations = self._observations()
+                if self._discarded is not None:
+                    self._repeat_observations(self._final_observations)
             self._reset_ended()
             self.compute_observations()
         else:
@@ -405,14 +434,18 @@ class VecTask(Env):
     def compute_reward(self) -> None:
         """Write the rewards of all environments into `rew_buf`."""
         self.reward_terms = self.compute_reward_terms()
+        if (discarded := self._discarded) is not None:
+            terms = self.reward_terms.items()
+            self.reward_terms = {name: term.masked_fill(discarded, 0.0) for name, term in terms}
         self.rew_buf.copy_(total(self.reward_terms))
 
     def compute_reset(self) -> None:
-        """Write which episodes end, and how; a diverged simulation fails."""
-        failed = torch.logical_or(self.compute_failures(), self.simulation.failed)
-        self.done_buf.copy_(self.compute_time_outs()).masked_fill_(failed, Done.FAILED)
+        """Write which episodes end, and how."""
+        self.done_buf.copy_(self.compute_time_outs())
+        self.done_buf.masked_fill_(self.compute_failures(), Done.FAILED)
+        if self._discarded is not None:
+            self._write_discarded_codes()
         torch.sign(self.done_buf, out=self.reset_buf)
-        self._report_diverged()
 
     def _dones(self) -> Tensor:
         """Return (N,) int64, 1 where the step ended an episode; complete `done_buf`.
@@ -427,6 +460,49 @@ class VecTask(Env):
         ended = self.reset_buf != 0
         self.done_buf.copy_(torch.where(dones != 0, self.done_buf, codes) * ended)
         return ended.long()
+
+    # --- steps without an outcome -----------------------------------------------------------
+
+    def _finite_actions(self, actions: Tensor) -> Tensor:
+        """Return actions (N, A) with zeros in rows that are not finite; write `_bad_actions`."""
+        self._bad_actions.zero_()
+        # One sum is cheap; it may also overflow.
+        if bool(actions.sum().isfinite()):
+            return actions
+        torch.logical_not(actions.isfinite().all(dim=-1), out=self._bad_actions)
+        if not self._warned_of_actions and bool(self._bad_actions.any()):
+            self._warned_of_actions = True
+            log.warning(
+                "an action of environment %d is not finite: its episode ends as a failure, without"
+                " a reward; check the policy (this is reported once)",
+                int(self._bad_actions.nonzero()[0]),
+            )
+        return actions.masked_fill(self._bad_actions.unsqueeze(-1), 0.0)
+
+    def _find_discarded(self) -> None:
+        """Write where the step has no outcome: the simulation diverged, or the action was bad."""
+        self.diverged_buf = self.simulation.failed.clone()
+        discarded = self.diverged_buf | self._bad_actions
+        self._discarded = discarded if bool(discarded.any()) else None
+
+    def _end_discarded(self, discarded: Tensor) -> None:
+        """End the episodes of `discarded` (N,) without a reward, in tasks of all kinds."""
+        self.rew_buf.masked_fill_(discarded, 0.0)
+        self._write_discarded_codes()
+        if self.reset_mode is not ResetMode.SAME_STEP:
+            self.reset_buf.masked_fill_(discarded, 1)
+        self._report_diverged()
+
+    def _write_discarded_codes(self) -> None:
+        self.done_buf.masked_fill_(self._bad_actions, Done.FAILED)
+        self.done_buf.masked_fill_(self.diverged_buf, Done.DIVERGED)
+
+    def _repeat_observations(self, observations: dict[str, Tensor]) -> None:
+        """Write the observations before the step where it diverged, in place."""
+        for name, before in self._observed_before.items():
+            rows = observations[name]
+            env_ids = self.diverged_buf.nonzero().flatten().to(rows.device)
+            rows.index_copy_(0, env_ids, before.to(rows.device).index_select(0, env_ids))
 
     def _report_diverged(self) -> None:
         """Warn of diverged simulations: at the first one and at every power of ten."""

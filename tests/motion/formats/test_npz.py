@@ -25,6 +25,28 @@ def test_round_trip_is_bit_exact(tmp_path: Path, tiny_clip: MotionClip, dtype) -
             assert before == after
 
 
+@pytest.mark.parametrize(
+    ("stored", "read"),
+    [(">f4", "f4"), (">f8", "f8"), ("<f2", "f4"), (np.longdouble, "f8")],
+)
+def test_other_floats_are_converted(tmp_path: Path, tiny_clip: MotionClip, stored, read) -> None:
+    arrays = _arrays(tmp_path, tiny_clip)
+    for key in ("local_rotation", "root_translation", "local_translation"):
+        arrays[key] = arrays[key].astype(stored)
+    np.savez(tmp_path / "other.npz", **arrays)
+    clip = load_npz(tmp_path / "other.npz")
+    assert clip.local_rotation.dtype == np.dtype(read)
+    assert clip.local_rotation.dtype.isnative
+    np.testing.assert_allclose(clip.local_rotation, tiny_clip.local_rotation, atol=1e-3)
+    np.testing.assert_array_equal(clip.root_translation, tiny_clip.root_translation)
+
+
+def test_what_no_reader_needs_is_not_unpacked(tmp_path: Path, tiny_clip: MotionClip) -> None:
+    path = tmp_path / "clip.npz"
+    np.savez(path, **_arrays(tmp_path, tiny_clip), notes=np.array([{}], dtype=object))
+    assert load_npz(path).num_frames == tiny_clip.num_frames
+
+
 def test_file_holds_plain_arrays_only_and_no_time_stamp(tmp_path: Path, tiny_clip) -> None:
     path = save_npz(tmp_path / "a.npz", tiny_clip)
     with np.load(path, allow_pickle=False) as archive:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
@@ -22,6 +23,12 @@ def targets_of(path: Path, rig: str, skeleton):
 def test_size_is_taken_from_the_legs(tmp_path: Path, write_bvh, humanoid, size) -> None:
     path = write_bvh(tmp_path / "a.bvh", load_clips("stand")[0][0], "cmu", size=size, arms=1.3)
     assert targets_of(path, "cmu", humanoid).scale == pytest.approx(1.0 / size, rel=1e-5)
+
+
+def test_a_source_without_legs_is_refused(tmp_path: Path, write_bvh, humanoid) -> None:
+    path = write_bvh(tmp_path / "a.bvh", load_clips("stand")[0][0], "cmu", size=1e-3)
+    with pytest.raises(MotionFileError, match="legs are .* m long with mapping=cmu"):
+        targets_of(path, "cmu", humanoid)
 
 
 @pytest.mark.parametrize("height", [-0.3, 0.0, 2.0])

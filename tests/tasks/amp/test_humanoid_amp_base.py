@@ -310,17 +310,16 @@ def test_termination_height_is_a_key(make) -> None:
         assert dones.tolist() == [0]
 
 
-def test_a_diverged_simulation_ends_its_episode_as_a_fall(
-    make, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_diverged_simulation_cuts_its_episode_off(make, caplog: pytest.LogCaptureFixture) -> None:
     task = make(3, enableEarlyTermination=False)
     task.reset()
     zeros = torch.zeros(1, 28)
     root = torch.tensor([[0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6]])
     task.simulation.write_state(torch.tensor([2]), root, zeros, zeros * float("nan"))
     observations, _, dones, infos = task.step(torch.zeros(3, 28))
-    assert dones.tolist() == infos["terminate"].tolist() == [0, 0, 1]
-    assert infos["time_outs"].tolist() == [False] * 3
+    assert dones.tolist() == [0, 0, 1]
+    assert infos["terminate"].tolist() == [0, 0, 0]
+    assert infos["diverged"].tolist() == infos["time_outs"].tolist() == [False, False, True]
     assert infos["diverged_simulations"] == 1
     assert observations["obs"].isfinite().all()
     assert any("1 simulation(s) diverged" in message for message in caplog.messages)

@@ -266,7 +266,8 @@ def test_after_a_diverged_simulation_nobody_goes_on(make) -> None:
     root = torch.tensor([[0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6]])
     task.simulation.write_state(torch.tensor([1]), root, zeros, zeros * float("nan"))
     *_, dones, infos = _random_step(task)
-    assert dones.tolist() == infos["terminate"].tolist() == [0, 1, 0]
+    assert dones.tolist() == infos["diverged"].long().tolist() == [0, 1, 0]
+    assert not infos["terminate"].any()
     task.reset_done()
     # A new episode: the default pose, not the state that the simulation was put back to.
     assert float(_heights(task)[1]) == pytest.approx(NORMAL_HEIGHT_M)

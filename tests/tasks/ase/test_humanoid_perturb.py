@@ -195,5 +195,5 @@ def test_a_diverged_simulation_ends_its_episode(make) -> None:
     root = task.simulation.root_states[:1].clone()
     task.simulation.write_state(torch.tensor([0]), root, zeros, zeros * float("nan"))
     *_, dones, infos = task.step(task.zero_actions())
-    assert dones.tolist() == infos["terminate"].tolist() == [1, 0]
+    assert dones.tolist() == infos["diverged"].long().tolist() == [1, 0]
     assert infos["diverged_simulations"] == 1

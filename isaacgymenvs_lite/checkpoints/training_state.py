@@ -1,0 +1,200 @@
+"""The files from which a training goes on exactly: `<run>/resume/<epoch>.pth` and its buffers.
+
+A training state is a checkpoint with one more entry, `training_state`: what the agent and its
+task remember. The replay buffers, which can be large, are in a file of their own beside it. Only
+the newest state of a run is kept. Each file appears whole or not at all, and the one before is
+removed once both are written, so that a crash at any time leaves a state.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from isaacgymenvs_lite.checkpoints.archive import MAX_FILE_BYTES, ArchiveError, read_archive
+from isaacgymenvs_lite.checkpoints.files import (
+    load_checkpoint,
+    plain_numbers,
+    settings_of_run,
+    write_atomically,
+)
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.run.folder import newest, run_folders, run_of_checkpoint
+
+KEY = "training_state"
+"""Key of a checkpoint for what it holds beside the networks."""
+
+FOLDER = "resume"
+"""Folder of the states in a run folder."""
+
+_VERSION = 1
+_STATE = re.compile(r"\d+\.pth")
+_BUFFERS = re.compile(r"\d+_buffers\.pth")
+
+
+@dataclass(frozen=True)
+class TrainingState:
+    """What a file of a run holds, to go on from it.
+
+    Attributes:
+        checkpoint: networks, optimisers and counts, as every checkpoint has them.
+        memory: what the agent and the task remember; None of a plain checkpoint.
+        buffers: rows of replay buffers by name; None without their file.
+    """
+
+    checkpoint: dict[str, Any]
+    memory: dict[str, Any] | None
+    buffers: dict[str, Any] | None
+
+
+def write_training_state(
+    run: Path, state: TrainingState, epoch: int
+) -> tuple[list[Path], int | None]:
+    """Write a state into a run folder, and remove the ones before.
+
+    Args:
+        run: the run folder.
+        state: has `memory`.
+        epoch: of the state.
+
+    Returns:
+        The files that were written; the bytes of the buffers if these are larger than what a
+        reader accepts and were left out, else None.
+
+    Raises:
+        OSError: the folder cannot be written or is full; the former state is left.
+    """
+    folder = run / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    token = secrets.token_hex(8)
+    files, too_large = [folder / f"{epoch}.pth"], None
+    if state.buffers is not None:
+        buffers = folder / f"{epoch}_buffers.pth"
+        size = _num_bytes(state.buffers)
+        if size < MAX_FILE_BYTES:
+            write_atomically(buffers, {"token": token, "buffers": state.buffers})
+            files.append(buffers)
+        else:
+            too_large = size
+    entry = {"version": _VERSION, "token": token, "memory": plain_numbers(state.memory)}
+    write_atomically(files[0], {**plain_numbers(state.checkpoint), KEY: entry})
+    for other in folder.iterdir():
+        if other not in files and (_STATE.fullmatch(other.name) or _BUFFERS.fullmatch(other.name)):
+            with contextlib.suppress(OSError):
+                other.unlink()
+    return files, too_large
+
+
+def read_training_state(path: Path) -> TrainingState:
+    """Return what a file holds: a training state, or a plain checkpoint.
+
+    Raises:
+        CheckpointError: it is missing or damaged, or no checkpoint.
+    """
+    checkpoint = load_checkpoint(path)
+    entry = checkpoint.pop(KEY, None)
+    if entry is None:
+        return TrainingState(checkpoint, None, None)
+    if not isinstance(entry, dict) or entry.get("version") != _VERSION:
+        raise CheckpointError(
+            f"resume={path}: its training state is of another version; start a run with its"
+            f" networks: checkpoint={path}"
+        )
+    memory = entry.get("memory")
+    if not isinstance(memory, dict):
+        raise CheckpointError(f"resume={path}: damaged: its training state has no content")
+    return TrainingState(checkpoint, memory, _read_buffers(path, entry.get("token")))
+
+
+def _read_buffers(path: Path, token: Any) -> dict[str, Any] | None:
+    """Return the buffers that were written with a state; None if there are none."""
+    file = path.with_name(f"{path.stem}_buffers.pth")
+    if not file.is_file():
+        return None
+    try:
+        content = read_archive(file)
+    except OSError as error:
+        raise CheckpointError(f"resume={file}: cannot be read ({error.strerror})") from error
+    except Exception as error:  # a damaged file may raise anything in the reader
+        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
+        raise CheckpointError(
+            f"resume={file}: damaged{reason}; remove it to go on with empty replay buffers"
+        ) from error
+    buffers = content.get("buffers") if isinstance(content, dict) else None
+    return buffers if isinstance(buffers, dict) and content.get("token") == token else None
+
+
+def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
+    """Return the file that the key `resume` means.
+
+    Args:
+        resume: `last`, a run folder, or a file in one.
+        train_dir: folder of the runs that `last` searches.
+        wanted: what config.yaml of these runs has, values by path.
+
+    Raises:
+        CheckpointError: there is nothing to go on from.
+    """
+    given = Path(resume).expanduser()
+    if resume == "last":
+        run = _newest_run(train_dir, wanted)
+    elif given.is_dir():
+        run = given
+    elif given.is_file():
+        if not (run_of_file(given) / "config.yaml").is_file():
+            raise CheckpointError(
+                f"resume={resume}: lies in no run folder, which would have its settings; start a"
+                f" new run from it: checkpoint={resume}"
+            )
+        return given.absolute()
+    else:
+        raise CheckpointError(
+            f"resume={resume}: no such file or folder; expected 'last', a run folder or a file in"
+            " its nn/ or resume/"
+        )
+    if not (run / "config.yaml").is_file():
+        raise CheckpointError(f"resume={resume}: no run folder, it has no config.yaml")
+    file = newest_state(run)
+    if file is None:
+        raise CheckpointError(f"resume={resume}: {run} has no checkpoint yet to go on from")
+    return file.absolute()
+
+
+def newest_state(run: Path) -> Path | None:
+    """Return the newest training state of a run, without one the newest checkpoint."""
+    states = [f for f in (run / FOLDER).glob("*.pth") if _STATE.fullmatch(f.name)]
+    files = states or list(run.glob("nn/*.pth"))
+    return newest(files)
+
+
+def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> Path:
+    """Return the run, of those with the settings `wanted`, that was written last."""
+    files = [
+        file
+        for run in run_folders(train_dir)
+        if settings_of_run(run, wanted) == wanted and (file := newest_state(run)) is not None
+    ]
+    file = newest(files)
+    if file is None:
+        of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
+        raise CheckpointError(
+            f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on from;"
+            " start one without resume="
+        )
+    return run_of_file(file)
+
+
+def run_of_file(file: Path) -> Path:
+    """Return the run folder of a file in its nn/ or resume/."""
+    return run_of_checkpoint(str(file)) or file.absolute().parent.parent
+
+
+def _num_bytes(value: Any) -> int:
+    if isinstance(value, dict):
+        return sum(_num_bytes(part) for part in value.values())
+    return value.nbytes if hasattr(value, "nbytes") else 0

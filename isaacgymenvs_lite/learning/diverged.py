@@ -1,0 +1,122 @@
+"""Leaves the transitions of diverged simulations out of an update.
+
+A task marks them in `infos["diverged"]` (N,). Such a transition has no outcome: its state is broken
+and its reward means nothing. The episode counts as cut off before it, so that the returns of
+earlier steps end with V of the last good state, which is the observation of the transition itself;
+it is no failure, because nothing shows that the policy caused it. Its row leaves the batch before
+anything is computed of it: it is in no gradient, normaliser, buffer or mean. Recurrent networks
+need whole sequences: there rl_games' masks take its weight, and only the normalisers count
+its observation and value, which are those of the last good state.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from rl_games.algos_torch.torch_ext import AverageMeter
+from rl_games.common.experience import VectorizedReplayBuffer
+from torch import Tensor
+
+
+class RolloutMask:
+    """Which steps of a rollout have an outcome.
+
+    Args:
+        horizon: H, steps of a rollout.
+    """
+
+    def __init__(self, horizon: int) -> None:
+        self._horizon = horizon
+        self._steps: list[Tensor | None] = []
+
+    def add(self, diverged: Tensor | None) -> None:
+        """Store the next step, (N,) bool or None; after H steps the next rollout starts."""
+        if len(self._steps) == self._horizon:
+            self._steps = []
+        self._steps.append(diverged)
+
+    @property
+    def kept(self) -> Tensor | None:
+        """(H, N) bool, False where a simulation diverged; None if none did."""
+        marked = [step for step in self._steps if step is not None]
+        if not marked:
+            return None
+        nothing = torch.zeros_like(marked[0])
+        return ~torch.stack([nothing if step is None else step for step in self._steps])
+
+
+def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
+    """Return a batch with the rows of `kept` (B,) bool; what has no B rows stays as it is."""
+    rows = kept.nonzero().flatten()
+
+    def of(values: Any) -> Any:
+        if isinstance(values, dict):
+            return {name: of(each) for name, each in values.items()}
+        has_rows = isinstance(values, Tensor) and values.ndim > 0 and len(values) == len(kept)
+        return values.index_select(0, rows) if has_rows else values
+
+    return of(batch)
+
+
+def fit_dataset(dataset: Any, num_rows: int, num_minibatches: int) -> None:
+    """Let the minibatches of a dataset of rl_games share `num_rows` rows evenly."""
+    dataset.batch_size = num_rows
+    dataset.minibatch_size = math.ceil(num_rows / num_minibatches)
+    dataset.length = math.ceil(num_rows / dataset.minibatch_size)
+
+
+class EpisodeMeter(AverageMeter):
+    """rl_games' mean of the last episodes, without those that diverged.
+
+    Attributes:
+        left_out: (n,) bool of the episodes of the next updates; None: all count.
+    """
+
+    left_out: Tensor | None = None
+
+    def update(self, values: Tensor) -> None:
+        """Count episodes (n, ...)."""
+        super().update(values if self.left_out is None else values[~self.left_out])
+
+
+class EpisodeMeters:
+    """Replaces the meters of an agent of rl_games whose loop updates them itself.
+
+    Args:
+        agent: the agent.
+        names: of its meters.
+    """
+
+    def __init__(self, agent: Any, names: tuple[str, ...]) -> None:
+        self._meters = []
+        for name in names:
+            former = getattr(agent, name)
+            meter = EpisodeMeter(former.mean.shape, former.max_size).to(former.mean.device)
+            setattr(agent, name, meter)
+            self._meters.append(meter)
+
+    def leave_out(self, diverged: Tensor | None, dones: Tensor) -> None:
+        """Leave out diverged episodes, (N,) bool or None, of those that end, dones (N,)."""
+        left_out = None if diverged is None else diverged[dones.bool()]
+        for meter in self._meters:
+            meter.left_out = left_out
+
+
+class KeptTransitions(VectorizedReplayBuffer):
+    """rl_games' replay buffer, without transitions that diverged.
+
+    Attributes:
+        left_out: (N,) bool of the rows of the next `add`; None: all are stored.
+    """
+
+    left_out: Tensor | None = None
+
+    def add(self, *rows: Tensor) -> None:
+        """Store rows (N, ...): observations, actions, rewards, next observations, dones."""
+        if self.left_out is not None:
+            kept = ~self.left_out
+            rows = tuple(each[kept] for each in rows)
+        if len(rows[0]) > 0:
+            super().add(*rows)

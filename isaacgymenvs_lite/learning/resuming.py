@@ -1,0 +1,289 @@
+"""Mixin of all agents: a training that was stopped goes on as if it had not been.
+
+At every periodic checkpoint and at the end, the agent writes a training state: what the agent, its
+task, the observers and the generators remember. A resumed training loads it before its first epoch,
+after the environments were reset in the usual way.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rl_games.interfaces.base_algorithm import BaseAlgorithm
+
+from isaacgymenvs_lite.checkpoints.training_state import (
+    TrainingState,
+    read_training_state,
+    write_training_state,
+)
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, one_line
+from isaacgymenvs_lite.run.event_writer import continue_log
+from isaacgymenvs_lite.utils.object_state import (
+    read_generators,
+    read_state,
+    write_generators,
+    write_state,
+)
+
+log = logging.getLogger(__name__)
+
+
+class Resuming(BaseAlgorithm):
+    """Writes training states, and goes on from one.
+
+    Config keys: `save_frequency` (epochs between two states), `save_buffers` (False leaves the
+    replay buffers out), and `resume`, which the runner sets: the file to go on from.
+
+    Attributes:
+        stored: names of attributes to store beside the checkpoint, of this class; those of its
+            bases count too. A dot leads to an attribute of an attribute.
+        stored_episodes: likewise, what belongs to the running episodes.
+        stored_buffers: likewise, the replay buffers.
+    """
+
+    stored: ClassVar[tuple[str, ...]] = (
+        *("game_rewards", "game_lengths", "last_mean_rewards", "_stored_observer"),
+    )
+    stored_episodes: ClassVar[tuple[str, ...]] = (
+        *("obs", "dones", "current_rewards", "current_lengths"),
+    )
+    stored_buffers: ClassVar[tuple[str, ...]] = ()
+
+    config: dict[str, Any]
+    epoch_num: int
+    max_epochs: int
+    frame: int
+    save_freq: int
+    algo_observer: Any
+    vec_env: Any
+    writer: Any
+    experiment_dir: str
+    _to_resume: TrainingState | None = None
+    _resumed_from = ""
+    _stored_epoch = -1
+    _reported_size = False
+
+    @property
+    def next_logged_frame(self) -> int:
+        """Frame under which the next epoch writes its scalars."""
+        return self.frame
+
+    # --- storing -----------------------------------------------------------------------------
+
+    def train(self) -> Any:
+        """Train as rl_games, and store the state at the end."""
+        result = super().train()  # type: ignore[safe-super]  # rl_games' class comes after
+        self.store_training_state()
+        return result
+
+    def store_if_due(self) -> None:
+        """Write a training state at the end of the epochs that have a periodic checkpoint."""
+        if self.save_freq > 0 and self.epoch_num > 0 and self.epoch_num % self.save_freq == 0:
+            self.store_training_state()
+
+    def store_training_state(self) -> None:
+        """Write the state after this epoch, unless it is written already.
+
+        A failure is logged, and the training goes on: the former state is left.
+        """
+        if self._stored_epoch == self.epoch_num:
+            return
+        start = time.monotonic()
+        weights: Any = self.get_full_state_weights()
+        buffers = None
+        if self.config.get("save_buffers", True):
+            buffers = {name: read_state(value) for name, value in self._values("stored_buffers")}
+        state = TrainingState(weights, self._memory(), buffers or None)
+        try:
+            files, too_large = write_training_state(
+                Path(self.experiment_dir), state, self.epoch_num
+            )
+        except OSError as error:
+            log.warning(
+                "cannot write the training state of epoch %d below %s (%s); training goes on",
+                self.epoch_num,
+                self.experiment_dir,
+                error.strerror or error,
+            )
+            return
+        self._stored_epoch = self.epoch_num
+        self._report_size(files, too_large, time.monotonic() - start)
+
+    def _report_size(self, files: list[Path], too_large: int | None, seconds: float) -> None:
+        if self._reported_size:
+            return
+        self._reported_size = True
+        sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
+        log.info("training state for resume= written in %.1f s: %s", seconds, sizes)
+        if too_large is not None:
+            log.warning(
+                "the replay buffers (%.1f GB) are too large for a file: a resumed run fills them"
+                " again; lower amp_replay_buffer_size or replay_buffer_size for an exact resume",
+                too_large / 1e9,
+            )
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "learning_rates": self._learning_rates(),
+            "task_settings": self._task_settings(),
+            "agent": {name: read_state(value) for name, value in self._values("stored")},
+            "episodes": {
+                name: read_state(value) for name, value in self._values("stored_episodes")
+            },
+            "task": self._read_task(),
+            "generators": read_generators(),
+        }
+
+    def _read_task(self) -> Any:
+        """Return the task's state; None if it has none, or it is of a kind that fails."""
+        if self._task is None:
+            return None
+        try:
+            return read_state(self._task)
+        except Exception as error:  # an attribute of a user's own task may be anything
+            if self._stored_epoch < 0:
+                log.warning(
+                    "the state of %s cannot be stored (%s), so that resume= starts its episodes"
+                    " again; name the attribute in its `not_stored`",
+                    type(self._task).__name__,
+                    one_line(error),
+                )
+            return None
+
+    def _values(self, kind: str) -> Iterator[tuple[str, Any]]:
+        """Yield names and values of the attributes of a kind that the agent has."""
+        listed = (name for base in type(self).__mro__ for name in base.__dict__.get(kind, ()))
+        for name in dict.fromkeys(listed):
+            holder: Any = self
+            *path, last = name.split(".")
+            for part in path:
+                holder = getattr(holder, part, None)
+            if hasattr(holder, last):
+                yield name, getattr(holder, last)
+
+    def _learning_rates(self) -> list[float]:
+        """Return the learning rates of the configuration; a schedule may have changed them."""
+        keys = ("learning_rate", "actor_lr", "critic_lr", "alpha_lr")
+        return [float(self.config[key]) for key in keys if key in self.config]
+
+    @property
+    def _task(self) -> Any:
+        """The task, if its state can be stored; not so rl_games' own environments."""
+        task = getattr(self.vec_env, "env", None)
+        return task if hasattr(type(task), "not_stored") else None
+
+    @property
+    def _stored_observer(self) -> Any:
+        """The observer of the training, unless it is a stranger, whose attributes lead anywhere."""
+        observer: Any = self.algo_observer
+        return observer if hasattr(type(observer), "stored") else None
+
+    def _task_settings(self) -> str:
+        """Return a hash of the task's settings and of the sizes of a rollout."""
+        task = getattr(self.vec_env, "env", None)
+        cfg = getattr(task, "cfg", None) or {}
+        sim = {key: value for key, value in (cfg.get("sim") or {}).items() if key != "physx"}
+        sizes = [getattr(task, "num_envs", 0), getattr(self, "batch_size", 0)]
+        parts = [*sizes, cfg.get("env"), sim, cfg.get("task")]
+        text = json.dumps(parts, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    # --- going on ----------------------------------------------------------------------------
+
+    def read_resumed(self, fn: str) -> dict[str, Any]:
+        """Return the checkpoint in a file to resume; the rest is kept for `go_on`.
+
+        Raises:
+            CheckpointError: it cannot be used.
+        """
+        self._to_resume = read_training_state(Path(fn))
+        self._resumed_from = fn
+        return self._to_resume.checkpoint
+
+    def go_on(self) -> None:
+        """Write what was stored into the agent and its task; once, before the first epoch.
+
+        Raises:
+            CheckpointError: it does not fit. Nothing was trained.
+            ConfigError: the run had reached its last epoch.
+        """
+        state, self._to_resume = self._to_resume, None
+        if state is None:
+            return
+        if self.epoch_num >= self.max_epochs > 0:
+            raise ConfigError(
+                f"resume={self._resumed_from}: the run has trained its {self.max_epochs} epochs; to"
+                " go on give more of them: max_iterations=N"
+            )
+        fresh: list[str] = []
+        try:
+            self._write_memory(state, fresh)
+        except Exception as error:  # of another agent or version, or damaged on purpose
+            raise CheckpointError(
+                f"resume={self._resumed_from}: the training state does not fit ({one_line(error)});"
+                f" start a new run with its networks: checkpoint={self._resumed_from}"
+            ) from error
+        continue_log(self.writer, self.next_logged_frame)
+        log.info("resumed after epoch %d, frame %d: %s", self.epoch_num, self.frame,
+                 self._resumed_from)  # fmt: skip
+        if fresh:
+            log.warning("not as if it had never stopped: %s", "; ".join(fresh))
+        self._stored_epoch = self.epoch_num if state.memory is not None else -1
+
+    def _write_memory(self, state: TrainingState, fresh: list[str]) -> None:
+        """Write all that fits, and add to `fresh` what starts again, and why."""
+        memory = state.memory
+        if memory is None:
+            fresh.append(
+                "a checkpoint has no training state, so that episodes, learning rate, statistics,"
+                " replay buffers and random numbers start again"
+            )
+            return
+        rates = self._learning_rates()
+        if memory["learning_rates"] != rates:
+            fresh.append("learning rates start at the new setting")
+            for name in [name for name in memory["agent"] if name.endswith("lr")]:
+                del memory["agent"][name]
+        self._write("stored", memory["agent"])
+        self._rates_restored()
+        if self.config.get("save_buffers", True) and any(self._values("stored_buffers")):
+            if state.buffers is None:
+                fresh.append("without their file the replay buffers start empty")
+            else:
+                self._write("stored_buffers", state.buffers)
+        if self._task is None or memory["task"] is None:
+            fresh.append("the environment cannot be stored, so that episodes start again")
+        elif memory["task_settings"] == self._task_settings():
+            self._write("stored_episodes", memory["episodes"])
+            write_state(self._task, memory["task"], self._task.device)
+        else:
+            fresh.append(
+                "settings of the task, num_envs or horizon_length changed, so that episodes"
+                " start again"
+            )
+        write_generators(memory["generators"])
+
+    @property
+    def _device_of_state(self) -> Any:
+        return getattr(self, "ppo_device", "cpu")
+
+    def _write(self, kind: str, stored: dict[str, Any]) -> None:
+        for name, value in self._values(kind):
+            if name not in stored:
+                continue
+            holder: Any = self
+            *path, last = name.split(".")
+            for part in path:
+                holder = getattr(holder, part)
+            written = write_state(value, stored[name], self._device_of_state)
+            if written is not value:
+                setattr(holder, last, written)
+
+    def _rates_restored(self) -> None:
+        """Give the optimisers the learning rates that were restored."""

@@ -1,0 +1,55 @@
+"""Writes what led to diverged simulations into the run folder, for `simulation.replay`."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.simulation.recording import write_recording
+
+log = logging.getLogger(__name__)
+
+_FOLDER = "diverged"
+_MAX_FILES = 20
+
+
+class DivergenceFiles:
+    """A listener of a task that writes `<run>/diverged/0001.npz` and so on, at most 20 in a run.
+
+    Args:
+        task: the task; the simulation keeps the recordings until they are written.
+        run_folder: of the run.
+    """
+
+    def __init__(self, task: Any, run_folder: Path) -> None:
+        self._recordings = task.simulation.recordings
+        self._task_name = str(task.cfg.get("name", ""))
+        self._folder = run_folder / _FOLDER
+        self._written = len(list(self._folder.glob("*.npz")))
+        self._has_reported = False
+
+    def after_step(self) -> None:
+        """Write what the simulation recorded in the step."""
+        while self._recordings and self._written < _MAX_FILES:
+            recording = replace(self._recordings.pop(0), task=self._task_name)
+            path = self._folder / f"{self._written + 1:04}.npz"
+            try:
+                write_recording(path, recording)
+            except ConfigError as error:
+                log.warning("%s; diverged simulations are not recorded any more", error)
+                self._written = _MAX_FILES
+                return
+            self._written += 1
+            if not self._has_reported:
+                self._has_reported = True
+                show = "python -m isaacgymenvs_lite.simulation.replay"
+                log.warning("a simulation diverged; '%s %s' shows how", show, path)
+
+    def render(self) -> None:
+        """Nothing to show."""
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,0 +1,226 @@
+"""Shows how a simulation diverged: python -m isaacgymenvs_lite.simulation.replay FILE.
+
+    python -m isaacgymenvs_lite.simulation.replay runs/Ant_22-10-15-30/diverged/0001.npz
+    python -m isaacgymenvs_lite.simulation.replay 0001.npz task=Ant task.sim.dt=0.02
+
+A training writes FILE, the states before the last control steps, into `diverged/` of its run
+folder. The steps are computed again, and each physics step prints the largest acceleration and
+speed with their joints. The model is that of the run's config.yaml, or of the words after FILE;
+FILE itself holds numbers only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.simulation.cpu_batch import MAX_SPEED
+from isaacgymenvs_lite.simulation.recording import Recording, model_identity, read_recording
+
+log = logging.getLogger(__name__)
+
+ModelMaker = Callable[[Path, list[str]], mujoco.MjModel]
+"""(the recording's file, `task=...` words of the user) -> the compiled model."""
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_EXIT_USER_ERROR = 2
+
+
+@dataclass(frozen=True)
+class Largest:
+    """The largest absolute value of a physics step, and the joint that it belongs to.
+
+    Attributes:
+        value: in rad or m, per s or s^2; nan or inf where a number is not finite.
+        joint: its name, `joint <number>` without one.
+    """
+
+    value: float
+    joint: str
+
+
+@dataclass(frozen=True)
+class PhysicsStep:
+    """A physics step of a replay.
+
+    Attributes:
+        control_step: of the recording, 0 is the oldest.
+        physics_step: within the control step.
+        time_s: simulated time after the step, since the start of the recording.
+        acceleration: `qacc` of the step, rad/s^2 or m/s^2.
+        speed: `qvel` after the step, rad/s or m/s; of free joints in world axes.
+        is_sound: whether the state after it is finite and no joint is faster than `MAX_SPEED`.
+    """
+
+    control_step: int
+    physics_step: int
+    time_s: float
+    acceleration: Largest
+    speed: Largest
+    is_sound: bool
+
+
+def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]:
+    """Yield the physics steps of a recording, up to the first whose state is not sound.
+
+    Args:
+        recording: what a simulation kept.
+        model: the same model; see `check_model`.
+
+    Raises:
+        ConfigError: states or fields of the recording do not fit the model.
+    """
+    model = _own_model(recording, model)
+    data = mujoco.MjData(model)
+    names = [_joint_of(model, dof) for dof in range(model.nv)]
+    for control_step, state in enumerate(recording.states):
+        mujoco.mj_setState(model, data, state, _STATE)
+        for physics_step in range(recording.substeps):
+            mujoco.mj_step(model, data)
+            speed = _largest(_world_velocities(model, data), names)
+            is_sound = bool(np.isfinite(data.qpos).all()) and speed.value <= MAX_SPEED
+            done = control_step * recording.substeps + physics_step + 1
+            yield PhysicsStep(
+                control_step,
+                physics_step,
+                done * model.opt.timestep,
+                _largest(data.qacc, names),
+                speed,
+                is_sound,
+            )
+            if not is_sound:
+                return
+
+
+def _own_model(recording: Recording, model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of the model with the recording's fields, which does not reset itself."""
+    size = mujoco.mj_stateSize(model, _STATE)
+    if recording.states.shape[1] != size:
+        raise ConfigError(
+            f"the recording's states have {recording.states.shape[1]} numbers and the model's"
+            f" {size}: it is of another model; give the words of its training, task=NAME"
+        )
+    model = copy.copy(model)
+    # The state at the end is what a replay is for: MuJoCo would reset it.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for name, values in recording.fields.items():
+        _write_field(model, name, values)
+    if recording.fields:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def _write_field(model: mujoco.MjModel, name: str, values: npt.NDArray[Any]) -> None:
+    """Set a field of the model, `geom_friction` or `opt.gravity`, to values of its shape."""
+    owner = model.opt if name.startswith("opt.") else model
+    own = getattr(owner, name.removeprefix("opt."), None)
+    if isinstance(own, float) and values.ndim == 0 and owner is model.opt:
+        setattr(owner, name.removeprefix("opt."), float(values))
+        return
+    fits = isinstance(own, np.ndarray) and own.dtype.kind == "f" and own.shape == values.shape
+    if not fits or values.dtype.kind != "f" or not isinstance(own, np.ndarray):
+        raise ConfigError(
+            f"the recording has a field '{name[:40]}' of shape {values.shape}, which the model does"
+            " not have as numbers of this shape"
+        )
+    own[:] = values
+
+
+def _world_velocities(model: mujoco.MjModel, data: mujoco.MjData) -> npt.NDArray[np.float64]:
+    """Return qvel with the angular velocities of free joints in world axes, as they are limited."""
+    velocities = data.qvel.copy()
+    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
+        rotation = data.qpos[model.jnt_qposadr[joint] + 3 :][:4]
+        angular = velocities[model.jnt_dofadr[joint] + 3 :][:3]
+        mujoco.mju_rotVecQuat(angular, angular.copy(), rotation)
+    return velocities
+
+
+def _joint_of(model: mujoco.MjModel, dof: int) -> str:
+    joint = int(model.dof_jntid[dof])
+    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint {joint}"
+
+
+def _largest(values: npt.NDArray[np.float64], joints: list[str]) -> Largest:
+    if len(values) == 0:
+        return Largest(0.0, "-")
+    sizes = np.abs(values)
+    place = int(np.argmax(np.where(np.isfinite(sizes), sizes, np.inf)))
+    return Largest(float(sizes[place]), joints[place])
+
+
+def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
+    """Yield the lines that show a recording.
+
+    Raises:
+        ConfigError: it does not fit the model.
+    """
+    first = recording.control_step
+    of_task = f" of {recording.task}" if recording.task else ""
+    yield f"environment {recording.env_id}{of_task}, control steps {first} to" + (
+        f" {first + len(recording.states) - 1}, {recording.substeps} physics steps each"
+    )
+    if model_identity(model) != recording.model_id:
+        yield "the model is not that of the recording: give the settings of its training"
+    widest = max((len(_joint_of(model, dof)) for dof in range(model.nv)), default=5)
+    yield f"{'step':>10} {'time (s)':>9} {'max |qacc|':>11} {'joint':{widest}}" + (
+        f" {'max |qvel|':>11} joint"
+    )
+    last = None
+    for last in replay(recording, model):
+        yield (
+            f"{first + last.control_step:>7}.{last.physics_step:<2} {last.time_s:9.4f}"
+            f" {last.acceleration.value:11.4g} {last.acceleration.joint:{widest}}"
+            f" {last.speed.value:11.4g} {last.speed.joint}"
+        )
+    if last is None or last.is_sound:
+        yield "the simulation does not diverge here"
+    else:
+        what = "is not finite" if not np.isfinite(last.speed.value) else "is faster than"
+        limit = "" if not np.isfinite(last.speed.value) else f" {MAX_SPEED:g} rad/s or m/s"
+        yield (
+            f"diverged in control step {first + last.control_step}, physics step"
+            f" {last.physics_step}: {last.speed.joint} {what}{limit}"
+        )
+
+
+def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
+    """Run the command line; return the exit code.
+
+    Args:
+        arguments: words; None: of the program.
+        make_model: makes the model of a recording; this package does not contain tasks.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.simulation.replay",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", metavar="FILE", type=Path, help="a file of <run>/diverged/")
+    parser.add_argument("words", metavar="task=NAME key=value", nargs="*", help="as for train.py")
+    given = parser.parse_args(arguments)
+    try:
+        recording = read_recording(given.file)
+        for line in table(recording, make_model(given.file, given.words)):
+            sys.stdout.write(line + "\n")
+    except UserError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return _EXIT_USER_ERROR
+    return 0
+
+
+if __name__ == "__main__":
+    from isaacgymenvs_lite.env_factory import model_of_recording
+
+    sys.exit(main(None, model_of_recording))

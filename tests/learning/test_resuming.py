@@ -1,0 +1,196 @@
+"""A training that was stopped and resumed is the training that was never stopped, bit by bit."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.checkpoints.archive import read_archive
+from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
+from isaacgymenvs_lite.checkpoints.training_state import read_training_state
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.errors import CheckpointError, UserError
+from isaacgymenvs_lite.report.scalars import read_scalars
+from isaacgymenvs_lite.runner import run
+from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC, TINY_STYLE
+from tests.tiny import train_in as train
+
+SHORT_EPISODES = "task.env.episodeLength=6"
+AGENTS = {
+    "ppo": ("task=Ant", *TINY_PPO, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
+    "ppo_randomized": ("task=Ant", *TINY_PPO, SHORT_EPISODES, "task.task.randomize=True"),
+    "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO),
+    "amp": ("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
+    "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES),
+    "lstm": (*TINY_LSTM, *ONE_THREAD, f"{CONFIG}.seq_length=4"),
+    "sac": (*TINY_SAC, *ONE_THREAD, SHORT_EPISODES),
+}
+
+
+def state_of(run_folder: Path, epoch: int) -> dict[str, Any]:
+    state = read_training_state(run_folder / "resume" / f"{epoch}.pth")
+    assert state.memory is not None
+    return {"checkpoint": state.checkpoint, "memory": state.memory, "buffers": state.buffers}
+
+
+def assert_same(one: Any, other: Any, where: str = "") -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one:
+            assert_same(one[key], other[key], f"{where}.{key}")
+    elif isinstance(one, list):
+        assert len(one) == len(other), where
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_same(a, b, f"{where}.{i}")
+    elif isinstance(one, torch.Tensor):
+        assert torch.equal(one.nan_to_num(), other.nan_to_num()), where
+    else:
+        assert one == other or one != one, where
+
+
+def check_resuming(folder: Path, words: Sequence[str]) -> Path:
+    """Train four epochs at once, and two and two; return the folder of the resumed run."""
+    folders = [folder / name for name in ("whole", "stopped")]
+    for each in folders:
+        each.mkdir()
+    whole = train(folders[0], [*words, "max_iterations=4"])
+    stopped = train(folders[1], [*words, "max_iterations=2"])
+    run(resumed_tree([f"resume={stopped}", "max_iterations=4"]))
+    assert [path.name for path in stopped.parent.iterdir()] == [stopped.name]
+    assert_same(state_of(stopped, 4), state_of(whole, 4))
+    return stopped
+
+
+@pytest.mark.parametrize("words", AGENTS.values(), ids=AGENTS)
+def test_resumed_run_is_the_run_that_never_stopped(words, tmp_path):
+    check_resuming(tmp_path, words)
+
+
+def test_hierarchy_resumes_exactly(tmp_path):
+    low = train(tmp_path, ["task=HumanoidASE", *TINY_AMP, *TINY_STYLE, "max_iterations=1"])
+    high = (
+        *("task=HumanoidHeading", "task.env.motion_file=stand", *TINY_PPO, SHORT_EPISODES),
+        f"{CONFIG}.llc_config={low / 'config.yaml'}",
+        f"{CONFIG}.llc_checkpoint={next(low.glob('nn/*.pth'))}",
+        f"{CONFIG}.exploration_correlation=0.5",
+    )
+    check_resuming(tmp_path, high)
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory) -> Path:
+    """Return the folder of an AMP run of two epochs, to be copied."""
+    words = ["task=HumanoidAMP", *TINY_AMP, f"{CONFIG}.save_frequency=1"]
+    return train(tmp_path_factory.mktemp("run"), words)
+
+
+@pytest.fixture
+def stopped(short_run, tmp_path, monkeypatch) -> Path:
+    """Return a copy of that run, below runs/ of the working folder."""
+    copy = tmp_path / "runs" / short_run.name
+    shutil.copytree(short_run, copy)
+    monkeypatch.chdir(tmp_path)
+    return copy
+
+
+def go_on(*words: str) -> None:
+    run(resumed_tree([*words, "max_iterations=3"]))
+
+
+def test_last_is_the_newest_run(stopped, caplog):
+    caplog.set_level(logging.INFO)
+    go_on("resume=last", "task=HumanoidAMP")
+    assert "resumed after epoch 2" in caplog.text
+    assert "not as if it had never stopped" not in caplog.text
+    assert {file.name for file in (stopped / "resume").iterdir()} == {"3.pth", "3_buffers.pth"}
+    assert "resume: ''" in (stopped / "config.yaml").read_text()
+
+
+def test_scalars_go_on_in_the_same_log(stopped):
+    go_on("resume=last")
+    series = read_scalars(stopped / "summaries")["losses/a_loss"]
+    assert list(series.frames) == [0, 16, 32]
+    assert series.resumed_at == (32.0,)
+
+
+def without_buffers(run: Path) -> None:
+    (run / "resume/2_buffers.pth").unlink()
+
+
+def without_state(run: Path) -> None:
+    shutil.rmtree(run / "resume")
+
+
+def of_another_state(run: Path) -> None:
+    (run / "resume/2_buffers.pth").write_bytes((run / "resume/2_buffers.pth").read_bytes())
+    buffers = read_archive(run / "resume/2_buffers.pth")
+    torch.save({**buffers, "token": "of another state"}, run / "resume/2_buffers.pth")
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "line"),
+    [
+        (without_buffers, (), "without their file the replay buffers start empty"),
+        (of_another_state, (), "without their file the replay buffers start empty"),
+        (without_state, (), "a checkpoint has no training state, so that episodes, learning rate"),
+        (None, ("num_envs=8",), "or horizon_length changed, so that episodes"),
+        (None, (f"{CONFIG}.learning_rate=1e-5",), "learning rates start at the new setting"),
+    ],
+)
+def test_one_line_says_what_starts_again(change, words, line, stopped, caplog):
+    if change is not None:
+        change(stopped)
+    go_on("resume=last", *words)
+    (warning,) = [r.getMessage() for r in caplog.records if "never stopped" in r.getMessage()]
+    assert line in warning
+    assert (stopped / "resume/3.pth").is_file()
+
+
+def test_buffers_can_be_left_out(stopped, caplog):
+    go_on("resume=last", f"+{CONFIG}.save_buffers=False")
+    assert [file.name for file in (stopped / "resume").iterdir()] == ["3.pth"]
+
+
+@pytest.mark.parametrize("place", ["task", "agent", "generators", "episodes"])
+def test_a_state_that_does_not_fit_is_one_line(place, stopped):
+    file = stopped / "resume/2.pth"
+    content = read_archive(file)
+    memory = content["training_state"]["memory"]
+    memory[place] = {name: {"nonsense": torch.zeros(3)} for name in memory[place]}
+    torch.save(content, file)
+    with pytest.raises(CheckpointError, match=r"resume=.*2.pth: the training state does not fit"):
+        go_on("resume=last")
+
+
+def test_a_run_does_not_decide_who_looks_on(stopped):
+    cfg = OmegaConf.load(stopped / "config.yaml")
+    cfg.viewer, cfg.viewer_host, cfg.wandb_logcode_dir = "web", "0.0.0.0", "/"
+    OmegaConf.save(cfg, stopped / "config.yaml")
+    settings = check_config(resumed_tree(["resume=last"]))
+    assert (settings.viewer, settings.viewer_host) == ("", "localhost")
+    assert settings.wandb_logcode_dir == ""
+    assert check_config(resumed_tree(["resume=last", "viewer=web"])).viewer == "web"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["resume=missing"], "no such file or folder"),
+        (["resume=."], "no run folder"),
+        (["resume=last", "task=Ant"], "resume=last: no run with task.name=Ant"),
+        (["resume=last", "task.env.num_legs=3"], r"task.env.num_legs=3.*settings of the run"),
+        (["resume=last", "--multirun"], "only settings can be given"),
+        (["resume=last", "max_iterations=2"], "has trained its 2 epochs; to go on give more"),
+        (["resume=last", "test=True"], "to play a policy give checkpoint="),
+    ],
+)
+def test_mistakes_are_one_line(words, message, stopped):
+    with pytest.raises(UserError, match=message):
+        run(resumed_tree(words))

@@ -1,0 +1,310 @@
+"""Run folders: one run in each, made again if deleted, and rescued to a private folder."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint, resolve_checkpoint, save_checkpoint
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.run.folder import RunFolder
+from isaacgymenvs_lite.run.lock import LOCK_FILE, FolderInUseError
+
+OpenRun = Callable[..., RunFolder]
+
+
+@pytest.fixture
+def open_run(tmp_path: Path) -> Iterator[OpenRun]:
+    """Return open(name, train_dir=tmp_path/runs, task=Ant), the folder of a run that trains."""
+    with ExitStack() as opened:
+
+        def make(name: str = "walk", train_dir: Path | None = None, task: str = "Ant") -> RunFolder:
+            folder = opened.enter_context(RunFolder(train_dir or tmp_path / "runs", name))
+            folder.create(OmegaConf.create({"task": {"name": task}}))
+            return folder
+
+        yield make
+
+
+def test_runs_of_one_second_get_folders_of_their_own(tmp_path):
+    """As seeds that a shell starts at once: all have chosen a name before one makes its folder."""
+    folders = [RunFolder(tmp_path, "walk_22-10-00-00", is_exact=False) for _ in range(3)]
+    with ExitStack() as opened:
+        names = [opened.enter_context(folder).path.name for folder in folders]
+        assert names == ["walk_22-10-00-00", "walk_22-10-00-00_2", "walk_22-10-00-00_3"]
+        assert RunFolder(tmp_path, "walk_22-10-00-00", is_exact=False).name.endswith("_4")
+    assert list(tmp_path.iterdir()) == []  # nothing was made in them
+
+
+@pytest.fixture
+def tmp_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder in place of the system's temporary one."""
+    folder = tmp_path / "system_tmp"
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    return folder
+
+
+def save(folder: RunFolder, name: str = "walk", epoch: int = 1) -> Path | None:
+    state: dict[str, Any] = {"model": {"weight": torch.ones(2)}, "epoch": epoch}
+    return save_checkpoint(str(folder.checkpoints / name), state)
+
+
+def break_checkpoints(folder: RunFolder) -> None:
+    """Make nn/ a folder that cannot be written, for root too."""
+    shutil.rmtree(folder.checkpoints)
+    folder.checkpoints.write_text("a file")
+
+
+# --- one run in each folder --------------------------------------------------------------------
+
+
+def test_a_second_run_stops_with_one_line(open_run, tmp_path):
+    first = open_run("amp/walk", task="Ant")
+    with pytest.raises(FolderInUseError) as caught:
+        open_run("amp/walk", task="Humanoid")
+    message = str(caught.value)
+    for words in (str(first.path), f"process {os.getpid()} on ", "experiment=NAME"):
+        assert words in message
+    assert "\n" not in message
+    assert "Ant" in (first.path / "config.yaml").read_text()
+    open_run("amp/run")  # beside it
+
+
+def test_after_the_run_the_next_may_begin(tmp_path):
+    for task in ("Ant", "Humanoid"):
+        with RunFolder(tmp_path, "walk") as folder:
+            folder.create(OmegaConf.create({"task": {"name": task}}))
+        assert task in (folder.path / "config.yaml").read_text()
+        assert {path.name for path in folder.path.iterdir()} == {"config.yaml", "nn", "summaries"}
+
+
+# Another process that holds the lock, without the seconds of our imports.
+_HOLDER = """
+import fcntl, sys, time
+
+file = open(sys.argv[1], "w")
+fcntl.flock(file, fcntl.LOCK_EX)
+file.write("process 17 on node3")
+file.flush()
+print("locked", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_killed_run_leaves_no_lock_and_its_half_files_are_removed(open_run, tmp_path):
+    folder = tmp_path / "runs" / "walk"
+    half = [folder / "nn" / ".walk.pth.17.partial", folder / ".config.yaml.17.partial"]
+    own = [folder / "nn" / name for name in ("a.partial", ".b.partial", "walk.pth")]
+    for file in (*half, *own):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("half")
+    command = [sys.executable, "-c", _HOLDER, str(folder / LOCK_FILE)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"locked\n"
+    with pytest.raises(FolderInUseError, match="process 17 on node3"):
+        open_run()
+    assert all(file.exists() for file in half)  # of the run that lives
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    assert (folder / LOCK_FILE).exists()
+    open_run()
+    assert not any(file.exists() for file in half)
+    assert all(file.exists() for file in own)
+
+
+def test_half_files_behind_a_link_stay(open_run, tmp_path):
+    """Another run may write there: the lock is on this folder alone."""
+    disk, folder = tmp_path / "disk", tmp_path / "runs" / "walk"
+    disk.mkdir()
+    folder.mkdir(parents=True)
+    (folder / "nn").symlink_to(disk)
+    half = disk / ".other.pth.17.partial"
+    half.write_text("half")
+    run = open_run()
+    assert half.exists()
+    assert save(run) == run.checkpoints / "walk.pth"
+    assert load_checkpoint(disk / "walk.pth")["epoch"] == 1
+
+
+@pytest.mark.parametrize("name", ["nn", LOCK_FILE])
+def test_links_that_lead_nowhere_are_refused(name, open_run, tmp_path):
+    folder = tmp_path / "runs" / "walk"
+    folder.mkdir(parents=True)
+    (folder / name).symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="cannot write the run folder"):
+        open_run()
+    assert not (tmp_path / "nowhere").exists()
+
+
+# --- made again --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("deleted", [".", "..", "nn", "config.yaml"])
+def test_what_is_deleted_is_made_again_at_the_next_save(deleted, open_run, tmp_path, caplog):
+    folder = open_run()
+    config = (folder.path / "config.yaml").read_text()
+    for epoch in range(3):
+        gone = folder.path / deleted
+        gone.unlink() if gone.is_file() else shutil.rmtree(gone.resolve())
+        assert save(folder, epoch=epoch) == folder.checkpoints / "walk.pth"
+        assert load_checkpoint(folder.checkpoints / "walk.pth")["epoch"] == epoch
+        assert (folder.path / "config.yaml").read_text() == config
+    assert caplog.text.count("made again") == (0 if deleted == "config.yaml" else 3)
+    with pytest.raises(FolderInUseError):  # the new folder is locked, too
+        open_run()
+
+
+def test_a_folder_that_another_run_made_again_is_left_to_it(open_run, tmp_dir):
+    first = open_run()
+    shutil.rmtree(first.path)
+    first.path.mkdir()
+    with (first.path / LOCK_FILE).open("w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        rescued = save(first)
+        assert rescued is not None
+        assert rescued.is_relative_to(tmp_dir)
+        first.__exit__()  # does not end the other's lock
+        with pytest.raises(FolderInUseError):
+            open_run()
+    assert [file.name for file in first.path.iterdir()] == [LOCK_FILE]
+
+
+# --- rescued -----------------------------------------------------------------------------------
+
+
+def test_last_finds_what_was_rescued(open_run, tmp_dir, tmp_path, caplog):
+    runs = tmp_path / "runs"
+    folder = open_run("amp/walk")
+    assert save(folder, epoch=1) is not None
+    break_checkpoints(folder)
+    rescued = save(folder, epoch=2)
+    assert rescued is not None
+    assert rescued.is_relative_to(tmp_dir)
+    assert folder.newest_checkpoint() == rescued
+    assert not folder.save_failed
+    assert resolve_checkpoint("last", runs, "Ant") == str(rescued)
+    assert f"checkpoint=last takes a rescued checkpoint, {rescued}" in caplog.text
+    with pytest.raises(CheckpointError, match="there are some of task=Ant"):
+        resolve_checkpoint("last", runs, "Humanoid")
+    # A newer one in the run folder wins.
+    folder.checkpoints.unlink()
+    assert save(folder, epoch=3) == folder.checkpoints / "walk.pth"
+    os.utime(rescued, (0, 0))
+    assert resolve_checkpoint("last", runs, "Ant") == str(folder.checkpoints / "walk.pth")
+
+
+def test_runs_of_the_same_name_are_not_mixed(open_run, tmp_dir, tmp_path):
+    rescued = {}
+    for project in ("a", "b"):
+        runs = tmp_path / project / "runs"
+        folder = open_run(train_dir=runs)
+        break_checkpoints(folder)
+        rescued[runs] = save(folder)
+    assert len(set(rescued.values())) == 2
+    for runs, file in rescued.items():
+        assert resolve_checkpoint("last", runs, "Ant") == str(file)
+    with pytest.raises(CheckpointError, match="no checkpoint"):
+        resolve_checkpoint("last", tmp_path / "c" / "runs", "Ant")
+
+
+def test_the_place_of_rescue_is_private(open_run, tmp_dir):
+    folder = open_run()
+    break_checkpoints(folder)
+    save(folder)
+    (root,) = tmp_dir.iterdir()
+    assert stat.S_IMODE(root.stat().st_mode) == 0o700
+    assert str(os.getuid()) in root.name
+
+
+def _link(path: Path, others: Path) -> None:
+    path.symlink_to(others)
+
+
+def _open_to_all(path: Path, others: Path) -> None:
+    path.mkdir()
+    path.chmod(0o777)
+
+
+def _file(path: Path, others: Path) -> None:
+    path.write_text("taken")
+
+
+def _of_another_user(path: Path, others: Path) -> None:
+    path.mkdir(mode=0o700)
+    try:
+        os.chown(path, 12345, -1)
+    except PermissionError:
+        pytest.skip("only root may give a folder away")
+
+
+@pytest.mark.parametrize("attack", [_link, _open_to_all, _file, _of_another_user])
+def test_a_folder_that_an_attacker_made_before_is_not_used(attack, open_run, tmp_dir, tmp_path):
+    others = tmp_path / "others"
+    others.mkdir(mode=0o700)
+    attack(tmp_dir / f"isaacgymenvs_lite_rescue-{os.getuid()}", others)
+    folder = open_run()
+    break_checkpoints(folder)
+    files = [save(folder, name) for name in ("walk", "run")]
+    (root,) = {file.relative_to(tmp_dir).parts[0] for file in files if file is not None}
+    assert root.startswith(f"isaacgymenvs_lite_rescue-{os.getuid()}-")
+    assert stat.S_IMODE((tmp_dir / root).stat().st_mode) == 0o700
+    assert list(others.iterdir()) == []
+    assert resolve_checkpoint("last", folder.path.parent, "Ant") == str(files[1])
+
+
+def test_what_an_attacker_planted_is_not_taken(tmp_dir, tmp_path, open_run):
+    folder = open_run()
+    break_checkpoints(folder)
+    file = save(folder)
+    assert file is not None
+    (root,) = tmp_dir.iterdir()
+    root.chmod(0o755)
+    with pytest.raises(CheckpointError, match="no checkpoint"):
+        resolve_checkpoint("last", tmp_path / "runs", "Ant")
+    assert folder.newest_checkpoint() is None
+
+
+def test_nothing_can_be_written_at_all(open_run, tmp_path, monkeypatch, caplog):
+    folder = open_run()
+    break_checkpoints(folder)
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "file"))
+    assert save(folder) is None
+    assert folder.save_failed
+    assert folder.newest_checkpoint() is None
+    (record,) = caplog.records
+    assert "training goes on" in record.getMessage()
+
+
+def test_a_disk_that_is_full_in_the_middle(open_run, tmp_dir, monkeypatch):
+    """Whole files before, rescued ones meanwhile, whole files again after."""
+    folder = open_run()
+    assert save(folder, "a", 1) == folder.checkpoints / "a.pth"
+    opened = Path.open
+
+    def full(self: Path, *args: Any, **kwargs: Any) -> Any:
+        target = Path("/dev/full") if self.is_relative_to(folder.path) else self
+        return opened(target, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        rescued = save(folder, "b", 2)
+    assert rescued is not None
+    assert load_checkpoint(rescued)["epoch"] == 2
+    assert save(folder, "c", 3) == folder.checkpoints / "c.pth"
+    assert sorted(path.name for path in folder.checkpoints.iterdir()) == ["a.pth", "c.pth"]
