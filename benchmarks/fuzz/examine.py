@@ -244,7 +244,8 @@ def _recorded_warnings() -> Iterator[list[warnings.WarningMessage]]:
     """Record Python's warnings: each would be two more lines than one."""
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always")
-        warnings.simplefilter("ignore", ResourceWarning)
+        for hidden in (ResourceWarning, DeprecationWarning):  # Python shows neither
+            warnings.simplefilter("ignore", hidden)
         yield recorded
 
 
