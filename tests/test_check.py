@@ -90,7 +90,7 @@ def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
         (["AntPPO", "train.params.algo.name=a2c_discrete"], "algo.name=a2c_discrete: made for"),
         (
             ["AntPPO", "+train.params.config.central_value_config={minibatch_size: 8}"],
-            "central_value_config.*(this task gives none|network' is missing)",
+            "central_value_config: .*this task gives none",
         ),
         (
             ["AnymalTerrainPPO_LSTM", "train.params.config.seq_length=5"],
@@ -203,7 +203,7 @@ def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
     file = tmp_path / "HandPPOAsymmLSTM.yaml"
     file.write_text(ASYMMETRIC)
     with pytest.raises(
-        ConfigError, match=r"central_value_config.*(this task gives none|network' is missing)"
+        ConfigError, match=r"central_value_config: .*this task gives none"
     ):
         describe(str(file), ["task=Ant"])
     lines = describe(str(file), ["task=Ant", "task.env.asymmetric_observations=True"])

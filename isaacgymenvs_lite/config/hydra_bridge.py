@@ -51,6 +51,7 @@ _NAMED_SCHEME = "outside"
 _HYDRAS_OWN = "pkg://hydra.conf"
 MAX_FILES = 200
 """Files of one composition, repeats included; the largest here has sixty."""
+_NO_CIRCLE = "a file may name neither itself nor one of its own name in cfg/ (rename it)"
 _HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 # What Hydra writes down of a command line, below `hydra`.
 _RECORDED = ("runtime", "overrides")
@@ -283,8 +284,8 @@ class _LimitedRepository(CachingConfigRepository):
         self._num_left -= 1
         if self._num_left < 0:
             raise ConfigError(
-                f"{config_path}: the defaults lists of the configuration files name more than"
-                f" {MAX_FILES} files, repeats included; expected fewer"
+                f"{config_path}: the defaults lists of the configuration files run in a circle, or"
+                f" name more than {MAX_FILES} files, repeats included; {_NO_CIRCLE}"
             )
         return super().load_config(config_path)
 
@@ -361,8 +362,7 @@ class Loader(ConfigLoaderImpl):
                 cfg = super().load_configuration(config_name, overrides, *rest)
             except RecursionError:
                 raise ConfigError(
-                    "the defaults lists of the configuration files run in a circle; a file may name"
-                    " neither itself nor one of its own name in cfg/ (rename it)"
+                    f"the defaults lists of the configuration files run in a circle; {_NO_CIRCLE}"
                 ) from None
             if any(self._is_foreign(source) for source in cfg.hydra.runtime.config_sources):
                 parsed = parse_overrides(overrides)

@@ -286,13 +286,13 @@ def _check_central_value(config: dict[str, Any], num_states: int | None) -> None
     """Check an asymmetric critic; refuse it where the task has no privileged observations."""
     if not config.get("central_value_config"):
         return
-    check_central_value(config["central_value_config"], f"{_WHERE}.config.central_value_config")
     if num_states == 0:
         raise ConfigError(
             f"{_WHERE}.config.central_value_config: a critic of its own needs privileged"
             " observations (states), and this task gives none; add"
             " task.env.asymmetric_observations=True if the task has that key, or remove the section"
         )
+    check_central_value(config["central_value_config"], f"{_WHERE}.config.central_value_config")
 
 
 def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:

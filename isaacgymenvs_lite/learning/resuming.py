@@ -61,6 +61,7 @@ class Resuming(BaseAlgorithm):
     frame: int
     save_freq: int
     algo_observer: Any
+    ppo_device: Any
     vec_env: Any
     writer: Any
     experiment_dir: str
@@ -98,7 +99,7 @@ class Resuming(BaseAlgorithm):
         weights: Any = self.get_full_state_weights()
         buffers = None
         if self.config.get("save_buffers", True):
-            buffers = {name: read_state(value) for name, value in self._values("stored_buffers")}
+            buffers = self._read("stored_buffers")
         state = TrainingState(weights, self._memory(), buffers or None)
         try:
             files, too_large = write_training_state(
@@ -132,10 +133,8 @@ class Resuming(BaseAlgorithm):
         return {
             "learning_rates": self._learning_rates(),
             "task_settings": self._task_settings(),
-            "agent": {name: read_state(value) for name, value in self._values("stored")},
-            "episodes": {
-                name: read_state(value) for name, value in self._values("stored_episodes")
-            },
+            "agent": self._read("stored"),
+            "episodes": self._read("stored_episodes"),
             "task": self._read_task(),
             "generators": read_generators(),
         }
@@ -156,16 +155,22 @@ class Resuming(BaseAlgorithm):
                 )
             return None
 
-    def _values(self, kind: str) -> Iterator[tuple[str, Any]]:
-        """Yield names and values of the attributes of a kind that the agent has."""
+    def _read(self, kind: str) -> dict[str, Any]:
+        return {
+            name: read_state(getattr(holder, attribute))
+            for name, holder, attribute in self._attributes(kind)
+        }
+
+    def _attributes(self, kind: str) -> Iterator[tuple[str, Any, str]]:
+        """Yield what the agent has of a kind: the listed name, the object, its attribute."""
         listed = (name for base in type(self).__mro__ for name in base.__dict__.get(kind, ()))
         for name in dict.fromkeys(listed):
             holder: Any = self
-            *path, last = name.split(".")
+            *path, attribute = name.split(".")
             for part in path:
                 holder = getattr(holder, part, None)
-            if hasattr(holder, last):
-                yield name, getattr(holder, last)
+            if hasattr(holder, attribute):
+                yield name, holder, attribute
 
     def _learning_rates(self) -> list[float]:
         """Return the learning rates of the configuration; a schedule may have changed them."""
@@ -230,8 +235,8 @@ class Resuming(BaseAlgorithm):
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
             ) from error
         continue_log(self.writer, self.next_logged_frame)
-        log.info("resumed after epoch %d, frame %d: %s", self.epoch_num, self.frame,
-                 self._resumed_from)  # fmt: skip
+        place = (self.epoch_num, self.frame, self._resumed_from)
+        log.info("resumed after epoch %d, frame %d: %s", *place)
         if fresh:
             log.warning("not as if it had never stopped: %s", "; ".join(fresh))
         self._stored_epoch = self.epoch_num if state.memory is not None else -1
@@ -252,7 +257,7 @@ class Resuming(BaseAlgorithm):
                 del memory["agent"][name]
         self._write("stored", memory["agent"])
         self._rates_restored()
-        if self.config.get("save_buffers", True) and any(self._values("stored_buffers")):
+        if self.config.get("save_buffers", True) and any(self._attributes("stored_buffers")):
             if state.buffers is None:
                 fresh.append("without their file the replay buffers start empty")
             else:
@@ -269,21 +274,13 @@ class Resuming(BaseAlgorithm):
             )
         write_generators(memory["generators"])
 
-    @property
-    def _device_of_state(self) -> Any:
-        return getattr(self, "ppo_device", "cpu")
-
     def _write(self, kind: str, stored: dict[str, Any]) -> None:
-        for name, value in self._values(kind):
-            if name not in stored:
-                continue
-            holder: Any = self
-            *path, last = name.split(".")
-            for part in path:
-                holder = getattr(holder, part)
-            written = write_state(value, stored[name], self._device_of_state)
-            if written is not value:
-                setattr(holder, last, written)
+        for name, holder, attribute in self._attributes(kind):
+            if name in stored:
+                value = getattr(holder, attribute)
+                written = write_state(value, stored[name], self.ppo_device)
+                if written is not value:
+                    setattr(holder, attribute, written)
 
     def _rates_restored(self) -> None:
         """Give the optimisers the learning rates that were restored."""

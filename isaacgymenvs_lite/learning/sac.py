@@ -90,6 +90,9 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         ConfigError: mixed_precision is none of True, False, "auto".
     """
 
+    stored = ("_step", "update_counter", "_last_of_actor")
+    stored_buffers = ("_replayed",)
+
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
         device = torch.device(config.get("device", "cuda:0"))
@@ -119,9 +122,6 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
                 critic.Q1 = BFloat16HiddenLayers(*critic.Q1)
                 critic.Q2 = BFloat16HiddenLayers(*critic.Q2)
             network.actor.trunk = BFloat16HiddenLayers(*network.actor.trunk)
-
-    stored = ("_step", "update_counter", "_last_of_actor")
-    stored_buffers = ("_replayed",)
 
     @property
     def curr_frames(self) -> int:

@@ -200,9 +200,9 @@ def test_a_circle_of_defaults_lists_is_one_line(write, tmp_path):
     itself = write("CartpolePPO.yaml", TRAIN)
     write("train/A.yaml", "defaults: [B, _self_]\n")
     write("train/B.yaml", "defaults: [A, _self_]\n")
-    with pytest.raises(ConfigError, match=r"run in a circle|more than 200 files"):
+    with pytest.raises(ConfigError, match="run in a circle"):
         compose(["task=Cartpole", f"train={itself}"])
-    with pytest.raises(ConfigError, match=r"run in a circle|more than 200 files"):
+    with pytest.raises(ConfigError, match="run in a circle"):
         compose(["task=Cartpole", "train=A"], tmp_path / "stranger")
 
 
