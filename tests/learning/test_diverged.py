@@ -85,6 +85,28 @@ def test_what_a_diverged_step_returned_is_not_learned(words, make_classic_agent)
     assert_same(one, other)
 
 
+@pytest.mark.parametrize("name", ["ppo", "asymmetric", "lstm"])
+def test_its_row_has_no_weight_in_the_update(name: str, make_classic_agent) -> None:
+    """What the policy did there may be anything."""
+    results = []
+    for garbage in (0.0, 1e3):
+        agent = diverge(make_classic_agent(*CLASSIC[name]), {2})
+        agent.init_tensors()
+        agent.obs = agent.env_reset()
+        torch.manual_seed(5)
+        with torch.no_grad():
+            batch = agent.play_steps_rnn() if agent.is_rnn else agent.play_steps()
+        for rows in ("actions", "neglogpacs", "mus"):
+            batch[rows][ENV * agent.horizon_length + 2] += garbage
+        agent.set_train()
+        agent.prepare_dataset(batch)
+        losses = [agent.train_actor_critic(minibatch)[0] for minibatch in agent.dataset]
+        if agent.has_central_value:
+            agent.train_central_value()
+        results.append({**agent.model.state_dict(), "losses": torch.stack(losses)})
+    assert_same(*results)
+
+
 @pytest.mark.parametrize("words", AMP.values(), ids=AMP)
 def test_nor_does_a_discriminator_see_it(words, make_agent) -> None:
     results = []

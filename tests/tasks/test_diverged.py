@@ -11,7 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.tasks import isaacgym_task_map
 from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode
+from isaacgymenvs_lite.tasks.cartpole import Cartpole
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # One for each time at which tasks start the next episode.
@@ -132,3 +134,41 @@ def test_other_libraries_get_a_truncation_with_the_last_good_observation(
     assert torch.equal(step.final_observations["obs"][ENV], before[ENV])
     assert not torch.equal(step.observations["obs"][ENV], before[ENV])
     assert step.observations["obs"].isfinite().all()
+
+
+class OldWay(Cartpole):
+    """A task that has its own steps, as those of IsaacGymEnvs, and does not look for divergence."""
+
+    reset_mode = ResetMode.CUSTOM
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        self.simulation.set_controls(self.compute_controls(actions))
+
+    def post_physics_step(self) -> None:
+        self.progress_buf += 1
+        env_ids = self.reset_buf.nonzero().flatten()
+        if len(env_ids) > 0:
+            self.reset_idx(env_ids)
+        self.obs_buf[:] = self.compute_obs()
+        self.rew_buf.fill_(1.0)
+        self.reset_buf[:] = self.progress_buf >= self.max_episode_length - 1
+
+
+def test_a_task_with_steps_of_its_own_is_protected_too(
+    make_task: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(isaacgym_task_map, "Cartpole", OldWay)
+    task = make_task("task=Cartpole")
+    before = [task.step(task.zero_actions()) for _ in range(2)][-1][0]["obs"]
+    speed_up(task)
+    actions = task.zero_actions()
+    actions[0] = math.nan
+    obs, rewards, dones, infos = task.step(actions)
+    assert rewards.tolist() == [0.0, 1.0, 0.0, 1.0]
+    assert dones.tolist() == [1, 0, 1, 0]
+    assert task.done_buf.tolist() == [Done.FAILED, Done.RUNNING, Done.DIVERGED, Done.RUNNING]
+    assert infos["time_outs"].tolist() == infos["diverged"].tolist() == [False, False, True, False]
+    assert torch.equal(obs["obs"][ENV], before[ENV])
+    *_, dones, _ = task.step(task.zero_actions())
+    assert not dones.any()
+    assert task.progress_buf.tolist() == [0, 3, 0, 3]
