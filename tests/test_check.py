@@ -202,9 +202,7 @@ params:
 def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
     file = tmp_path / "HandPPOAsymmLSTM.yaml"
     file.write_text(ASYMMETRIC)
-    with pytest.raises(
-        ConfigError, match=r"central_value_config: .*this task gives none"
-    ):
+    with pytest.raises(ConfigError, match=r"central_value_config: .*this task gives none"):
         describe(str(file), ["task=Ant"])
     lines = describe(str(file), ["task=Ant", "task.env.asymmetric_observations=True"])
     assert "asymmetric critic: actor_critic, [512] relu, lstm of 1024 units" in lines

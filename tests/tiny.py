@@ -54,6 +54,13 @@ TINY_LSTM = (
 )
 """A task with a recurrent policy."""
 
+ASYMMETRIC_CRITIC = (
+    "{minibatch_size: 32768, mini_epochs: 1, learning_rate: '1e-3', clip_value: True,"
+    " normalize_input: True, network: {name: actor_critic, central_value: True,"
+    " mlp: {units: [8], activation: elu, initializer: {name: default}}}}"
+)
+"""The section of an asymmetric critic, complete."""
+
 TINY_SAC = (
     *("task=AntSAC", "train=AntSAC", "num_envs=8"),
     f"{CONFIG}.batch_size=64",

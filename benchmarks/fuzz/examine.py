@@ -174,6 +174,8 @@ class Examiner:
             gc.collect()
             self._base_bytes = _resident_bytes("VmRSS")
         _reset_peak()
+        # The system may have taken memory back that was not used for a while.
+        base_bytes = min(self._base_bytes, _resident_bytes("VmRSS"))
         start_s = time.process_time()
         try:
             with _time_limit(self._limits.time_s), _recorded_warnings() as recorded:
@@ -186,7 +188,7 @@ class Examiner:
         except Exception:
             verdict, message = Verdict.OTHER, traceback.format_exc()
         spent_s = time.process_time() - start_s
-        grown = max(0, _resident_bytes("VmHWM") - self._base_bytes)
+        grown = max(0, _resident_bytes("VmHWM") - base_bytes)
         if grown > self._limits.memory_bytes:
             verdict, message = Verdict.MEMORY, f"{grown / 2**20:.0f} MiB; {message}"
         if self._canary.exists():

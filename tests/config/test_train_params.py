@@ -8,6 +8,7 @@ from isaacgymenvs_lite import schema
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError
+from tests.tiny import ASYMMETRIC_CRITIC
 
 AMP_KEYS = ("amp_minibatch_size",)
 NAMES = KnownNames(
@@ -181,15 +182,8 @@ def test_minibatch_of_a_recurrent_network_holds_whole_sequences(prepare, caplog)
     assert "minibatch_size 6 is no multiple of seq_length 8: using 8" in caplog.text
 
 
-_CRITIC = (
-    "{minibatch_size: 32768, mini_epochs: 1, learning_rate: '1e-3', clip_value: True,"
-    " normalize_input: True, network: {name: actor_critic, central_value: True,"
-    " mlp: {units: [8], activation: elu, initializer: {name: default}}}}"
-)
-
-
 def test_central_critic_is_fitted_too(prepare):
-    config = config_of(prepare(f"+train.params.config.central_value_config={_CRITIC}"))
+    config = config_of(prepare(f"+train.params.config.central_value_config={ASYMMETRIC_CRITIC}"))
     assert config["central_value_config"]["learning_rate"] == 1e-3
     assert config["central_value_config"]["minibatch_size"] == 1024
 

@@ -10,6 +10,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from tests.learning.conftest import make_training_set
+from tests.tiny import ASYMMETRIC_CRITIC
 
 
 def counts(agent: Any) -> tuple[float, float, float]:
@@ -282,10 +283,17 @@ def test_without_bound_loss_none_is_counted(make_agent):
     assert heard[0] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("key", ["central_value_config", "self_play_config", "use_action_masks"])
-def test_keys_that_this_family_does_not_support_are_named(key, make_agent):
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("central_value_config", ASYMMETRIC_CRITIC),
+        ("self_play_config", "{minibatch_size:16}"),
+        ("use_action_masks", "{minibatch_size:16}"),
+    ],
+)
+def test_keys_that_this_family_does_not_support_are_named(key, value, make_agent):
     with pytest.raises(ConfigError, match=rf"train\.params\.config\.{key} is not supported"):
-        make_agent(f"+train.params.config.{key}={{minibatch_size:16}}")
+        make_agent(f"+train.params.config.{key}={value}")
 
 
 # --- mixed precision --------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def test_infos_tell_what_ended_episodes_were_paid(make) -> None:
         assert told[f"rew_{name}"].item() == pytest.approx(row[1:3].mean().item() / 20.0, rel=1e-4)
     # Other steps tell nothing, and the next episode begins at zero.
     *_, infos = task.step(task.zero_actions())
-    assert set(infos) == {"time_outs"}
+    assert set(infos) == {"time_outs", "diverged"}
     first = task.reward_terms["lin_vel_xy"][1].item()
     task.progress_buf[1] = 998
     *_, infos = task.step(task.zero_actions())
