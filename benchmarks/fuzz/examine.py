@@ -174,7 +174,7 @@ class Examiner:
             gc.collect()
             self._base_bytes = _resident_bytes("VmRSS")
         _reset_peak()
-        # The system may have taken memory back that was not used for a while.
+        # The process may have given memory back since the first file.
         base_bytes = min(self._base_bytes, _resident_bytes("VmRSS"))
         start_s = time.process_time()
         try:
