@@ -44,6 +44,7 @@ from isaacgymenvs_lite.config.train_params import (
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.schema import select
 
 EXIT_USER_ERROR = 2
 # Keys of `config` that IsaacGymEnvs or an old rl_games read, and nothing reads here.
@@ -231,7 +232,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
     beside = path.parent.parent / "task" / f"{named}.yaml"
     if beside.is_file():
         return str(beside)
-    algorithm = OmegaConf.select(content, "params.algo.name")
+    algorithm = _written(content, "params.algo.name")
     for task, algorithms in _TASKS_OF_ALGORITHMS.items():
         if algorithm in algorithms and not capital:
             return task
@@ -254,12 +255,14 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 def _run_name(content: DictConfig) -> str:
     """Return the name that the runs of a train file have by default, '' if it says none."""
-    written: Any = OmegaConf.to_container(content, resolve=False)
-    for key in ("params", "config", "name"):
-        written = written.get(key) if isinstance(written, dict) else None
+    written = _written(content, "params.config.name")
     text = "" if written is None else str(written)
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
+
+
+def _written(content: DictConfig, path: str) -> Any:
+    return select(OmegaConf.to_container(content, resolve=False), path)
 
 
 def _title(path: Path, kind: str, cfg: DictConfig, guessed: bool) -> str:

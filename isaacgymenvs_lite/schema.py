@@ -246,6 +246,25 @@ def nearest(given: str, choices: Iterable[str], ratio: float) -> str | None:
     return folded[near[0]] if near else None
 
 
+def select(tree: Any, path: str) -> Any:
+    """Return what is at `path` in nested dictionaries, None if nothing is."""
+    for key in path.split("."):
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    return tree
+
+
+def check_mapping(tree: Any, path: str) -> None:
+    """Check that a section of nested dictionaries is one, if it is there and written out.
+
+    Raises:
+        ConfigError: it is a list or a value.
+    """
+    section = select(tree, path)
+    is_elsewhere = isinstance(section, str) and section.startswith("${")
+    if section is not None and not is_elsewhere:
+        _plain_mapping(section, path)
+
+
 def plain(value: Any) -> Any:
     """Return `value` with OmegaConf containers as dicts and lists, interpolations resolved.
 
@@ -266,7 +285,7 @@ def _other_keys(cls: type[DataclassInstance], values: Any) -> list[Any]:
     return [key for key in values if key not in known] if isinstance(values, Mapping) else []
 
 
-def _plain_mapping(mapping: Mapping[Any, Any] | None, where: str) -> dict[str, Any]:
+def _plain_mapping(mapping: Any, where: str) -> dict[str, Any]:
     if mapping is None:
         return {}
     values = plain(mapping)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import io
@@ -67,12 +68,8 @@ def _opened(name: str) -> tuple[Any, Any]:
     runner.params["config"]["vec_env"] = agent.vec_env.env
     with contextlib.redirect_stdout(io.StringIO()):
         player = runner.create_player()
-    _stacks.append(stack)
+    atexit.register(stack.close)
     return agent, player
-
-
-_stacks: list[contextlib.ExitStack] = []
-"""Closed with the process."""
 
 
 def _writer(name: str) -> Any:
@@ -147,9 +144,9 @@ def _mutate(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
     if choice < 0.35:
         return _with_other_pickle(data, rng, others)
     content = torch.load(io.BytesIO(data), weights_only=True)  # our own file
-    broken = _as_tensors(mutate_tree(_as_arrays(content), rng), rng)
     stream = io.BytesIO()
     try:
+        broken = _as_tensors(mutate_tree(_as_arrays(content), rng), rng)
         torch.save(broken, stream, _use_new_zipfile_serialization=rng.random() < 0.9)
     except (RuntimeError, ValueError, RecursionError, OverflowError, pickle.PicklingError):
         return mutate_bytes(data, rng, others)

@@ -22,7 +22,6 @@ from isaacgymenvs_lite.checkpoints.llc_reference import LLC_KEY, shipped_referen
 from isaacgymenvs_lite.checkpoints.run_config import (
     read_run_config,
     run_config_file,
-    select,
     units_of_config,
     units_of_model,
 )
@@ -30,7 +29,7 @@ from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
-from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.schema import read_section, select, setting
 
 log = logging.getLogger(__name__)
 

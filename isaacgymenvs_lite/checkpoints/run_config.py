@@ -17,9 +17,10 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.rl_games_settings import scale_units
+from isaacgymenvs_lite.config.rl_games_settings import UnitsSettings, scale_units
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
+from isaacgymenvs_lite.schema import read_keys, select
 
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
@@ -60,7 +61,10 @@ def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     stored = read_yaml(file)
     check_expansion(stored)
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
-    return next((tree for tree in trees if has_units_of(tree, model)), trees[0])
+    try:
+        return next((tree for tree in trees if has_units_of(tree, model)), trees[0])
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
 
 
 def resumed_tree(words: Sequence[str]) -> DictConfig:
@@ -120,16 +124,10 @@ def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:
         tree = OmegaConf.to_container(cfg, resolve=True)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{file}: {one_line(error)}") from error
-    if not isinstance(tree, dict) or any(not select(tree, path) for path in SECTIONS):
+    sections = [select(tree, path) for path in SECTIONS]
+    if not isinstance(tree, dict) or not all(isinstance(s, dict) and s for s in sections):
         raise ConfigError(f"{file}: expected the sections {', '.join(SECTIONS)}")
     return {str(key): value for key, value in tree.items()}
-
-
-def select(tree: Any, path: str) -> Any:
-    """Return what is at `path` in nested dictionaries, None if nothing is."""
-    for key in path.split("."):
-        tree = tree.get(key) if isinstance(tree, dict) else None
-    return tree
 
 
 def has_units_of(tree: dict[str, Any], model: Mapping[str, Any]) -> bool:
@@ -140,9 +138,13 @@ def has_units_of(tree: dict[str, Any], model: Mapping[str, Any]) -> bool:
 
 def units_of_config(tree: dict[str, Any]) -> dict[str, list[int]]:
     """Return the hidden layers of the networks, {"mlp": [...], "disc": [...]}, of a tree."""
-    network = copy.deepcopy(select(tree, "train.params.network"))
-    scale_units(network)
-    return {name: network[name]["units"] for name in _LAYERS if name in network}
+    network = select(tree, "train.params.network")
+    sections = {name: network[name] for name in _LAYERS if network.get(name) is not None}
+    for name, section in sections.items():
+        read_keys(UnitsSettings, section, f"train.params.network.{name}")
+    sections = copy.deepcopy(sections)
+    scale_units(sections)
+    return {name: section["units"] for name, section in sections.items()}
 
 
 def units_of_model(model: Mapping[str, Any], names: Iterable[str]) -> dict[str, list[int]]:

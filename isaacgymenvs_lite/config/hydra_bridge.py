@@ -354,7 +354,8 @@ class Loader(ConfigLoaderImpl):
         alone: the second line of defence, whichever way a file has changed it.
 
         Raises:
-            ConfigError: defaults lists run in a circle, or the rules refuse the tree.
+            ConfigError: defaults lists run in a circle or cannot be used, or the rules refuse the
+                tree.
         """
         rest = (run_mode, from_shell, validate_sweep_overrides)
         with self._readers():
@@ -364,6 +365,15 @@ class Loader(ConfigLoaderImpl):
                 raise ConfigError(
                     f"the defaults lists of the configuration files run in a circle; {_NO_CIRCLE}"
                 ) from None
+            except (HydraException, OmegaConfBaseException):
+                raise  # their messages are for users, see `hydra_errors`
+            except (AssertionError, AttributeError, KeyError, OSError, TypeError) as error:
+                files = ", ".join(str(f) for named in self._files.values() for f in named.values())
+                raise ConfigError(
+                    f"{files or 'a configuration file'}: Hydra cannot compose it"
+                    f" ({type(error).__name__}: {one_line(error)}); expected a defaults list of"
+                    " names of files, and sections of keys and values"
+                ) from error
             if any(self._is_foreign(source) for source in cfg.hydra.runtime.config_sources):
                 parsed = parse_overrides(overrides)
                 own = [str(word.input_line) for word in parsed if _is_about_hydra(word)]

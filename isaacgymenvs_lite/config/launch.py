@@ -14,9 +14,21 @@ from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.hydra_errors import explain_interpolation
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.schema import missing_key, read_keys, read_section, setting
+from isaacgymenvs_lite.schema import (
+    check_mapping,
+    missing_key,
+    read_keys,
+    read_section,
+    select,
+    setting,
+)
 from isaacgymenvs_lite.utils.optional_packages import require
 
+# Sections of a tree that are read before all of them are checked.
+_MAPPINGS = (
+    *("task.env", "task.sim", "train.params"),
+    *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
+)
 # Sections below the root, which others read.
 _SECTIONS = ("task", "train", "pbt")
 _SEED_OF_DETERMINISTIC_RUNS = 42
@@ -177,10 +189,12 @@ def _check_sections(cfg: DictConfig) -> None:
         present = _keys_below(tree, section)
         if key not in present:
             raise missing_key(key, dict.fromkeys(present), [key], section, hint)
+    for path in _MAPPINGS:
+        check_mapping(tree, path)
 
 
 def _keys_below(tree: Any, section: str) -> list[str]:
-    below = tree.get(section)
+    below = select(tree, section)
     return [str(key) for key in below] if isinstance(below, dict) else []
 
 

@@ -329,11 +329,19 @@ _NETWORK_KEYS = frozenset(
 
 
 @dataclass(frozen=True, kw_only=True)
-class LayerSettings:
-    """Hidden layers: the sections mlp, disc and enc."""
+class UnitsSettings:
+    """The keys of hidden layers that say how large they are."""
 
     units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
     """Width of each layer."""
+    model_size_multiplier: float = setting(1, above=0, maximum=1000)
+    """Factor on all units, applied before the network is built."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerSettings(UnitsSettings):
+    """Hidden layers: the sections mlp, disc and enc."""
+
     activation: str = setting(choices=ACTIVATIONS)
     initializer: dict[str, Any] = setting({"name": "default"})
     regularizer: Mapping[str, Any] | None = setting(None)
@@ -343,8 +351,6 @@ class LayerSettings:
     """Encoder: False shares the discriminator's layers."""
     conditional: bool = setting(False)
     """Discriminator: the latent is an input, too."""
-    model_size_multiplier: float = setting(1, above=0)
-    """Factor on all units, applied before the network is built."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -118,15 +118,13 @@ def merge_defaults(
     for entry in defaults:
         if not isinstance(entry, str):
             raise ConfigError(f"{file}: the entry {entry} of its defaults list is no file name")
-        if entry == "_self_":
-            merged.merge_with(content)
-            continue
         try:
-            named = _named_beside(file, entry, group)
-            merged.merge_with(merge_defaults(named, (*above, file), group, read))
-        except (OmegaConfBaseException, OSError, ValueError) as error:
-            if isinstance(error, ConfigError):
-                raise
+            part = content
+            if entry != "_self_":
+                named = _named_beside(file, entry, group)
+                part = merge_defaults(named, (*above, file), group, read)
+            merged.merge_with(part)
+        except (OmegaConfBaseException, OSError) as error:  # a name may be too long for a file
             raise ConfigError(f"{file}: defaults: {entry}: {one_line(error)}") from error
     return merged
 

@@ -132,6 +132,11 @@ def prepare_train_params(
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
+    if config.get("multi_gpu"):
+        raise ConfigError(
+            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: data-parallel training is not"
+            " implemented in this version; set it to False"
+        )
     algo = params["algo"]["name"]
     if algo == "sac":
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
@@ -252,7 +257,8 @@ def _family_of(
 
 def _check_continuous(params: dict[str, Any]) -> None:
     """Refuse agents that choose among actions: every task here has continuous ones."""
-    space = params["network"].get("space") or {}
+    space = params["network"].get("space")
+    space = space if isinstance(space, dict) else {}  # another kind is refused later
     discrete = {
         f"{section}.name={params[section]['name']}": "discrete" in str(params[section]["name"])
         for section in ("algo", "model")

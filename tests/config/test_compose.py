@@ -199,3 +199,14 @@ def test_broken_and_odd_files_of_a_user(config_dir):
 
 def test_config_dir_must_exist(tmp_path):
     assert "does not exist" in message([], tmp_path / "absent")
+
+
+@pytest.mark.parametrize("entry", ["{a: _self_}", "x" * 300])
+def test_a_defaults_list_that_hydra_cannot_use_is_one_line(entry, tmp_path):
+    file = tmp_path / "Mine.yaml"
+    file.write_text(f"defaults: [ClassicPPO, {entry}]\nparams: {{}}\n")
+    text = message(["task=Cartpole", f"train={file}"])
+    assert text.startswith(f"{file}: Hydra cannot compose it (")
+    assert text.endswith(
+        "expected a defaults list of names of files, and sections of keys and values"
+    )
