@@ -2,6 +2,7 @@
 
     python -m benchmarks.training_speed [--units 512 256] [--num-envs 1024] [--epochs 8] [key=value]
     python -m benchmarks.training_speed --compare --units 1024 512
+    python -m benchmarks.training_speed --against torch_deterministic=True
 
 The first trains HumanoidAMP with its default settings for some epochs and prints
 
@@ -14,7 +15,7 @@ The first trains HumanoidAMP with its default settings for some epochs and print
 
 `--compare` trains in turns (A B A B ...), each in a process of its own, with the defaults (A) and
 as the published loop does (B): float32, torch's own threads, the critic evaluated for all rows
-after every step. Prints the ratio.
+after every step. Prints the ratio. `--against key=value` compares with other settings instead.
 """
 
 from __future__ import annotations
@@ -272,21 +273,23 @@ def published_loop(args: argparse.Namespace) -> None:
 
 
 def compare(args: argparse.Namespace) -> None:
-    """Train with the defaults and as published, in turns."""
+    """Train with the defaults and with the peer, in turns."""
     arguments = ["--fps", "--epochs", "5", "--num-envs", str(args.num_envs)]
     arguments += ["--threads", str(args.threads), *args.overrides]
     arguments += ["--units", *map(str, args.units)]
     this = "benchmarks.training_speed"
+    name = " ".join(args.against) or "published loop in float32"
+    other = args.against or ["--published"]
     pairs = [
-        (last_number_of(this, *arguments), last_number_of(this, *arguments, "--published"))
+        (last_number_of(this, *arguments), last_number_of(this, *other, *arguments))
         for _ in range(args.rounds)
     ]
-    ratios = [ours / published for ours, published in pairs]
-    ours, published = (statistics.median(column) for column in zip(*pairs, strict=True))
+    ratios = [ours / peer for ours, peer in pairs]
+    ours, peer = (statistics.median(column) for column in zip(*pairs, strict=True))
     print(describe_machine())
     print(
-        f"networks {args.units}: defaults {ours:,.0f} frames/s, published loop in float32"
-        f" {published:,.0f} frames/s; ratio median {statistics.median(ratios):.2f}"
+        f"networks {args.units}: defaults {ours:,.0f} frames/s, {name}"
+        f" {peer:,.0f} frames/s; ratio median {statistics.median(ratios):.2f}"
         f" (min {min(ratios):.2f}, max {max(ratios):.2f}, {args.rounds} rounds)"
     )
 
@@ -302,12 +305,15 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--folder", default="/tmp/isaacgymenvs_lite_benchmark")
     parser.add_argument("--compare", action="store_true")
+    parser.add_argument(
+        "--against", action="append", default=[], metavar="key=value", help="settings of the peer"
+    )
     parser.add_argument("--fps", action="store_true", help="print nothing but frames per second")
     parser.add_argument("--published", action="store_true", help="as the published loop")
     args = parser.parse_intermixed_args()
     if args.published:
         published_loop(args)
-    if args.compare:
+    if args.compare or args.against:
         compare(args)
     elif args.fps:
         print(train(args, lambda agent, s: str(agent.batch_size / statistics.median(s))))

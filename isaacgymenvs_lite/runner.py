@@ -13,7 +13,7 @@ import io
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ from isaacgymenvs_lite.errors import (
     UserError,
     one_line,
 )
+from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
@@ -60,6 +61,7 @@ log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
+_PRECISION = "train.params.config.mixed_precision"
 _IMITATION_EPISODES = 16
 # More take seconds to make: one is made first, to estimate the memory of all.
 _MANY_ENVS = 100_000
@@ -97,7 +99,7 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
     """
     command = command or TypedCommand()
-    launch = _read_launch(cfg, command)
+    launch = _with_decided_precision(_read_launch(cfg, command))
     interrupt: KeyboardInterrupt | None = None
     with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
         viewers = Viewers(launch.settings)
@@ -272,6 +274,20 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
     return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
+
+
+def _with_decided_precision(launch: _Launch) -> _Launch:
+    """Replace `mixed_precision: auto` by what a measurement on this CPU decides.
+
+    config.yaml stores the decision, so that a resumed run computes as before.
+    """
+    value = OmegaConf.select(launch.cfg, _PRECISION)
+    if value != "auto":
+        return launch
+    cfg = launch.cfg.copy()
+    decided = resolve_mixed_precision(value, launch.settings.rl_device)
+    OmegaConf.update(cfg, _PRECISION, decided)
+    return replace(launch, cfg=cfg)
 
 
 @contextmanager

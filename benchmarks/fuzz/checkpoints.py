@@ -27,7 +27,7 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import as_override
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_files import load_train_file
-from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.errors import ConfigError, UserError
 
 _CONFIG = "train.params.config"
 _SMALL = (
@@ -132,7 +132,10 @@ def _read_packed(path: Path) -> None:
     info = read_policy_info(path)
     str(info)
     words = [f"++{key}={as_override(value)}" for key, value in info.settings.items()]
-    compose([f"task={info.task}", "~train.params.network", *words])
+    try:
+        compose([f"task={info.task}", "~train.params.network", *words])
+    except ConfigError as error:  # about a setting; the log has named the policy by then
+        raise ConfigError(f"{path}: {error}") from error
     with_packed_settings(load_train_file("HumanoidASEPPO")["params"], load_checkpoint(path))
 
 

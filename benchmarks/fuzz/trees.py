@@ -118,7 +118,10 @@ def _mutate_values(data: bytes, rng: random.Random, others: Sequence[bytes]) -> 
         return mutate_yaml(data, rng, others)
     tree = yaml.safe_load(data)
     for _ in range(rng.choice((1, 1, 2))):
-        places = list(_places(tree))
+        try:
+            places = list(_places(tree))
+        except RecursionError:  # a hostile file, deep enough as it is
+            break
         section, key = rng.choice(places)
         if rng.random() < 0.1 and isinstance(section, dict):
             del section[key]

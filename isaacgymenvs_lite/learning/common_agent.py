@@ -69,6 +69,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, 
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
+from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
 """{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
@@ -123,14 +124,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         config: dict[str, Any] | None = None,
     ) -> None:
         self._section = self._complete_section(given_params(params, config))
-        precision = _prepare_settings(self._section["config"])
+        self._precision = _prepare_settings(self._section["config"])
         # Not A2CAgent's constructor: it builds the model before the agent's own keys are read.
         ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
         self.network_path = self.nn_dir
         self._load_config_params(self.config)
         self._setup_action_space()
-        self._build_model(precision)
+        self._build_model(self._precision)
         self._build_modules()
         self._build_optimizer()
         self.dataset = AMPDataset(
@@ -185,7 +186,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         }
 
     def _build_model(self, mixed_precision: Any) -> None:
-        self.model = self.network.build(self._build_net_config())
+        with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
+            self.model = self.network.build(self._build_net_config())
         self.model.to(self.ppo_device)
         replace_normalizers(self.model)
         self.executor = parallelize(self.model, self.ppo_device, mixed_precision)

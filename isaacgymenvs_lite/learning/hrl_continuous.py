@@ -106,6 +106,7 @@ class HRLAgent(CommonAgent):
             llc_checkpoint_for(params.llc_checkpoint, self._section),
             self._build_llc_agent_config(),
             self.ppo_device,
+            self._precision,
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:

@@ -50,7 +50,11 @@ class HRLPlayer(CommonPlayer):
     def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
         """Return the low-level controller that the keys name."""
         return LowLevelPolicy(
-            params.llc_config, self._llc_checkpoint, self._build_llc_agent_config(), self.device
+            params.llc_config,
+            self._llc_checkpoint,
+            self._build_llc_agent_config(),
+            self.device,
+            self.config.get("mixed_precision", False),
         )
 
     def _build_llc_agent_config(self) -> LowLevelSizes:

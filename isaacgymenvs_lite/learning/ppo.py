@@ -23,6 +23,7 @@ from isaacgymenvs_lite.learning.diverged import (
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 
 class PPOAgent(PPOSafeguards):
@@ -50,7 +51,8 @@ class PPOAgent(PPOSafeguards):
         config["torch_compile"] = torch_compile_setting(
             config.get("torch_compile"), device.type, can_compile=True
         )
-        super().__init__(base_name, params)
+        with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
+            super().__init__(base_name, params)
         self._mask = RolloutMask(self.horizon_length)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_shaped_rewards", "game_lengths"))
         if self.normalize_advantage:
@@ -70,9 +72,10 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        The work beside the sliced networks is too small to be split by torch's own threads.
+        The work beside the sliced networks is too small to be split by torch's own threads. With
+        deterministic algorithms recurrent networks are not split either.
         """
-        if self._sliced:
+        if self._sliced or torch.are_deterministic_algorithms_enabled():
             torch.set_num_threads(1)
         return super().env_reset()
 

@@ -97,6 +97,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         config = params["config"]
         device = torch.device(config.get("device", "cuda:0"))
         on_cpu = device.type == "cpu"
+        if torch.are_deterministic_algorithms_enabled():
+            torch.set_num_threads(1)  # sums differ in the last bits by threads
         bfloat16 = resolve_mixed_precision(config.get("mixed_precision", False), device)
         config["mixed_precision"] = bfloat16 and not on_cpu
         # rl_games compiles a `forward` that SAC never calls.

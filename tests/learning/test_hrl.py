@@ -62,6 +62,26 @@ def agent(llc, make_agent) -> Any:
     return make_agent(*overrides(llc))
 
 
+@pytest.mark.parametrize(
+    ("trained_in", "expected"), [("auto", True), (False, False), (None, False)]
+)
+def test_low_level_that_says_auto_computes_as_the_high_level(
+    trained_in, expected, llc, make_agent, monkeypatch
+):
+    measured = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
+    monkeypatch.setattr(measured, lambda: pytest.fail("measured"))
+    supports = "isaacgymenvs_lite.learning.cpu.precision.supports_bfloat16"
+    monkeypatch.setattr(supports, lambda: True)
+    file = Path(llc[1])
+    train_file = OmegaConf.load(file)
+    OmegaConf.update(train_file, "params.config.mixed_precision", trained_in)
+    if trained_in is None:
+        del train_file.params.config.mixed_precision
+    OmegaConf.save(train_file, file)
+    agent = make_agent(*overrides(llc, f"{CONFIG}.mixed_precision=True"))
+    assert agent.llc.model.a2c_network.executor.bfloat16 is expected
+
+
 def test_sizes_are_those_of_the_latent(agent, roll_out):
     batch = roll_out(agent)
     assert batch["actions"].shape == (32, LATENT_DIM)

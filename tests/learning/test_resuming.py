@@ -84,6 +84,20 @@ def test_hierarchy_resumes_exactly(tmp_path):
     check_resuming(tmp_path, high)
 
 
+MEASUREMENT = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
+
+
+@pytest.mark.parametrize(("speedup", "chosen"), [(5.0, True), (0.5, False)])
+def test_the_precision_that_auto_chose_is_kept(speedup, chosen, tmp_path, monkeypatch):
+    monkeypatch.setattr(MEASUREMENT, lambda: speedup)
+    words = ["task=Ant", *TINY_PPO, f"{CONFIG}.mixed_precision=auto", "max_iterations=1"]
+    stopped = train(tmp_path, words)
+    monkeypatch.setattr(MEASUREMENT, lambda: pytest.fail("measured again"))
+    run(resumed_tree([f"resume={stopped}", "max_iterations=2"]))
+    stored = OmegaConf.load(stopped / "config.yaml")
+    assert OmegaConf.select(stored, f"{CONFIG}.mixed_precision") is chosen
+
+
 @pytest.fixture(scope="module")
 def short_run(tmp_path_factory) -> Path:
     """Return the folder of an AMP run of two epochs, to be copied."""

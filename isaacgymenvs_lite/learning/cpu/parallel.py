@@ -5,6 +5,9 @@ a gradient step. Here each thread takes a slice of the rows through the whole ne
 agents of this project, through the losses too, forwards and backwards. On two cores a gradient
 step of AMP takes half as long (docs/speed.md), and no idle OpenMP threads spin on the CPUs that the
 physics needs.
+
+With `torch_deterministic=True` the slices depend on the number of rows alone, so that any number of
+threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -25,6 +28,10 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 # Fewer rows than this are not worth another thread.
 _MIN_ROWS = 128
+# Slices under `torch_deterministic=True`: rows of each, and how many at most. Smaller ones cost
+# more (each casts the weights and has gradients of its own), larger ones leave threads idle.
+_FIXED_ROWS = 1024
+_MOST_FIXED_SLICES = 16
 # Rows that are evaluated at once without gradients: their activations fit into the cache.
 _CHUNK_ROWS = 8192
 # Layers whose rows depend on each other, or that draw random numbers.
@@ -89,13 +96,12 @@ class ParallelNetwork(nn.Module):
     ) -> None:
         super().__init__()
         layers = list(network.modules())
-        if any(isinstance(layer, _UNSLICED_LAYERS) for layer in layers):
-            num_threads = 1
+        can_slice = not any(isinstance(layer, _UNSLICED_LAYERS) for layer in layers)
         del vars(self)["training"]  # it is the network's
         vars(self).update(
             {name: vars(network)[name] for name in _MODULE_STATE},
             serial=network,
-            executor=NetworkExecutor(device, bfloat16, num_threads),
+            executor=NetworkExecutor(device, bfloat16, num_threads, can_slice),
             _is_recurrent=any(isinstance(layer, nn.RNNBase) for layer in layers),
         )
 
@@ -158,27 +164,34 @@ def serial_network(network: nn.Module) -> Any:
 class NetworkExecutor:
     """Evaluates functions of rows in a chosen precision, on a CPU by slices on several threads.
 
-    Results do not depend on which thread is the faster one; a different number of threads changes
-    the sums of gradients in the last bits.
+    Results do not depend on which thread is the faster one. A different number of threads changes
+    the sums of gradients in the last bits, unless torch uses deterministic algorithms only.
 
     Args:
         device: where the networks are. Off the CPU nothing is sliced.
         bfloat16: compute under autocast to bfloat16; results are float32 in any case.
         num_threads: on a CPU; at least 1.
+        can_slice: whether rows are independent of each other in all functions.
     """
 
     def __init__(
-        self, device: str | torch.device, bfloat16: bool = False, num_threads: int = 1
+        self,
+        device: str | torch.device,
+        bfloat16: bool = False,
+        num_threads: int = 1,
+        can_slice: bool = True,
     ) -> None:
         self._device_type = torch.device(device).type
+        self._can_slice = can_slice and self._device_type == "cpu"
         self.bfloat16 = bfloat16
-        self.num_threads = num_threads if self._device_type == "cpu" else 1
+        self.num_threads = num_threads if self._can_slice else 1
         self._others: ThreadPoolExecutor | None = None
         self._within = threading.local()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has threads of its own, and a file none."""
-        return NetworkExecutor, (self._device_type, self.bfloat16, self.num_threads)
+        arguments = (self._device_type, self.bfloat16, self.num_threads, self._can_slice)
+        return NetworkExecutor, arguments
 
     def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> tuple[Tensor, ...]:
         """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
@@ -242,9 +255,9 @@ class NetworkExecutor:
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
         """Return [function(*a) for a in arguments], the calls spread over the threads."""
         grad_enabled = torch.is_grad_enabled()
-        busy = min(self.num_threads, len(arguments))
-        if busy <= 1:
+        if len(arguments) <= 1:
             return [function(*a) for a in arguments]
+        busy = min(self.num_threads, len(arguments))
 
         def work(first: int) -> list[Any]:
             self._within.slice = True
@@ -261,6 +274,10 @@ class NetworkExecutor:
         return [columns[i % busy][i // busy] for i in range(len(arguments))]
 
     def _num_slices(self, num_rows: int) -> int:
+        if not self._can_slice:
+            return 1
+        if torch.are_deterministic_algorithms_enabled():
+            return max(1, min(_MOST_FIXED_SLICES, num_rows // _FIXED_ROWS))
         return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
 
     def _pool(self) -> ThreadPoolExecutor:

@@ -78,6 +78,8 @@ class LowLevelPolicy:
         llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
         device: of networks and results.
+        precision: replaces `mixed_precision: auto` of the train file. The high level's value makes
+            a run compute alike whenever it is resumed or played.
 
     Attributes:
         latent_dim: numbers in a latent.
@@ -97,6 +99,7 @@ class LowLevelPolicy:
         llc_checkpoint: str,
         sizes: LowLevelSizes,
         device: str | torch.device,
+        precision: Any = "auto",
     ) -> None:
         file = find_llc_checkpoint(llc_checkpoint)
         state = checkpoints.load_checkpoint(file)
@@ -115,9 +118,8 @@ class LowLevelPolicy:
         self._disc_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
         self.model = self._build_model(network, train_params["config"])
-        # In the precision that it was trained in.
-        precision = train_params["config"].get("mixed_precision", False)
-        parallelize(self.model, self._device, precision)
+        trained_in = train_params["config"].get("mixed_precision", False)
+        parallelize(self.model, self._device, precision if trained_in == "auto" else trained_in)
         self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self._disc_obs_size,

@@ -157,6 +157,18 @@ def test_repeated_evaluations_are_bit_identical(net):
         assert all(torch.equal(again[name], value) for name, value in first.items())
 
 
+def test_with_deterministic_algorithms_threads_change_no_bit(net, monkeypatch):
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    args = {"obs": random(8 * ROWS, 6)}, random(8 * ROWS, 4)
+    one, *others = (
+        gradients(ParallelNetwork(net, "cpu", num_threads=num_threads), *args)
+        for num_threads in (1, 2, 3)
+    )
+    assert max(net.seen) == 2 * ROWS
+    for other in others:
+        assert all(torch.equal(other[name], value) for name, value in one.items())
+
+
 def test_rows_can_be_differentiated_too(net):
     obs = random(ROWS, 6).requires_grad_()
     net.mu(obs).square().sum().backward()
