@@ -122,6 +122,8 @@ def _mutate_values(data: bytes, rng: random.Random, others: Sequence[bytes]) -> 
             places = list(_places(tree))
         except RecursionError:  # a hostile file, deep enough as it is
             break
+        if not places:  # a hostile file without a mapping
+            break
         section, key = rng.choice(places)
         if rng.random() < 0.1 and isinstance(section, dict):
             del section[key]

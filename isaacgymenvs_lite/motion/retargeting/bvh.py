@@ -163,7 +163,7 @@ def drop_inner_positions(text: str, name: str) -> str:
 
     Raises:
         MotionFileError: a joint moves within its parent.
-        ValueError: a frame is not made of as many numbers as there are channels.
+        ValueError: there are no frames, or one has not as many numbers as there are channels.
     """
     lines = text.splitlines()
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
@@ -172,6 +172,8 @@ def drop_inner_positions(text: str, name: str) -> str:
     if start is None or not inner:
         return text
     first = start + 3  # behind "Frames:" and "Frame Time:"
+    if not any(map(str.strip, lines[first:])):
+        raise ValueError("there are no frames behind 'MOTION', 'Frames:' and 'Frame Time:'")
     values = np.loadtxt(lines[first:], comments=None, ndmin=2)
     expected = sum(len(joint.channels) for joint in joints)
     if values.shape[1] != expected:

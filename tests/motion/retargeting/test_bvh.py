@@ -138,6 +138,13 @@ def test_frames_of_another_length_than_the_channels(walk_file: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_joints_with_positions_and_no_frames(walk_file: Path) -> None:
+    text = with_all_positions(walk_file.read_text(), lambda offset, frame: offset)
+    walk_file.write_text(text[: text.index("MOTION")] + "MOTION")
+    with pytest.raises(MotionFileError, match="there are no frames behind 'MOTION'"):
+        read(walk_file)
+
+
 def test_a_name_in_capitals(walk_file: Path) -> None:
     loud = walk_file.rename(walk_file.with_suffix(".BVH"))
     assert read(loud)[0].num_frames == 109
