@@ -111,7 +111,9 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         super().__init__(base_name, params)
         former = self.replay_buffer
         shapes = (former.obses.shape[1:], former.actions.shape[1:])
-        self.replay_buffer = KeptTransitions(*shapes, former.capacity, former.device)
+        size = (former.capacity, former.device)
+        del self.replay_buffer, former  # frees its memory before ours takes as much
+        self.replay_buffer = KeptTransitions(*shapes, *size)
         self._meters = EpisodeMeters(self, ("game_rewards", "game_lengths"))
         self.algo_observer = _EndOfEpoch(self, self.algo_observer)
         self._step = 0
