@@ -19,6 +19,7 @@ from isaacgymenvs_lite.schema import (
     convert_section,
     keys_of,
     missing_key,
+    select,
     setting,
 )
 from isaacgymenvs_lite.utils.memory import check_memory
@@ -437,6 +438,8 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
             layers = convert_section(settings, network[section], f"{where}.{section}")
             if isinstance(layers, LayerSettings):
                 _check_initializer(layers.initializer, f"{where}.{section}.initializer")
+    if network["name"] == _SAC_NETWORK and select(network, "mlp.units") == []:
+        raise ConfigError(f"{where}.mlp.units: got [], expected at least one hidden layer in SAC")
     if "mlp" in network and "initializer" not in network["mlp"]:
         hint = "expected a mapping with its name, such as default"
         raise missing_key("initializer", network["mlp"], (), f"{where}.mlp", hint)

@@ -48,6 +48,13 @@ def test_published_networks_pass():
     check_network(changed("rnn", {"name": "lstm", "units": 8, "layers": 1}), "n")
 
 
+def test_sac_needs_a_hidden_layer():
+    network = {**changed("mlp.units", []), "name": "soft_actor_critic"}
+    with pytest.raises(ConfigError, match=r"n\.mlp\.units: got \[\], expected at least one"):
+        check_network(network, "n")
+    check_network(changed("mlp.units", []), "n")
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
