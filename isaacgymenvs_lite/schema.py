@@ -68,6 +68,7 @@ def setting(
     choices: Iterable[Any] | None = None,
     min_length: int = 0,
     max_length: int | None = None,
+    length: int | None = None,
     blank: bool = False,
     infinite: bool = False,
 ) -> Any:
@@ -83,6 +84,7 @@ def setting(
         choices: the allowed values; text is compared exactly.
         min_length: least number of entries of a list.
         max_length: largest number of entries of a list.
+        length: number of entries of a list, if only one is right.
         blank: '' counts as None (the launcher's "not given").
         infinite: inf and -inf are allowed; without it numbers are of at most 1e38.
     """
@@ -93,8 +95,8 @@ def setting(
         "above": above,
         "below": below,
         "choices": None if choices is None else tuple(choices),
-        "min_length": min_length,
-        "max_length": max_length,
+        "min_length": min_length if length is None else length,
+        "max_length": max_length if length is None else length,
         "blank": blank,
         "infinite": infinite,
     }
@@ -442,10 +444,13 @@ def _expectation(kind: Any, field: Field) -> str:
         noun = f"a list of {_PLURALS.get(entry, 'values')}"
         if choices is not None:
             noun = f"a list out of {', '.join(_word(choice) for choice in choices)}"
-        if field.metadata.get("min_length"):
-            noun += f" with at least {field.metadata['min_length']} entries"
-        if field.metadata.get("max_length"):
-            noun += f" with at most {field.metadata['max_length']} entries"
+        least, most = field.metadata.get("min_length"), field.metadata.get("max_length")
+        if least and least == most:
+            noun += f" with {least} entries"
+        elif least:
+            noun += f" with at least {least} entries"
+        elif most:
+            noun += f" with at most {most} entries"
     elif choices is not None:
         noun = f"one of {', '.join(_word(choice) for choice in choices)}"
     else:

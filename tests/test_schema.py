@@ -32,6 +32,7 @@ class Example:
     name: str = setting("x")
     mode: str = setting("a", choices=("a", "b"))
     units: tuple[int, ...] = setting((8,), minimum=1, min_length=1)
+    up: tuple[float, ...] = setting((0.0, 0.0, 1.0), length=3)
     names: list[str] = setting([])
     limit: int | None = setting(None, minimum=1, blank=True)
     extra: Mapping[str, Any] = setting({})
@@ -126,6 +127,8 @@ def test_dangling_interpolation_names_its_place():
         ("mode", "c", "got 'c', expected one of a, b"),
         ("units", [4, 0], r"got \[4, 0\], expected a list of whole numbers.* of at least 1"),
         ("units", [], "with at least 1 entries"),
+        ("up", [0, 1], "a list of numbers with 3 entries"),
+        ("up", [0, 0, 1, 0], "a list of numbers with 3 entries"),
         ("units", 4, "got 4, expected a list"),
         ("names", "ab", "got 'ab', expected a list of names"),
         ("limit", 0, "expected a whole number of at least 1, or ''"),

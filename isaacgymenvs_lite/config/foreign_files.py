@@ -38,6 +38,8 @@ _ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
 # No value may hold a lone dollar sign: joined with a brace, it would be an unchecked interpolation
 # as soon as a resolved tree becomes a configuration again.
 _LONE_DOLLAR = re.compile(r"\$(?!\{)|\\\$")
+# OmegaConf warns of an argument that is missing: ${resolve_default:,${x}}.
+_MISSING_ARGUMENT = re.compile(r"\$\{[\w.]+:\s*,|,\s*[,}]")
 _MAX_INTERPOLATION_LENGTH = 2000
 _MAX_INTERPOLATIONS = 32
 
@@ -131,6 +133,7 @@ def check_interpolation(text: str, where: str) -> None:
         or text.count("$") > _MAX_INTERPOLATIONS
         or _LONE_DOLLAR.search(text)
         or _TARGET in text
+        or _MISSING_ARGUMENT.search(text)
     ):
         raise ConfigError(
             f"{where}: {text[:60]!r} is no plain interpolation; expected ${{path.of.a.key}} or"

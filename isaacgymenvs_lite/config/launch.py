@@ -26,7 +26,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 # Sections of a tree that are read before all of them are checked.
 _MAPPINGS = (
-    *("task.env", "task.sim", "train.params"),
+    *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
 )
 # Sections below the root, which others read.

@@ -67,7 +67,7 @@ class TerrainLearnConfig(LearnConfig):
 
     randomize_friction: bool = setting(True, key="randomizeFriction")
     """Robots differ in their friction (there: always); False: all have the ground's."""
-    friction_range: tuple[float, ...] = setting((0.5, 1.25), key="frictionRange", min_length=2)
+    friction_range: tuple[float, ...] = setting((0.5, 1.25), key="frictionRange", length=2)
     """Of the robots' own coefficients. A contact has the mean of it and the ground's, as PhysX."""
     push_robots: bool = setting(True, key="pushRobots")
     """False: no pushes. IsaacGymEnvs does not read the key and pushes always."""
@@ -92,9 +92,9 @@ class TerrainControlConfig(ControlConfig):
 class HeadingCommandsConfig(CommandRangesConfig):
     """`task.env.randomCommandVelocityRanges` of AnymalTerrain: lowest and highest."""
 
-    linear_x: tuple[float, ...] = setting((-1.0, 1.0), min_length=2)
+    linear_x: tuple[float, ...] = setting((-1.0, 1.0), length=2)
     """m/s."""
-    yaw: tuple[float, ...] = setting((-3.14, 3.14), min_length=2)
+    yaw: tuple[float, ...] = setting((-3.14, 3.14), length=2)
     """Of the heading (rad)."""
 
 

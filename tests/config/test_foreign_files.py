@@ -341,6 +341,8 @@ def test_no_file_names_something_to_be_called(text, write):
         "${" * 40 + "a" + "}" * 40,
         f"${{if:True,{'x' * 3000},y}}",
         "${unfinished",
+        "${resolve_default:,${...num_envs}}",
+        "${if:True,,x}",
     ],
 )
 def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):

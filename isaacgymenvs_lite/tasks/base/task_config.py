@@ -86,7 +86,7 @@ class SimConfig:
     """Time of one simulator call in s."""
     substeps: int = setting(2, minimum=1, maximum=_MAX_STEPS)
     """Physics steps of one simulator call."""
-    gravity: tuple[float, ...] = setting((0.0, 0.0, -9.81), min_length=3)
+    gravity: tuple[float, ...] = setting((0.0, 0.0, -9.81), length=3)
     """m/s^2."""
     up_axis: str = setting("z", choices=("z",))
     use_gpu_pipeline: bool = setting(False)

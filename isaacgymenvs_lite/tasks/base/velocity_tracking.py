@@ -34,13 +34,13 @@ CONTACT_THRESHOLD_N = 1.0
 class InitStateConfig:
     """`task.env.baseInitState`: the base at the start of an episode, in world axes."""
 
-    pos: tuple[float, ...] = setting((0.0, 0.0, 0.62), min_length=3)
+    pos: tuple[float, ...] = setting((0.0, 0.0, 0.62), length=3)
     """m."""
-    rot: tuple[float, ...] = setting((0.0, 0.0, 0.0, 1.0), min_length=4)
+    rot: tuple[float, ...] = setting((0.0, 0.0, 0.0, 1.0), length=4)
     """xyzw."""
-    lin_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vLinear", min_length=3)
+    lin_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vLinear", length=3)
     """m/s."""
-    ang_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vAngular", min_length=3)
+    ang_vel: tuple[float, ...] = setting((0.0, 0.0, 0.0), key="vAngular", length=3)
     """rad/s."""
 
 
@@ -81,11 +81,11 @@ class LearnConfig:
 class CommandRangesConfig:
     """`task.env.randomCommandVelocityRanges`: lowest and highest."""
 
-    linear_x: tuple[float, ...] = setting((-2.0, 2.0), min_length=2)
+    linear_x: tuple[float, ...] = setting((-2.0, 2.0), length=2)
     """m/s."""
-    linear_y: tuple[float, ...] = setting((-1.0, 1.0), min_length=2)
+    linear_y: tuple[float, ...] = setting((-1.0, 1.0), length=2)
     """m/s."""
-    yaw: tuple[float, ...] = setting((-1.0, 1.0), min_length=2)
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)
     """rad/s, or rad where a heading is commanded."""
 
     def limits(self) -> list[list[float]]:

@@ -34,7 +34,7 @@ _SIM_PARAMS = ("gravity", "rest_offset")
 
 @dataclass(frozen=True, kw_only=True)
 class _Scheduled:
-    range: tuple[float, ...] = setting(min_length=2)
+    range: tuple[float, ...] = setting(length=2)
     """Limits of a uniform, mean and standard deviation of a Gaussian distribution."""
     operation: str = setting(choices=_OPERATIONS)
     schedule: str | None = setting(None, choices=_SCHEDULES)
@@ -67,7 +67,7 @@ class NoiseSettings(_Scheduled):
     """Noise on observations or actions, drawn at every step."""
 
     distribution: str = setting(choices=("uniform", "gaussian"))
-    range_correlated: tuple[float, ...] = setting((0.0, 0.0), min_length=2)
+    range_correlated: tuple[float, ...] = setting((0.0, 0.0), length=2)
     """As `range`, of the part that stays from one draw of the parameters to the next."""
 
 
