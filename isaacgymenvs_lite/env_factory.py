@@ -215,6 +215,6 @@ def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
     if torch_deterministic:
         torch.use_deterministic_algorithms(True)
         # It would write every new tensor: a twentieth of a training's time.
-        torch.utils.deterministic.fill_uninitialized_memory = False
+        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.deterministic = True

@@ -8,6 +8,7 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import config
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
@@ -210,3 +211,9 @@ def test_a_defaults_list_that_hydra_cannot_use_is_one_line(entry, tmp_path):
     assert text.endswith(
         "expected a defaults list of names of files, and sections of keys and values"
     )
+
+
+@pytest.mark.parametrize("section", ["task.env", "task.sim", "task.task", "train.params.network"])
+def test_sections_that_are_values_are_one_line(section):
+    with pytest.raises(ConfigError, match=f"^{section}: got 5, expected a mapping"):
+        check_config(compose(["task=Ant", f"++{section}=5"]))
