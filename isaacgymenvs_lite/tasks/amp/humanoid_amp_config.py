@@ -28,7 +28,7 @@ class HumanoidAMPConfig(TaskConfig):
     """Where episodes start: default pose, start of a clip, random time of a clip, or a mix."""
     hybrid_init_prob: float = setting(0.5, key="hybridInitProb", minimum=0, maximum=1)
     """Hybrid: share of episodes that start from a clip."""
-    num_amp_obs_steps: int = setting(2, key="numAMPObsSteps", minimum=2)
+    num_amp_obs_steps: int = setting(2, key="numAMPObsSteps", minimum=2, maximum=1000)
     """Control steps in one AMP observation."""
     local_root_obs: bool = setting(False, key="localRootObs")
     """Take the heading out of the root rotation in the observation."""

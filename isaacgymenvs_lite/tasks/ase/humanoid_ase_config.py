@@ -18,7 +18,7 @@ class HumanoidASEConfig(HumanoidAMPConfig):
     state_init: str = setting(
         "Hybrid", key="stateInit", choices=("Default", "Start", "Random", "Hybrid")
     )
-    num_amp_obs_steps: int = setting(10, key="numAMPObsSteps", minimum=2)
+    num_amp_obs_steps: int = setting(10, key="numAMPObsSteps", minimum=2, maximum=1000)
     local_root_obs: bool = setting(True, key="localRootObs")
     """In the AMP observation: take the heading out of the root's rotation. In the policy's the
     opposite: keep it there (ASE's files and checkpoints rely on that)."""
