@@ -147,6 +147,7 @@ def test_misspelt_keys(message, given: str, meant: str) -> None:
         ({"fallInitProb": -0.1}, "a number of at least 0 and of at most 1"),
         ({"recoverySteps": -1}, "a whole number of at least 0"),
         ({"numAMPObsSteps": 1}, "a whole number of at least 2"),
+        ({"numAMPObsSteps": 2000}, "1000"),
         ({"enableTaskObs": 3}, "True or False"),
         ({"stateInit": "Lying"}, "one of Default, Start, Random, Hybrid"),
     ],
