@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
+from isaacgymenvs_lite.distributed.group import ProcessGroup, joined_group
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import (
     CheckpointError,
@@ -62,6 +64,11 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _PRECISION = "train.params.config.mixed_precision"
+# Of processes that train together.
+_SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
+_OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
+# What only the main one does.
+_QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
 _IMITATION_EPISODES = 16
 # More take seconds to make: one is made first, to estimate the memory of all.
 _MANY_ENVS = 100_000
@@ -99,29 +106,36 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
     """
     command = command or TypedCommand()
-    launch = _with_decided_precision(_read_launch(cfg, command))
+    with _memory_errors_explained(cfg), _joined_processes(cfg) as group, ExitStack() as stack:
+        launch = _read_launch_together(cfg, command, group, stack)
+        _train(launch, command, group)
+
+
+def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
+    """Train in a run folder that the main process has reserved."""
     interrupt: KeyboardInterrupt | None = None
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
-        viewers = Viewers(launch.settings)
-        if launch.num_envs > _MANY_ENVS:
-            with _quiet("isaacgymenvs_lite.config"):
-                _check_memory(launch, make_task(1))
-        # Made before the agent, so that its mistakes show before a run folder exists.
-        task = make_task(launch.num_envs)
-        params = _read_params(launch, task)
-        check_training_memory(params, task, launch.num_envs)
-        params["config"]["print_stats"] = False
+    with _open_tasks(launch) as make_task:
         stop = StopRequest()
-        observers = TrainingObservers(
-            cfg,
-            launch.settings,
-            launch.folder.name,
-            _imitation_observer(params["config"], task, make_task),
-            task.max_episode_length,
-            stop,
-        )
-        launch.folder.create(launch.repeatable)
-        task.listeners.append(DivergenceFiles(task, launch.folder.path))
+        with group.together():
+            viewers = Viewers(launch.settings)
+            task, params = _make_task(launch, make_task)
+            imitation = None
+            if group.is_main:
+                imitation = _imitation_observer(params["config"], task, make_task)
+            observers = TrainingObservers(
+                launch.cfg,
+                launch.settings,
+                launch.folder.name,
+                imitation,
+                task.max_episode_length,
+                stop,
+            )
+            if group.is_main:
+                launch.folder.create(launch.repeatable)
+        task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
+        if group.size > 1:
+            sizes = f"{group.size} ranks x {launch.num_envs} environments"
+            log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
         try:
             viewers.start(task, launch.folder.path, stop.request)
             with stop, _output_to_log():
@@ -129,8 +143,10 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
                 runner.run({"train": True, "play": False, **launch.overrides})
         except NotFiniteError:
             raise  # the run folder shows how it happened
-        except UserError:
+        except UserError as error:
             launch.folder.remove_if_unused()
+            if not getattr(observers.agent, "has_joined", False):
+                group.fail_together(error)
             raise
         except KeyboardInterrupt as error:
             interrupt = error
@@ -141,6 +157,8 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
+        if not group.is_main:
+            return
         # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
         # never reach.
         if not launch.checkpoint_file("").exists():
@@ -149,6 +167,23 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)
+
+
+def _make_task(
+    launch: _Launch, make_task: Callable[[int], VecTask]
+) -> tuple[VecTask, dict[str, Any]]:
+    """Return the task of a training, and the section `params` of its train file.
+
+    They are made before the agent, so that mistakes show before a run folder exists.
+    """
+    if launch.num_envs > _MANY_ENVS:
+        with _quiet("isaacgymenvs_lite.config"):
+            _check_memory(launch, make_task(1))
+    task = make_task(launch.num_envs)
+    params = _read_params(launch, task)
+    check_training_memory(params, task, launch.num_envs)
+    params["config"]["print_stats"] = False
+    return task, params
 
 
 def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
@@ -274,6 +309,69 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
     return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
+
+
+@contextmanager
+def _joined_processes(cfg: DictConfig) -> Iterator[ProcessGroup]:
+    """Give the processes that train together: those that torchrun has started, or this one."""
+    settings = check_config(cfg)
+    if not settings.multi_gpu:
+        yield ProcessGroup()
+        return
+    with joined_group(settings.rl_device, settings.distributed_timeout_s) as group:
+        versions = {f"version of {name}": metadata.version(name) for name in _SAME_VERSIONS}
+        group.check_equal({**versions, **_flat(cfg)}, "setting")
+        yield group
+
+
+def _flat(cfg: DictConfig) -> dict[str, str]:
+    """Return the leaves of a tree as texts, without what may differ between machines."""
+    tree: Any = OmegaConf.to_container(cfg, resolve=False)
+
+    def leaves(path: str, value: Any) -> Iterator[tuple[str, str]]:
+        if isinstance(value, dict):
+            for key, below in value.items():
+                yield from leaves(f"{path}.{key}" if path else str(key), below)
+        else:
+            yield path, str(value)
+
+    return {path: text for path, text in leaves("", tree) if path not in _OF_MACHINES}
+
+
+def _read_launch_together(
+    cfg: DictConfig, command: TypedCommand, group: ProcessGroup, stack: ExitStack
+) -> _Launch:
+    """Return the launch of this process; what all processes need to agree on, the main one decides.
+
+    That is the run folder, which it reserves until `stack` ends, the checkpoint, the precision and
+    the seed, to which each process adds its rank.
+    """
+    main: _Launch | None = None
+    with group.together():
+        if group.is_main:
+            main = _with_decided_precision(_read_launch(cfg, command))
+            stack.enter_context(main.folder)
+    decided = group.from_main(
+        main
+        and {
+            "seed": main.seed,
+            "full_experiment_name": main.folder.name,
+            "checkpoint": "" if main.settings.resume else main.checkpoint,
+            _PRECISION: OmegaConf.select(main.cfg, _PRECISION),
+        }
+    )
+    if main is not None:
+        return main
+    own = cfg.copy()
+    decided["seed"] += group.rank
+    if OmegaConf.select(own, _PRECISION) != "auto":
+        del decided[_PRECISION]
+    with open_dict(own):
+        for path, value in {**decided, **_QUIET}.items():
+            OmegaConf.update(own, path, value, force_add=True)
+        if group.device_of(str(own.rl_device)) != str(own.rl_device):
+            own.rl_device = group.device_of(str(own.rl_device))
+    return _read_launch(own)
 
 
 def _with_decided_precision(launch: _Launch) -> _Launch:

@@ -31,7 +31,13 @@ from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
+from isaacgymenvs_lite.distributed import started_by_torchrun
+from isaacgymenvs_lite.errors import (
+    ConfigError,
+    PeerMistakeError,
+    StoppedAtOnceError,
+    UserError,
+)
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
@@ -61,7 +67,9 @@ def main() -> None:
 
 def configure_logging() -> None:
     """Send the log to stderr, messages only, without breaking a progress bar."""
-    logging.basicConfig(level=logging.INFO, handlers=[message_handler()], force=True)
+    # Of several processes one logs; the others report what only they can.
+    level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
+    logging.basicConfig(level=level, handlers=[message_handler()], force=True)
 
 
 def message_handler() -> logging.Handler:
@@ -161,7 +169,14 @@ def _check_options(arguments: Sequence[str]) -> None:
 
 
 def _fail(error: UserError) -> None:
-    print(f"error: {error}", file=sys.stderr)
+    if started_by_torchrun():
+        from isaacgymenvs_lite.distributed.group import first_of_all  # imports torch
+
+        error = first_of_all(error)
+    if isinstance(error, PeerMistakeError):
+        log.info("%s", error)  # the other process reports it
+    else:
+        print(f"error: {error}", file=sys.stderr)
     sys.exit(EXIT_USER_ERROR)
 
 

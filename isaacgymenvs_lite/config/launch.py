@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import secrets
 from dataclasses import dataclass
 from typing import Any
@@ -72,6 +73,9 @@ class LaunchSettings:
     num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
     """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
+    """Several processes, which torchrun starts, train one policy."""
+    distributed_timeout_s: float = setting(600.0, above=0, maximum=86400)
+    """How long the processes wait for one that does not answer."""
 
     progress_interval: float = setting(10.0, above=0)
     """Seconds between lines of progress where the output is no terminal."""
@@ -204,15 +208,19 @@ def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
     Raises:
         ConfigError: such a feature is switched on.
     """
-    switches = {
-        "multi_gpu": (settings.multi_gpu, "data-parallel training"),
-        "pbt.enabled": (_select(cfg, "pbt.enabled"), "population-based training"),
-    }
-    for key, (value, feature) in switches.items():
-        if value:
-            raise ConfigError(
-                f"{key}={value}: {feature} is not implemented in this version; set {key}=False"
-            )
+    if value := _select(cfg, "pbt.enabled"):
+        raise ConfigError(
+            f"pbt.enabled={value}: population-based training is not implemented in this version;"
+            " set pbt.enabled=False"
+        )
+    num_processes = os.environ.get("WORLD_SIZE") or "1"
+    if settings.multi_gpu and settings.test:
+        raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
+    if not settings.multi_gpu and num_processes != "1":
+        raise ConfigError(
+            f"torchrun has started {num_processes} processes, but multi_gpu is False: add"
+            " multi_gpu=True to train one policy together, or start train.py without torchrun"
+        )
     if settings.wandb_activate:
         require("wandb", "wandb_activate=True", otherwise="leave wandb_activate out")
 

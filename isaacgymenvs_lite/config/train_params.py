@@ -132,13 +132,17 @@ def prepare_train_params(
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
-    if config.get("multi_gpu"):
+    if config.get("multi_gpu") and not cfg.multi_gpu:
         raise ConfigError(
-            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: data-parallel training is not"
-            " implemented in this version; set it to False"
+            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: several processes are started with"
+            " torchrun and multi_gpu=True (docs/distributed.md); set it to False here"
         )
+    # rl_games would start NCCL while it makes an agent: agents join the others themselves.
+    config["multi_gpu"] = False
     algo = params["algo"]["name"]
     if algo == "sac":
+        if cfg.multi_gpu:
+            raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
     recurrent = "rnn" in params["network"]

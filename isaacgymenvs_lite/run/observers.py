@@ -9,6 +9,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.imitation import ImitationObserver
@@ -85,6 +86,7 @@ class TrainingObservers(MultiObserver):
     ) -> None:
         metrics = MetricsObserver()
         self.agent: Any = None
+        self._stop = stop
         self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
@@ -96,18 +98,26 @@ class TrainingObservers(MultiObserver):
         if imitation is not None:
             observers.append(imitation)
         diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
-        super().__init__([*observers, metrics, self._progress, diagnostics])
+        observers += [metrics, self._progress, diagnostics]
+        # What they show and write is about all processes.
+        super().__init__(observers if current_group().is_main else [])
 
     def after_init(self, algo: Any) -> None:
         """Store the agent, and guard its TensorBoard writer before the first scalar."""
         self.agent = algo
-        install(algo.writer)
+        if current_group().is_main:
+            install(algo.writer)
         super().after_init(algo)
+
+    def after_steps(self) -> None:
+        """After each rollout; a request to end in one process ends all."""
+        self._stop.requested = current_group().any(self._stop.requested)
+        super().after_steps()
 
     def close_log(self) -> None:
         """End the display of progress, and write the scalars that wait."""
         self._progress.close()
-        if self.agent is not None:
+        if self.agent is not None and self.agent.writer is not None:
             self.agent.writer.flush()
 
     def close_wandb(self) -> None:
