@@ -9,6 +9,7 @@ Every method that sends a message is called by all processes, in the same order.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import datetime
 import json
@@ -189,7 +190,6 @@ class ProcessGroup:
 _TIMEOUT_OF_MISTAKES_S = 60.0
 
 _current = ProcessGroup()
-_has_joined = False
 
 
 def current_group() -> ProcessGroup:
@@ -201,7 +201,10 @@ def current_group() -> ProcessGroup:
 def joined_group(
     device: str, timeout_s: float, mistake: UserError | None = None
 ) -> Iterator[ProcessGroup]:
-    """Give the group of the processes that torchrun has started, and leave it at the end.
+    """Give the group of the processes that torchrun has started; outside it is one process again.
+
+    The processes stay connected until they end, for the next training: torch cannot connect the
+    same ones again.
 
     Args:
         device: of the networks: gloo connects CPUs, NCCL GPUs.
@@ -212,7 +215,7 @@ def joined_group(
         ConfigError: torchrun has not started this process.
         UserError: as `fail_together`, if a process had made out a mistake before.
     """
-    global _current, _has_joined
+    global _current
     missing = [name for name in _VARIABLES if not os.environ.get(name)]
     if missing:
         raise ConfigError(
@@ -231,11 +234,12 @@ def joined_group(
         )
     elif on_gpu:
         torch.cuda.set_device(group.local_rank)
-    _has_joined = True
-    dist.init_process_group(
-        "cpu:gloo,cuda:nccl" if on_gpu else "gloo",
-        timeout=datetime.timedelta(seconds=timeout_s),
-    )
+    if not dist.is_initialized():
+        dist.init_process_group(
+            "cpu:gloo,cuda:nccl" if on_gpu else "gloo",
+            timeout=datetime.timedelta(seconds=timeout_s),
+        )
+        atexit.register(dist.destroy_process_group)
     former, _current = _current, group
     try:
         with group.lost_peers_explained():
@@ -243,7 +247,6 @@ def joined_group(
             yield group
     finally:
         _current = former
-        dist.destroy_process_group()
 
 
 def first_of_all(error: UserError) -> UserError:
@@ -251,7 +254,7 @@ def first_of_all(error: UserError) -> UserError:
 
     All processes mostly make the same one: one of them reports it.
     """
-    if _has_joined:
+    if dist.is_initialized():
         return error
     try:
         with joined_group("cpu", _TIMEOUT_OF_MISTAKES_S, error):
