@@ -316,6 +316,8 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
     if not recurrent:
         # rl_games demands that it divides the batch, although nothing is cut into sequences.
         config["seq_length"] = 1
+    if config.get("schedule_type") == "per_minibatch":  # rl_games 2's name
+        config["schedule_type"] = "legacy"
     if "max_steps" in config:
         # As max_steps it would end up as an array axis inside rl_games.
         config.setdefault("max_frames", config.pop("max_steps"))

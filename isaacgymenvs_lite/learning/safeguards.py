@@ -263,6 +263,11 @@ class PPOSafeguards(Safeguards, DataParallel):
         epoch_num: int = super().update_epoch()
         return epoch_num
 
+    def store_training_state(self) -> None:
+        """Write the state after this epoch; see `Resuming`."""
+        self.take_own_meters()
+        super().store_training_state()
+
     def _rates_restored(self) -> None:
         self.update_lr(float(self.last_lr))
         if self.has_central_value:

@@ -27,7 +27,14 @@ SHORT = "task.env.episodeLength=5"
 AGENTS = {
     "ppo": ("task=Ant", *TINY_PPO, ADAPTIVE, SHORT, *TOGETHER),
     "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO, *TOGETHER),
-    "amp": ("task=HumanoidAMP", *TINY_AMP, ADAPTIVE, SHORT, f"+{CONFIG}.enable_eps_greedy=True", *TOGETHER),
+    "amp": (
+        "task=HumanoidAMP",
+        *TINY_AMP,
+        ADAPTIVE,
+        SHORT,
+        f"+{CONFIG}.enable_eps_greedy=True",
+        *TOGETHER,
+    ),
     "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT, *TOGETHER),
 }
 RANK = int(os.environ["RANK"])
