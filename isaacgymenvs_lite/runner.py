@@ -36,7 +36,8 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.distributed.group import ProcessGroup, joined_group
+from isaacgymenvs_lite.distributed.group import ProcessGroup, current_group, joined_group
+from isaacgymenvs_lite.distributed.restarts import mark_run
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import (
     CheckpointError,
@@ -130,15 +131,17 @@ def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
                 task.max_episode_length,
                 stop,
             )
+        with group.together():
             if group.is_main:
                 launch.folder.create(launch.repeatable)
+                mark_run(launch.folder.path)
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
             log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
         try:
             viewers.start(task, launch.folder.path, stop.request)
-            with stop, _output_to_log():
+            with stop, _output_to_log(), group.lost_peers_explained():
                 runner = _load_runner(params, task, observers)
                 runner.run({"train": True, "play": False, **launch.overrides})
         except NotFiniteError:
@@ -531,7 +534,8 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     task = str(launch.cfg.task.name)
     log.info("saved %s; play it: %s", newest, command.play(task))
     if was_stopped:
-        log.info("go on with it: %s", command.resume(launch.folder.path))
+        resume = command.resume(launch.folder.path, current_group().size)
+        log.info("go on with it: %s", resume)
 
 
 def _check_saved(folder: RunFolder) -> None:

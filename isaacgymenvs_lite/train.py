@@ -32,6 +32,7 @@ from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.distributed import started_by_torchrun
+from isaacgymenvs_lite.distributed.restarts import train_dir_of, words_after_restart
 from isaacgymenvs_lite.errors import (
     ConfigError,
     PeerMistakeError,
@@ -86,6 +87,7 @@ def _run_hydra() -> None:
         ConfigError: the configuration cannot be composed.
     """
     command = TypedCommand.of_this_process()
+    _go_on_after_restart()
     if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
         from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
 
@@ -115,6 +117,17 @@ def _run_hydra() -> None:
         if started:
             raise
         raise _explain(error, named.files) from error
+
+
+def _go_on_after_restart() -> None:
+    """Replace the command line by one that goes on, if torchrun has restarted this process."""
+    if not started_by_torchrun():
+        return
+    from isaacgymenvs_lite.run.folder import run_folders
+
+    runs = run_folders(train_dir_of(sys.argv[1:]))
+    if (words := words_after_restart(sys.argv[1:], runs)) is not None:
+        sys.argv[1:] = words
 
 
 def _command_of_job(command: TypedCommand) -> TypedCommand:

@@ -5,9 +5,9 @@ task remember. The replay buffers, which can be large, are in a file of their ow
 the newest state of a run is kept. Each file appears whole or not at all, and the one before is
 removed once both are written, so that a crash at any time leaves a state.
 
-Of several processes each writes what it remembers: `<epoch>_rank<rank>.pth` of all but the main one.
-The networks are in the main one's file alone. A secret that all files of a state share tells them
-from those of another state of the same epoch.
+Of several processes each writes what it remembers, all but the main one to
+`<epoch>_rank<rank>.pth`. The networks are in the main one's file alone. A secret that all files of
+a state share tells them from those of another state of the same epoch.
 """
 
 from __future__ import annotations

@@ -577,11 +577,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Update all running statistics by a minibatch; later, slices of it are only normalised."""
 
         def update(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
-            normalizer.eval()
             for rows in kinds:
                 normalizer.count_in(rows)
 
         inputs = self._normalizer_inputs(minibatch)
+        for normalizer, _ in inputs:
+            normalizer.eval()
         if current_group().size > 1:
             count_in_jointly(inputs)
         else:

@@ -79,6 +79,13 @@ class DataParallel(A2CAgent):
             self.central_value_net.multi_gpu = True
             self.central_value_net.world_size = group.size
 
+    def train(self) -> Any:
+        """Train as rl_games."""
+        result = super().train()
+        if self.has_joined:
+            self.count_frames()  # of the last epoch
+        return result
+
     def count_frames(self) -> None:
         """Count the frames of an epoch, which rl_games does in the main process alone."""
         group = current_group()

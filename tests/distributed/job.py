@@ -1,18 +1,21 @@
-"""What torchrun starts for the tests: `-m tests.distributed.job FOLDER NAME...`.
+"""What torchrun starts for the tests: `-m tests.distributed.job FOLDER`.
 
-Trains the named agents, one after another, and writes what each process has learned to
-FOLDER/<name>_<rank>.pth.
+Trains agents, one after another, and writes what each process has learned to
+FOLDER/<name>_<rank>.pth. The main process adds what the first gradient step would have been in one
+process with the rows of all.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import torch
+import torch.distributed as dist
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
@@ -22,7 +25,7 @@ from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE
 
 ADAPTIVE = f"{CONFIG}.lr_schedule=adaptive"
-TOGETHER = ("multi_gpu=True", "num_envs=16", "max_iterations=3")
+TOGETHER = ("multi_gpu=True", "num_envs=16", "max_iterations=3", f"{CONFIG}.truncate_grads=False")
 SHORT = "task.env.episodeLength=5"
 AGENTS = {
     "ppo": ("task=Ant", *TINY_PPO, ADAPTIVE, SHORT, *TOGETHER),
@@ -37,7 +40,7 @@ AGENTS = {
     ),
     "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT, *TOGETHER),
 }
-RANK = int(os.environ["RANK"])
+RANK = int(os.environ.get("RANK", "0"))
 
 
 def learned(agent: Any) -> dict[str, Any]:
@@ -51,8 +54,6 @@ def learned(agent: Any) -> dict[str, Any]:
         "frame": agent.frame,
         "epoch": agent.epoch_num,
         "last_lr": agent.last_lr,
-        "mean_reward": agent.game_rewards.get_mean().tolist(),
-        "episodes": agent.game_rewards.current_size,
     }
 
 
@@ -69,11 +70,12 @@ class FirstStep:
 
         def prepare_minibatch(agent: Any, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
             if not record:
-                record["before"] = agent.get_full_state_weights()
-                record["before"] = torch.load(_copied(record["before"]), weights_only=True)
+                record["before"] = _copied(agent.get_full_state_weights())
                 record["minibatch"] = {k: v for k, v in minibatch.items() if v is not None}
             rows = prepare(agent, minibatch)
-            record.setdefault("rows", rows)
+            if "rows" not in record:
+                record["rows"] = {k: v for k, v in rows.items() if v is not None}
+                record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
             return rows
 
         def trancate_gradients_and_step(agent: Any) -> None:
@@ -82,9 +84,6 @@ class FirstStep:
             if "gradients" not in record:
                 record["own_gradients"] = own
                 record["gradients"] = [p.grad for p in agent._learned]
-                record["after"] = torch.load(
-                    _copied(agent.get_full_state_weights()), weights_only=True
-                )
 
         CommonAgent.prepare_minibatch = prepare_minibatch  # type: ignore[method-assign]
         CommonAgent.trancate_gradients_and_step = trancate_gradients_and_step
@@ -96,45 +95,68 @@ class FirstStep:
 
 
 def _copied(state: dict[str, Any]) -> Any:
-    import io
+    return copy.deepcopy(state)
 
-    stream = io.BytesIO()
-    torch.save(state, stream)
-    stream.seek(0)
-    return stream
+
+def joined_first_step(agent: Any, steps: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the first step of one process with the rows of several; the agent is as before it."""
+
+    def joined(key: str) -> dict[str, Tensor]:
+        return {name: torch.cat([step[key][name] for step in steps]) for name in steps[0][key]}
+
+    agent.set_train()
+    agent._update_normalizers(joined("minibatch"))
+    counted = _copied(agent.get_stats_weights(model_stats=True))
+    gradients, _ = agent.executor.gradients(agent.compute_loss, joined("rows"), agent._learned)
+    return {"counted": counted, "gradients": gradients}
 
 
 def train(folder: Path, name: str, words: tuple[str, ...]) -> None:
     """Train an agent, and write what it has learned."""
     agents: list[Any] = []
-    remember = PPOSafeguards.join_others
+    episodes: dict[str, Any] = {}
+    remember, share = PPOSafeguards.join_others, PPOSafeguards.share_meters
 
     def join_others(agent: Any, tensors: list[Tensor]) -> None:
         agents[:] = [agent]
         remember(agent, tensors)
 
+    def share_meters(agent: Any) -> None:
+        share(agent)
+        episodes["mean_reward"] = agent.game_rewards.get_mean().tolist()
+        episodes["episodes"] = int(agent.game_rewards.current_size)
+
     PPOSafeguards.join_others = join_others  # type: ignore[method-assign]
+    PPOSafeguards.share_meters = share_meters  # type: ignore[method-assign]
     try:
         with contextlib.chdir(folder), FirstStep() as first:
             run(compose(words))
     finally:
         PPOSafeguards.join_others = remember  # type: ignore[method-assign]
-    content = {"learned": learned(agents[0]), "first": first.record}
-    torch.save(content, folder / f"{name}_{RANK}.pth")
+        PPOSafeguards.share_meters = share  # type: ignore[method-assign]
+    before = first.record.pop("before", None)
+    content = {"learned": _copied(learned(agents[0])) | episodes, "first": first.record}
+    file = folder / f"{name}_{RANK}.pth"
+    torch.save(content, file)
+    dist.barrier()
+    if RANK == 0 and first.record:
+        other = torch.load(folder / f"{name}_1.pth", weights_only=True)
+        agents[0].set_full_state_weights(before)
+        content["joined"] = joined_first_step(agents[0], [first.record, other["first"]])
+        torch.save(content, file)
 
 
 def main() -> None:
     folder = Path(sys.argv[1])
-    for name in sys.argv[2:]:
-        train(folder, name, AGENTS[name])
-    if "gen_amp" in sys.argv[2:]:
-        (low,) = (folder / "runs").glob("HumanoidASE_*")
-        words = (
-            *("task=HumanoidHeading", "task.env.motion_file=stand", *TINY_PPO, *TOGETHER),
-            f"{CONFIG}.llc_config={low / 'config.yaml'}",
-            f"{CONFIG}.llc_checkpoint={next(low.glob('nn/*.pth'))}",
-        )
-        train(folder, "hrl", words)
+    for name, words in AGENTS.items():
+        train(folder, name, words)
+    (low,) = (folder / "runs").glob("HumanoidASE_*")
+    words = (
+        *("task=HumanoidHeading", "task.env.motion_file=stand", *TINY_PPO, *TOGETHER),
+        f"{CONFIG}.llc_config={low / 'config.yaml'}",
+        f"{CONFIG}.llc_checkpoint={next(low.glob('nn/*.pth'))}",
+    )
+    train(folder, "hrl", words)
 
 
 if __name__ == "__main__":
