@@ -44,7 +44,7 @@ from isaacgymenvs_lite.errors import (
     one_line,
 )
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
-from isaacgymenvs_lite.pbt.observer import population_of, run_suffix, with_first_mutation
+from isaacgymenvs_lite.pbt.observer import mutate_first, population_of, run_suffix
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
@@ -105,7 +105,8 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
     """
     command = command or TypedCommand()
     launch = _with_decided_precision(_read_launch(cfg, command))
-    launch = replace(launch, cfg=with_first_mutation(launch.cfg, launch.seed))
+    launch = replace(launch, cfg=launch.cfg.copy())
+    mutate_first(launch.cfg, launch.seed)
     interrupt: KeyboardInterrupt | None = None
     with (
         _memory_errors_explained(cfg),

@@ -66,7 +66,7 @@ def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
     Raises:
         ConfigError: a value cannot be used.
     """
-    settings = read_section(PBTSettings, tree.get("pbt"), "pbt")
+    settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
     settings = dataclasses.replace(settings, mutation=dict(_flat(settings.mutation)))

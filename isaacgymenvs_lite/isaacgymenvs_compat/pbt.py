@@ -7,13 +7,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.pbt.observer import PBTObserver, population_of, with_first_mutation
+from isaacgymenvs_lite.pbt.observer import PBTObserver, mutate_first, population_of
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 
 __all__ = ["PbtAlgoObserver", "initial_pbt_check"]
@@ -28,7 +28,7 @@ def initial_pbt_check(cfg: DictConfig) -> None:
     Raises:
         ConfigError: the section `pbt` cannot be used.
     """
-    OmegaConf.unsafe_merge(cfg, with_first_mutation(cfg, _seed(cfg)))
+    mutate_first(cfg, _seed(cfg))
 
 
 class PbtAlgoObserver(AlgoObserver):

@@ -36,24 +36,22 @@ def run_suffix(cfg: DictConfig) -> str:
     return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
 
 
-def with_first_mutation(cfg: DictConfig, seed: int) -> DictConfig:
-    """Return the tree of a policy that begins, with settings that differ from those of others.
+def mutate_first(cfg: DictConfig, seed: int) -> None:
+    """Change the settings of a policy that begins, in place, so that it differs from the others.
 
     Args:
-        cfg: the tree; without a population, or if the policy goes on, it is returned as it is.
+        cfg: the tree; without a population, or if the policy goes on, it stays as it is.
         seed: of the training.
     """
     tree = plain(cfg)
     pbt = read_pbt_settings(tree)
     if pbt is None or _goes_on(cfg):
-        return cfg
+        return
     former = mutable_values(tree, pbt)
     params = _mutated(former, pbt, _generator(seed, pbt, "start"))
     log.info("pbt: policy %d begins with %s", pbt.policy_idx, _changes(former, params))
-    cfg = cfg.copy()
     for path, value in params.items():
         OmegaConf.update(cfg, path, value)
-    return cfg
 
 
 @contextmanager

@@ -329,8 +329,7 @@ class Workspace:
             yield f"iteration is {record.iteration}, expected {iteration} as in its name"
         for path in self._params:
             value = record.params.get(path)
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not is_number or not math.isfinite(value):
+            if type(value) not in (int, float) or not math.isfinite(value or 0):
                 yield f"params.{path} is {short(value)}, expected a number"
 
     def _read_yaml(self, file: Path) -> dict[str, Any]:
