@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import random
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -55,13 +55,17 @@ def mutate_first(cfg: DictConfig, seed: int) -> None:
 
 
 @contextmanager
-def population_of(cfg: DictConfig, seed: int, train_dir: Path) -> Iterator[PBTObserver | None]:
+def population_of(
+    cfg: DictConfig, seed: int, train_dir: Path, decides: bool = True
+) -> Iterator[PBTObserver | None]:
     """Join the population of a tree, and give its observer; None without one.
 
     Args:
         cfg: the tree.
         seed: of the training.
         train_dir: folder of the runs.
+        decides: False of all but the first of several processes that train one policy: these
+            leave the workspace alone.
 
     Raises:
         ConfigError: the workspace cannot be used, see `Workspace`.
@@ -72,9 +76,13 @@ def population_of(cfg: DictConfig, seed: int, train_dir: Path) -> Iterator[PBTOb
         yield None
         return
     params = mutable_values(tree, pbt)
-    with Workspace(train_dir / pbt.workspace, pbt, tree, params) as workspace:
-        workspace.join(is_new=not _goes_on(cfg))
-        yield PBTObserver(pbt, workspace, params, seed, str(cfg.task.name))
+    workspace = Workspace(train_dir / pbt.workspace, pbt, tree, params)
+    observer = PBTObserver(pbt, workspace, params, seed, str(cfg.task.name))
+    observer.decides = decides
+    with ExitStack() as opened:
+        if decides:
+            opened.enter_context(workspace).join(is_new=not _goes_on(cfg))
+        yield observer
 
 
 class PBTObserver(AlgoObserver):
@@ -84,7 +92,8 @@ class PBTObserver(AlgoObserver):
     reads those of the others. If it is replaced, a `RestartRequest` leaves rl_games' loop.
 
     Of several processes that train one policy (data-parallel), the first decides, and all of them
-    restart: `after_steps` is called in each at the same place, and `share` sends the decision.
+    restart: `after_steps` is called in each at the same place, and `share` sends the decision. All
+    of them need the seed of the first, so that they begin with the same settings.
 
     Args:
         settings: of the population.

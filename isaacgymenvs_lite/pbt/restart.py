@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override
 
@@ -32,6 +32,10 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
         super().__init__("the training goes on with other settings: compose them and run again")
         self.settings = dict(settings)
         self._run = run
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let one process of a data-parallel training send the request to the others."""
+        return type(self), (self.settings, self._run)
 
     @property
     def overrides(self) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,8 @@ from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.pbt import workspace
+from isaacgymenvs_lite.pbt.observer import PBTObserver, population_of
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
@@ -150,20 +154,29 @@ def test_a_policy_that_was_trained_does_not_begin_again():
 def test_stop_and_restart_in_one_epoch(monkeypatch):
     """The user's request counts."""
     run(compose(GOOD))
-    from isaacgymenvs_lite.pbt.observer import PBTObserver
-
     act = PBTObserver.act
 
     def stop_first(self, request):
-        import os
-        import signal
-
         os.kill(os.getpid(), signal.SIGTERM)
         act(self, request)
 
     monkeypatch.setattr(PBTObserver, "act", stop_first)
     run(compose(BAD))
     assert list(run_of(1).glob("nn/Ant_interrupted.pth"))
+
+
+def test_the_first_of_several_processes_decides_for_all():
+    sent = RestartRequest({RATE: 0.5}, Path("runs/Ant"))
+    with population_of(compose(BAD), 2, Path("runs"), decides=False) as follower:
+        assert follower is not None
+        follower.after_init(None)
+        follower.share = lambda own: own
+        follower.after_steps()  # nothing was decided
+        follower.share = lambda own: sent if own is None else own
+        with pytest.raises(RestartRequest) as received:
+            follower.after_steps()
+    assert received.value is sent
+    assert not Path("runs").exists()
 
 
 def test_a_broken_file_during_a_training_is_left_out(caplog):
@@ -200,8 +213,6 @@ def test_a_checkpoint_that_runs_code_is_not_loaded(caplog):
 
 
 def test_a_full_disk_does_not_end_the_training(caplog, monkeypatch):
-    from isaacgymenvs_lite.pbt import workspace
-
     def full(*args):
         raise OSError(28, "No space left on device")
 

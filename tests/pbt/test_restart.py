@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,11 @@ def test_words_compose_to_the_settings():
     assert cfg.checkpoint == CHANGED["checkpoint"]
     assert cfg.full_experiment_name == CHANGED["full_experiment_name"]
     assert (cfg.pbt_restart, cfg.pbt.policy_idx) == (True, 1)
+
+
+def test_processes_send_it_to_each_other():
+    received = pickle.loads(pickle.dumps(REQUEST))
+    assert received.words(["resume=last"]) == REQUEST.words(["resume=last"])
 
 
 def test_a_second_restart_adds_nothing():

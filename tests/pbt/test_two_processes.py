@@ -63,14 +63,15 @@ def test_a_mutation_and_a_restart(tmp_path):
         wait_for(lambda: list(tmp_path.glob("runs/ws/001/0*.yaml")) != [], tmp_path)
         first = min(tmp_path.glob("runs/ws/001/0*.yaml"))
         before, own = params(first), load_checkpoint(first.with_suffix(".pth"))
-        # Its second process, after "goes on with the weights", starts from a checkpoint and writes.
+        wait_for(lambda: list(tmp_path.glob("runs/ws/000/0*.yaml")) != [], tmp_path)
+        better.send_signal(signal.SIGTERM)  # its records stay
+        # The second process of the worse one, after "goes on with the weights", starts from a checkpoint and writes.
         wait_for(lambda: "\ncheckpoint: " in log.read_text(), tmp_path)
         number = max(int(f.stem) for f in tmp_path.glob("runs/ws/001/0*.yaml"))
         after = tmp_path / f"runs/ws/001/{number + 1:06d}.yaml"
         wait_for(after.exists, tmp_path)
         assert worse.poll() is None  # the same process id
-        for process in (better, worse):
-            process.send_signal(signal.SIGTERM)
+        worse.send_signal(signal.SIGTERM)
         assert [process.wait(30) for process in (better, worse)] == [0, 0]
     text = log.read_text()
     assert "goes on with the weights of policy 0" in text
