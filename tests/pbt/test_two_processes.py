@@ -65,7 +65,7 @@ def test_a_mutation_and_a_restart(tmp_path):
         before, own = params(first), load_checkpoint(first.with_suffix(".pth"))
         wait_for(lambda: list(tmp_path.glob("runs/ws/000/0*.yaml")) != [], tmp_path)
         better.send_signal(signal.SIGTERM)  # its records stay
-        # The second process of the worse one, after "goes on with the weights", starts from a checkpoint and writes.
+        # Its second process starts from a checkpoint, and writes.
         wait_for(lambda: "\ncheckpoint: " in log.read_text(), tmp_path)
         number = max(int(f.stem) for f in tmp_path.glob("runs/ws/001/0*.yaml"))
         after = tmp_path / f"runs/ws/001/{number + 1:06d}.yaml"
