@@ -127,7 +127,7 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         if pbt is not None:
             pbt.is_stopping = lambda: stop.requested
         observers = TrainingObservers(
-            cfg,
+            launch.cfg,
             launch.settings,
             launch.folder.name,
             _imitation_observer(params["config"], task, make_task),
