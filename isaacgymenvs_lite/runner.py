@@ -44,6 +44,8 @@ from isaacgymenvs_lite.errors import (
     one_line,
 )
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.pbt.observer import mutate_first, population_of, run_suffix
+from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
@@ -77,6 +79,7 @@ def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
 
     Raises:
         UserError: a mistake that the user can correct; nothing was trained then.
+        RestartRequest: the training goes on in a new process, see `train`.
     """
     settings = check_config(cfg)
     if settings.test:
@@ -97,11 +100,20 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
         KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
+        RestartRequest: the policy of a population goes on with other settings in a new process,
+            `pbt.restart.start_again`; everything of this one is closed.
     """
     command = command or TypedCommand()
     launch = _with_decided_precision(_read_launch(cfg, command))
+    launch = replace(launch, cfg=launch.cfg.copy())
+    mutate_first(launch.cfg, launch.seed)
     interrupt: KeyboardInterrupt | None = None
-    with _memory_errors_explained(cfg), _open_tasks(launch) as make_task, launch.folder:
+    with (
+        _memory_errors_explained(cfg),
+        _open_tasks(launch) as make_task,
+        population_of(launch.cfg, launch.seed, launch.folder.train_dir) as pbt,
+        launch.folder,
+    ):
         viewers = Viewers(launch.settings)
         if launch.num_envs > _MANY_ENVS:
             with _quiet("isaacgymenvs_lite.config"):
@@ -112,13 +124,16 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         check_training_memory(params, task, launch.num_envs)
         params["config"]["print_stats"] = False
         stop = StopRequest()
+        if pbt is not None:
+            pbt.is_stopping = lambda: stop.requested
         observers = TrainingObservers(
-            cfg,
+            launch.cfg,
             launch.settings,
             launch.folder.name,
             _imitation_observer(params["config"], task, make_task),
             task.max_episode_length,
             stop,
+            pbt,
         )
         launch.folder.create(launch.repeatable)
         task.listeners.append(DivergenceFiles(task, launch.folder.path))
@@ -132,6 +147,10 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         except UserError:
             launch.folder.remove_if_unused()
             raise
+        except RestartRequest:
+            if not stop.requested:
+                raise
+            _save(observers.agent, launch, "_interrupted")  # the user was faster
         except KeyboardInterrupt as error:
             interrupt = error
             log.warning("stopped at once")
@@ -267,7 +286,7 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        stamped = str(name) + datetime.now().strftime("_%d-%H-%M-%S")
+        stamped = str(name) + run_suffix(cfg) + datetime.now().strftime("_%d-%H-%M-%S")
         folder = RunFolder(train_dir, stamped, is_exact=False)
     given = settings.checkpoint or checkpoint_in_file(cfg)
     checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)

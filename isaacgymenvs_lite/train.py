@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
@@ -33,6 +33,7 @@ from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 log = logging.getLogger(__name__)
@@ -93,6 +94,7 @@ def _run_hydra() -> None:
     def job(cfg: DictConfig) -> None:
         nonlocal started
         started = True
+        _refuse_policies_in_turns(cfg)
         _run_job(cfg, _command_of_job(command))
 
     decorate = hydra.main(
@@ -117,6 +119,18 @@ def _command_of_job(command: TypedCommand) -> TypedCommand:
     return dataclasses.replace(command, words=tuple(words))
 
 
+def _refuse_policies_in_turns(cfg: DictConfig) -> None:
+    """Refuse a sweep over the policies of a population, which train at the same time."""
+    is_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+    if is_sweep and OmegaConf.select(cfg, "pbt.enabled"):
+        _fail(
+            ConfigError(
+                "--multirun trains one run after the other, and the policies of a population train"
+                " at the same time; start each in a process of its own: pbt.policy_idx=0, 1, ..."
+            )
+        )
+
+
 def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
     """Check the composed tree, then train or play.
 
@@ -129,6 +143,8 @@ def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
         run(cfg, command)
     except UserError as error:
         _fail(error)
+    except RestartRequest as request:
+        start_again(request, command.words)
 
 
 def _explain(error: Exception, files: NamedFiles) -> ConfigError:

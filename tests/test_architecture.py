@@ -22,8 +22,8 @@ LOOPS = {"play_steps", "train_epoch", "calc_gradients"}
 LAYERS = (
     *("errors", "_version", "paths", "yaml_text", "schema", "utils", "config"),
     *("simulation", "rendering", "command_line", "motion", "env_interface", "gymnasium_ids"),
-    *("tasks", "evaluation", "run", "checkpoints", "learning", "viewers", "env_factory"),
-    *("wrappers", "registration", "typed_command", "runner"),
+    *("tasks", "evaluation", "run", "checkpoints", "learning", "pbt", "viewers"),
+    *("env_factory", "wrappers", "registration", "typed_command", "runner"),
     *("check", "policies", "demo", "train", "isaacgymenvs_compat", "alias"),
     *("report", "export", "workflows", "__main__"),
 )

@@ -83,11 +83,38 @@ def write_training_state(
             too_large = size
     entry = {"version": _VERSION, "token": token, "memory": plain_numbers(state.memory)}
     write_atomically(files[0], {**plain_numbers(state.checkpoint), KEY: entry})
+    _remove_others(folder, files)
+    return files, too_large
+
+
+def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
+    """Write the checkpoint that a run goes on from in another process, and remove its states.
+
+    The states would lead `resume=` back to the networks before.
+
+    Args:
+        run: the run folder.
+        checkpoint: of these or other networks.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: the folder cannot be written or is full; the former states are left.
+    """
+    folder = run / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{checkpoint['epoch']}.pth"
+    write_atomically(file, plain_numbers(checkpoint))
+    _remove_others(folder, [file])
+    return file
+
+
+def _remove_others(folder: Path, files: list[Path]) -> None:
     for other in folder.iterdir():
         if other not in files and (_STATE.fullmatch(other.name) or _BUFFERS.fullmatch(other.name)):
             with contextlib.suppress(OSError):
                 other.unlink()
-    return files, too_large
 
 
 def read_training_state(path: Path) -> TrainingState:

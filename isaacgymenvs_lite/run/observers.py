@@ -69,6 +69,7 @@ class TrainingObservers(MultiObserver):
         imitation: measures the pose error, if the task has reference motions.
         max_episode_steps: the task's time limit in control steps.
         stop: the user's request to end the training.
+        population: compares the policy with others, if there are any.
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.
@@ -82,6 +83,7 @@ class TrainingObservers(MultiObserver):
         imitation: ImitationObserver | None,
         max_episode_steps: int,
         stop: StopRequest,
+        population: AlgoObserver | None = None,
     ) -> None:
         metrics = MetricsObserver()
         self.agent: Any = None
@@ -96,7 +98,8 @@ class TrainingObservers(MultiObserver):
         if imitation is not None:
             observers.append(imitation)
         diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
-        super().__init__([*observers, metrics, self._progress, diagnostics])
+        observers += [metrics, self._progress, diagnostics]
+        super().__init__(observers if population is None else [*observers, population])
 
     def after_init(self, algo: Any) -> None:
         """Store the agent, and guard its TensorBoard writer before the first scalar."""

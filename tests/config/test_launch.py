@@ -76,7 +76,7 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),
         ("capture_video_envs=0", "capture_video_envs: got 0"),
         ("progress_interval=0", "progress_interval: got 0"),
-        ("pbt.enabled=True", "pbt.enabled=True: population-based training is not implemented"),
+        ("pbt.enabled=1", "pbt.enabled: got 1, expected True or False"),
     ],
 )
 def test_wrong_values(no_gpu, override, expected):
