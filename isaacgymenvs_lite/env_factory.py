@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sys
 from collections.abc import Collection, Sequence
@@ -192,12 +193,13 @@ def _folder_of_model(
 ) -> Path | None:
     """Return the folder of a model in a checkout, None for the models of this project."""
     name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
-    ours = not name or (assets_dir() / name).is_file() or name in published
-    if ours or (Path(root) / name).is_file():
+    # Not Path.is_file, which fails for names that are too long for a file.
+    ours = not name or os.path.isfile(assets_dir() / name) or name in published
+    if ours or os.path.isfile(Path(root) / name):
         return None
     folders = [] if ".." in Path(name).parts else checkouts.model_folders(checkout, root)
     for folder in folders:
-        if (folder / name).is_file():
+        if os.path.isfile(folder / name):
             return folder
     searched = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
     raise ConfigError(
