@@ -28,10 +28,17 @@ log = logging.getLogger(__name__)
 
 _SWEEPER = "hydra/sweeper="
 _MAX_FAILURE_RATE = "hydra.sweeper.max_failure_rate"
-PROCESS = uuid.uuid4().hex
-"""Name of this process; numbers of processes repeat on other machines."""
+_PROCESS = uuid.uuid4().hex
 # Whether the user has ended the sweep in a process that runs its jobs.
 _ended_here = False
+
+
+def this_process() -> str:
+    """Return a name of this process; numbers of processes repeat on other machines.
+
+    A function, because a worker gets copies of the constants of a program (`python -m`).
+    """
+    return _PROCESS
 
 
 def is_sweep() -> bool:
@@ -104,7 +111,7 @@ def run_job(
         run: receives `stop` and `direction`, and trains or plays as `runner.run` does.
         cfg: the composed tree of the job.
         typed: the words of the command line, sweeps included.
-        parent: `PROCESS` of the sweep.
+        parent: `this_process` of the sweep.
 
     Returns:
         The number of the job.
@@ -133,7 +140,7 @@ def run_job(
         failure = f"{type(error).__name__}: {one_line(error)}"
         log.exception("the job has failed")
     if stop.requested:
-        if parent == PROCESS:
+        if parent == this_process():
             raise KeyboardInterrupt
         _ended_here = True
         failure = failure or "ended by the user"

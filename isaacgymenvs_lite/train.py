@@ -38,11 +38,11 @@ from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.sweep import (
-    PROCESS,
     Sweep,
     is_sweep,
     numbered_output,
     run_job,
+    this_process,
     waiting_for_jobs,
     with_failures_allowed,
 )
@@ -104,7 +104,7 @@ def _run_hydra() -> None:
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    started, parent, sweep = False, PROCESS, Sweep()
+    started, parent, sweep = False, this_process(), Sweep()
 
     def job(cfg: DictConfig) -> float | None:
         nonlocal started
@@ -151,7 +151,7 @@ def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: str) -> fl
     """
     words = words_of_job(command.words, HydraConfig.get().overrides.task)
     job = dataclasses.replace(command, words=tuple(words), is_job=True)
-    in_parent = parent == PROCESS
+    in_parent = parent == this_process()
     with contextlib.nullcontext() if in_parent else numbered_output():
         if not in_parent:
             configure_logging()

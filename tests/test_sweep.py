@@ -319,14 +319,21 @@ def test_a_study_by_pose_error(train_here, walk_clip, tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("press", [False, True], ids=["to the end", "Ctrl-C"])
-def test_jobs_at_the_same_time(press, tmp_path):
+@pytest.mark.parametrize(
+    ("program", "press"),
+    [
+        ([str(REPOSITORY / "train.py")], False),
+        (["-m", "isaacgymenvs_lite.train"], True),
+    ],
+    ids=["to the end", "Ctrl-C"],
+)
+def test_jobs_at_the_same_time(program, press, tmp_path):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="needs the extra [sweep]")
     joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     epochs = 100_000 if press else 2
     words = (*CARTPOLE, *joblib, "experiment=same", f"max_iterations={epochs}")
     process = subprocess.Popen(
-        [sys.executable, str(REPOSITORY / "train.py"), "-m", *words, "seed=1,-2,3"],
+        [sys.executable, *program, "-m", *words, "seed=1,-2,3"],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
         stderr=subprocess.PIPE,
