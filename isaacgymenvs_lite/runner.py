@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -35,7 +36,7 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
 from isaacgymenvs_lite.errors import (
     CheckpointError,
     ConfigError,
@@ -43,6 +44,7 @@ from isaacgymenvs_lite.errors import (
     UserError,
     one_line,
 )
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.pbt.observer import mutate_first, population_of, run_suffix
 from isaacgymenvs_lite.pbt.restart import RestartRequest
@@ -51,6 +53,7 @@ from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
+from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
@@ -69,13 +72,24 @@ _IMITATION_EPISODES = 16
 _MANY_ENVS = 100_000
 
 
-def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+def run(
+    cfg: DictConfig,
+    command: TypedCommand | None = None,
+    *,
+    stop: StopRequest | None = None,
+    direction: str = "",
+) -> float | None:
     """Train (`test=False`) or play (`test=True`) as a composed tree says.
 
     Args:
         cfg: the tree.
         command: the command line that the tree was composed from, for hints; None if a program
             composed it.
+        stop: tells the caller afterwards whether the user has ended a training; None: nobody asks.
+        direction: of a study, `minimize` or `maximize`; '' for none.
+
+    Returns:
+        The result of `train` or `play`.
 
     Raises:
         UserError: a mistake that the user can correct; nothing was trained then.
@@ -83,17 +97,30 @@ def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
     """
     settings = check_config(cfg)
     if settings.test:
-        play(cfg, command)
-    else:
-        train(cfg, command)
+        return play(cfg, command, direction=direction)
+    return train(cfg, command, stop=stop, direction=direction)
 
 
-def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+@torch_settings_kept()
+def train(
+    cfg: DictConfig,
+    command: TypedCommand | None = None,
+    *,
+    stop: StopRequest | None = None,
+    direction: str = "",
+) -> float | None:
     """Train the agent of a composed tree in a run folder of its own.
 
     Args:
         cfg: the tree.
         command: as in `run`.
+        stop: as in `run`.
+        direction: as in `run`.
+
+    Returns:
+        The number that compares runs, see `run.objective`: the best pose error in m (less is
+        better), or the best mean reward (more is better). None if nothing could be measured: no
+        episode has ended, or the user has ended the run before.
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
@@ -123,14 +150,17 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         params = _read_params(launch, task)
         check_training_memory(params, task, launch.num_envs)
         params["config"]["print_stats"] = False
-        stop = StopRequest()
+        imitation = _imitation_observer(params["config"], task, make_task)
+        objective = objective_of(params["config"], imitation is not None)
+        objective.check_direction(direction, str(cfg.task.name))
+        stop = stop or StopRequest()
         if pbt is not None:
             pbt.is_stopping = lambda: stop.requested
         observers = TrainingObservers(
             launch.cfg,
             launch.settings,
             launch.folder.name,
-            _imitation_observer(params["config"], task, make_task),
+            imitation,
             task.max_episode_length,
             stop,
             pbt,
@@ -142,6 +172,8 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
             with stop, _output_to_log():
                 runner = _load_runner(params, task, observers)
                 runner.run({"train": True, "play": False, **launch.overrides})
+                if objective is POSE_ERROR and not stop.requested:
+                    observers.evaluate_end()
         except NotFiniteError:
             raise  # the run folder shows how it happened
         except UserError:
@@ -164,18 +196,31 @@ def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         # never reach.
         if not launch.checkpoint_file("").exists():
             _save(observers.agent, launch, "")
+        best = observers.best(objective)
+        if best is not None:
+            log.info("%s", objective.describe(best))
         _report_end(launch, command, stop.requested)
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)
+        return best
 
 
-def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+@torch_settings_kept()
+def play(
+    cfg: DictConfig, command: TypedCommand | None = None, *, direction: str = ""
+) -> float | None:
     """Play the policy of a composed tree's checkpoint, and log what it reaches.
 
     Args:
         cfg: the tree.
         command: as in `run`.
+        direction: as in `run`.
+
+    Returns:
+        The pose error in m or the mean reward of the episodes, whichever the training of such a
+        policy returns. None if nothing was measured: the window was closed before, or the player
+        is not this project's.
 
     Raises:
         UserError: a mistake that the user can correct.
@@ -187,11 +232,14 @@ def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         Viewers(launch.settings) as viewers,
     ):
         player = _make_player(launch, make_task(launch.num_envs))
+        objective = objective_of(player.config, hasattr(player.env, "motion_lib"))
+        objective.check_direction(direction, str(cfg.task.name))
         folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
         stamp = Path(launch.folder.name).name.removeprefix(launch.name)
         viewers.start(player.env, folder, _end_play, f"play{stamp}")
         with contextlib.suppress(WindowClosedError), _output_to_log():
             player.run()
+    return _played(getattr(player, "result", None), objective)
 
 
 @contextmanager
@@ -433,6 +481,16 @@ def _imitation_observer(
 # --- the end of a run ---------------------------------------------------------------------------
 
 
+def _played(result: EvaluationResult | None, objective: Objective) -> float | None:
+    """Return the number of played episodes; None if they could not be measured."""
+    if result is None:
+        return None
+    value = result.reward
+    if objective is POSE_ERROR:
+        value = math.nan if result.imitation is None else result.imitation.pose_error_m
+    return value if math.isfinite(value) else None
+
+
 def _end_play() -> None:
     raise WindowClosedError
 
@@ -450,7 +508,7 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     if newest is None:
         return
     task = str(launch.cfg.task.name)
-    log.info("saved %s; play it: %s", newest, command.play(task))
+    log.info("saved %s; play it: %s", newest, command.play(task, newest))
     if was_stopped:
         log.info("go on with it: %s", command.resume(launch.folder.path))
 

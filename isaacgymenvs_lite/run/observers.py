@@ -13,6 +13,7 @@ from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.imitation import ImitationObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
@@ -85,7 +86,8 @@ class TrainingObservers(MultiObserver):
         stop: StopRequest,
         population: AlgoObserver | None = None,
     ) -> None:
-        metrics = MetricsObserver()
+        self._metrics = metrics = MetricsObserver()
+        self._imitation = imitation
         self.agent: Any = None
         self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
         self._wandb = None
@@ -106,6 +108,17 @@ class TrainingObservers(MultiObserver):
         self.agent = algo
         install(algo.writer)
         super().after_init(algo)
+
+    def evaluate_end(self) -> None:
+        """Measure the pose error of the last policy, if pose errors are measured at all."""
+        if self._imitation is not None:
+            self._imitation.evaluate_end()
+
+    def best(self, objective: Objective) -> float | None:
+        """Return the best number of the run; None if nothing could be measured."""
+        if objective is POSE_ERROR:
+            return None if self._imitation is None else self._imitation.best_pose_error_m
+        return self._metrics.best_reward
 
     def close_log(self) -> None:
         """End the display of progress, and write the scalars that wait."""
