@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,8 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.tasks.registry import TaskMaker
 from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
 from isaacgymenvs_lite.viewers.window import Window
+
+_DETERMINISM: Any = torch.utils.deterministic
 
 
 def make_task(
@@ -192,12 +196,13 @@ def _folder_of_model(
 ) -> Path | None:
     """Return the folder of a model in a checkout, None for the models of this project."""
     name, root = asset["assetFileName"], str(asset.get("assetRoot") or "")
-    ours = not name or (assets_dir() / name).is_file() or name in published
-    if ours or (Path(root) / name).is_file():
+    # Not Path.is_file, which fails for names that are too long for a file.
+    ours = not name or os.path.isfile(assets_dir() / name) or name in published
+    if ours or os.path.isfile(Path(root) / name):
         return None
     folders = [] if ".." in Path(name).parts else checkouts.model_folders(checkout, root)
     for folder in folders:
-        if (folder / name).is_file():
+        if os.path.isfile(folder / name):
             return folder
     searched = ", ".join(str(folder.absolute()) for folder in (Path(root), *folders, assets_dir()))
     raise ConfigError(
@@ -215,6 +220,25 @@ def seed_everything(seed: int, torch_deterministic: bool = False) -> None:
     if torch_deterministic:
         torch.use_deterministic_algorithms(True)
         # It would write every new tensor: a twentieth of a training's time.
-        torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+        _DETERMINISM.fill_uninitialized_memory = False
         torch.backends.cudnn.benchmark = False
         torch.backends.cudnn.deterministic = True
+
+
+@contextmanager
+def torch_settings_kept() -> Iterator[None]:
+    """Restore what `seed_everything` and rl_games set in torch, so that runs do not affect others.
+
+    The generators go on.
+    """
+    cudnn: Any = torch.backends.cudnn
+    is_deterministic = torch.are_deterministic_algorithms_enabled()
+    warns_only = torch.is_deterministic_algorithms_warn_only_enabled()
+    precision = torch.get_float32_matmul_precision()
+    former = cudnn.benchmark, cudnn.deterministic, _DETERMINISM.fill_uninitialized_memory
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(is_deterministic, warn_only=warns_only)
+        torch.set_float32_matmul_precision(precision)
+        cudnn.benchmark, cudnn.deterministic, _DETERMINISM.fill_uninitialized_memory = former

@@ -52,6 +52,17 @@ class NotFiniteError(UserError, ArithmeticError):
     """Numbers of a training are nan or infinite; it cannot go on."""
 
 
+class JobError(UserError):
+    """A job of a sweep has failed; the message is the reason.
+
+    It is made of its message alone, so that it can come from another process.
+    """
+
+
+class SweepError(JobError):
+    """The settings of a sweep do not fit any of its jobs: the sweep ends."""
+
+
 class StoppedAtOnceError(KeyboardInterrupt):
     """The user ended a training in the middle of an epoch, with a second Ctrl-C or SIGTERM.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -38,7 +39,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.distributed.group import ProcessGroup, current_group, joined_group
 from isaacgymenvs_lite.distributed.restarts import mark_run
-from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
+from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
 from isaacgymenvs_lite.errors import (
     CheckpointError,
     ConfigError,
@@ -46,12 +47,22 @@ from isaacgymenvs_lite.errors import (
     UserError,
     one_line,
 )
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.pbt.observer import (
+    PBTObserver,
+    mutable_settings,
+    mutate_first,
+    population_of,
+    run_suffix,
+)
+from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
+from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
@@ -75,54 +86,83 @@ _IMITATION_EPISODES = 16
 _MANY_ENVS = 100_000
 
 
-def run(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+def run(
+    cfg: DictConfig,
+    command: TypedCommand | None = None,
+    *,
+    stop: StopRequest | None = None,
+    direction: str = "",
+) -> float | None:
     """Train (`test=False`) or play (`test=True`) as a composed tree says.
 
     Args:
         cfg: the tree.
         command: the command line that the tree was composed from, for hints; None if a program
             composed it.
+        stop: tells the caller afterwards whether the user has ended a training; None: nobody asks.
+        direction: of a study, `minimize` or `maximize`; '' for none.
+
+    Returns:
+        The result of `train` or `play`.
 
     Raises:
         UserError: a mistake that the user can correct; nothing was trained then.
+        RestartRequest: the training goes on in a new process, see `train`.
     """
     settings = check_config(cfg)
     if settings.test:
-        play(cfg, command)
-    else:
-        train(cfg, command)
+        return play(cfg, command, direction=direction)
+    return train(cfg, command, stop=stop, direction=direction)
 
 
-def train(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+@torch_settings_kept()
+def train(
+    cfg: DictConfig,
+    command: TypedCommand | None = None,
+    *,
+    stop: StopRequest | None = None,
+    direction: str = "",
+) -> float | None:
     """Train the agent of a composed tree in a run folder of its own.
 
     Args:
         cfg: the tree.
         command: as in `run`.
+        stop: as in `run`.
+        direction: as in `run`.
+
+    Returns:
+        The number that compares runs, see `run.objective`: the best pose error in m (less is
+        better), or the best mean reward (more is better). None if nothing could be measured: no
+        episode has ended, or the user has ended the run before.
 
     Raises:
         UserError: a mistake that the user can correct. The run folder is removed, unless the
             training had begun (`NotFiniteError`, or a last checkpoint that cannot be written).
         KeyboardInterrupt: the user ended the training with a second Ctrl-C or SIGTERM
             (`StoppedAtOnceError`); a checkpoint was saved if that was possible.
+        RestartRequest: the policy of a population goes on with other settings in a new process,
+            `pbt.restart.start_again`; everything of this one is closed.
     """
     command = command or TypedCommand()
     with _memory_errors_explained(cfg), _joined_processes(cfg) as group, ExitStack() as stack:
         launch = _read_launch_together(cfg, command, group, stack)
-        _train(launch, command, group)
+        return _train(launch, command, group, stop or StopRequest(), direction)
 
 
-def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
-    """Train in a run folder that the main process has reserved."""
+def _train(
+    launch: _Launch, command: TypedCommand, group: ProcessGroup, stop: StopRequest, direction: str
+) -> float | None:
+    """Train in a run folder that the main process has reserved; see `train`."""
     interrupt: KeyboardInterrupt | None = None
-    with _open_tasks(launch) as make_task:
-        stop = StopRequest()
+    with _open_tasks(launch) as make_task, ExitStack() as stack:
         with group.together():
+            pbt = stack.enter_context(_population(launch, group, stop))
             viewers = Viewers(launch.settings)
             task, params = _make_task(launch, make_task)
-            imitation = None
-            if group.is_main:
-                imitation = _imitation_observer(params["config"], task, make_task)
+            imitation = _imitation_observer(params["config"], task, make_task)
+            objective = objective_of(params["config"], imitation is not None)
+            objective.check_direction(direction, str(launch.cfg.task.name))
             observers = TrainingObservers(
                 launch.cfg,
                 launch.settings,
@@ -130,6 +170,7 @@ def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
                 imitation,
                 task.max_episode_length,
                 stop,
+                pbt,
             )
         with group.together():
             if group.is_main:
@@ -144,6 +185,8 @@ def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
             with stop, _output_to_log(), group.lost_peers_explained():
                 runner = _load_runner(params, task, observers)
                 runner.run({"train": True, "play": False, **launch.overrides})
+                if group.is_main and objective is POSE_ERROR and not stop.requested:
+                    observers.evaluate_end()
         except NotFiniteError:
             raise  # the run folder shows how it happened
         except UserError as error:
@@ -151,6 +194,10 @@ def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
             if not getattr(observers.agent, "has_joined", False):
                 group.fail_together(error)
             raise
+        except RestartRequest:
+            if not stop.requested:
+                raise
+            _save(observers.agent, launch, "_interrupted")  # the user was faster
         except KeyboardInterrupt as error:
             interrupt = error
             log.warning("stopped at once")
@@ -161,15 +208,19 @@ def _train(launch: _Launch, command: TypedCommand, group: ProcessGroup) -> None:
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
         if not group.is_main:
-            return
+            return None
         # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
         # never reach.
         if not launch.checkpoint_file("").exists():
             _save(observers.agent, launch, "")
+        best = observers.best(objective)
+        if best is not None:
+            log.info("%s", objective.describe(best))
         _report_end(launch, command, stop.requested)
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)
+        return best
 
 
 def _make_task(
@@ -189,12 +240,21 @@ def _make_task(
     return task, params
 
 
-def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
+@torch_settings_kept()
+def play(
+    cfg: DictConfig, command: TypedCommand | None = None, *, direction: str = ""
+) -> float | None:
     """Play the policy of a composed tree's checkpoint, and log what it reaches.
 
     Args:
         cfg: the tree.
         command: as in `run`.
+        direction: as in `run`.
+
+    Returns:
+        The pose error in m or the mean reward of the episodes, whichever the training of such a
+        policy returns. None if nothing was measured: the window was closed before, or the player
+        is not this project's.
 
     Raises:
         UserError: a mistake that the user can correct.
@@ -206,11 +266,14 @@ def play(cfg: DictConfig, command: TypedCommand | None = None) -> None:
         Viewers(launch.settings) as viewers,
     ):
         player = _make_player(launch, make_task(launch.num_envs))
+        objective = objective_of(player.config, hasattr(player.env, "motion_lib"))
+        objective.check_direction(direction, str(cfg.task.name))
         folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
         stamp = Path(launch.folder.name).name.removeprefix(launch.name)
         viewers.start(player.env, folder, _end_play, f"play{stamp}")
         with contextlib.suppress(WindowClosedError), _output_to_log():
             player.run()
+    return _played(getattr(player, "result", None), objective)
 
 
 @contextmanager
@@ -305,7 +368,7 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        stamped = str(name) + datetime.now().strftime("_%d-%H-%M-%S")
+        stamped = str(name) + run_suffix(cfg) + datetime.now().strftime("_%d-%H-%M-%S")
         folder = RunFolder(train_dir, stamped, is_exact=False)
     given = settings.checkpoint or checkpoint_in_file(cfg)
     checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
@@ -353,6 +416,8 @@ def _read_launch_together(
     with group.together():
         if group.is_main:
             main = _with_decided_precision(_read_launch(cfg, command))
+            main = replace(main, cfg=main.cfg.copy())
+            mutate_first(main.cfg, main.seed)
             stack.enter_context(main.folder)
     decided = group.from_main(
         main
@@ -361,6 +426,7 @@ def _read_launch_together(
             "full_experiment_name": main.folder.name,
             "checkpoint": "" if main.settings.resume else main.checkpoint,
             _PRECISION: OmegaConf.select(main.cfg, _PRECISION),
+            **mutable_settings(main.cfg),
         }
     )
     if main is not None:
@@ -375,6 +441,25 @@ def _read_launch_together(
         if group.device_of(str(own.rl_device)) != str(own.rl_device):
             own.rl_device = group.device_of(str(own.rl_device))
     return _read_launch(own)
+
+
+@contextmanager
+def _population(
+    launch: _Launch, group: ProcessGroup, stop: StopRequest
+) -> Iterator[PBTObserver | None]:
+    """Give the observer that compares the policy with its population, if it has one.
+
+    Of several processes that train the policy the main one decides, and all restart.
+    """
+    with population_of(
+        launch.cfg, launch.seed, launch.folder.train_dir, decides=group.is_main
+    ) as pbt:
+        if pbt is not None:
+            pbt.is_stopping = lambda: stop.requested
+            pbt.share = lambda request: RestartRequest.of(
+                group.from_main(request.content if request is not None else None)
+            )
+        yield pbt
 
 
 def _with_decided_precision(launch: _Launch) -> _Launch:
@@ -515,6 +600,16 @@ def _imitation_observer(
 # --- the end of a run ---------------------------------------------------------------------------
 
 
+def _played(result: EvaluationResult | None, objective: Objective) -> float | None:
+    """Return the number of played episodes; None if they could not be measured."""
+    if result is None:
+        return None
+    value = result.reward
+    if objective is POSE_ERROR:
+        value = math.nan if result.imitation is None else result.imitation.pose_error_m
+    return value if math.isfinite(value) else None
+
+
 def _end_play() -> None:
     raise WindowClosedError
 
@@ -532,7 +627,7 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     if newest is None:
         return
     task = str(launch.cfg.task.name)
-    log.info("saved %s; play it: %s", newest, command.play(task))
+    log.info("saved %s; play it: %s", newest, command.play(task, newest))
     if was_stopped:
         resume = command.resume(launch.folder.path, current_group().size)
         log.info("go on with it: %s", resume)

@@ -1,5 +1,7 @@
 """Trains or plays an agent: python train.py task=HumanoidAMP [key=value ...].
 
+With -m it runs several jobs, see `sweep`. A job returns the number that `runner.run` returns.
+
 A user's mistake costs about a second and ends in one line and exit code 2: the configuration is
 composed and checked before torch, MuJoCo and rl_games are imported.
 """
@@ -8,14 +10,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import logging
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig
 from tqdm import tqdm
 
@@ -26,6 +29,7 @@ from isaacgymenvs_lite.config.hydra_bridge import (
     HYDRA_VERSION_BASE,
     NamedFiles,
     options_parser,
+    sweeps_report_to,
 )
 from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
@@ -40,16 +44,29 @@ from isaacgymenvs_lite.errors import (
     UserError,
 )
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
+from isaacgymenvs_lite.sweep import (
+    Sweep,
+    is_sweep,
+    numbered_output,
+    run_job,
+    this_process,
+    waiting_for_jobs,
+    with_failures_allowed,
+)
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 log = logging.getLogger(__name__)
 
+EXIT_FAILED_JOBS = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line in `sys.argv`; exits with 2 after a user's mistake.
+
+    A sweep exits with 1 if a job has failed.
 
     A second Ctrl-C or SIGTERM ends with 130 or 143, as shells expect.
     """
@@ -98,25 +115,32 @@ def _run_hydra() -> None:
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    started = False
+    started, parent, sweep = False, this_process(), Sweep()
 
-    def job(cfg: DictConfig) -> None:
+    def job(cfg: DictConfig) -> float | None:
         nonlocal started
+        if is_sweep():
+            return _run_job_of_sweep(cfg, command, parent)
         started = True
-        _run_job(cfg, _command_of_job(command))
+        return _run_job(cfg, command)
 
     decorate = hydra.main(
         config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
     )
-    named = PathOverrides.from_words(sys.argv[1:])
+    named = PathOverrides.from_words(with_failures_allowed(sys.argv[1:]))
     sys.argv[1:] = named.words
     try:
-        with checked_program(named.files):
+        with checked_program(named.files), sweeps_report_to(sweep.add, waiting_for_jobs):
             decorate(job)()
     except ComposeError as error:
         if started:
             raise
-        raise _explain(error, named.files) from error
+        if not sweep.all_failed:  # of which Optuna would only say that there is no best trial
+            raise _explain(error, named.files) from error
+    finally:
+        sweep.report()
+    if sweep.num_failed:
+        sys.exit(EXIT_FAILED_JOBS)
 
 
 def _go_on_after_restart() -> None:
@@ -130,26 +154,39 @@ def _go_on_after_restart() -> None:
         sys.argv[1:] = words
 
 
-def _command_of_job(command: TypedCommand) -> TypedCommand:
-    """Return the command line of one job, of a sweep or not."""
-    if HydraConfig.get().mode != RunMode.MULTIRUN:
-        return command
-    words = words_of_job(command.words, HydraConfig.get().overrides.task)
-    return dataclasses.replace(command, words=tuple(words))
-
-
-def _run_job(cfg: DictConfig, command: TypedCommand) -> None:
-    """Check the composed tree, then train or play.
+def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
+    """Check the composed tree, then train or play; return the number of the run.
 
     A user's mistake exits here, because Hydra would print another line before raising it.
     """
     try:
-        check_config(cfg)
-        from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
-
-        run(cfg, command)
+        return _run(cfg, command)
     except UserError as error:
         _fail(error)
+    except RestartRequest as request:
+        start_again(request, command.words)
+
+
+def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: str) -> float | None:
+    """Do the same as one of several jobs, in the sweep's own process, `parent`, or another one.
+
+    Raises:
+        JobError: the job has failed.
+    """
+    words = words_of_job(command.words, HydraConfig.get().overrides.task)
+    job = dataclasses.replace(command, words=tuple(words), is_job=True)
+    in_parent = parent == this_process()
+    with contextlib.nullcontext() if in_parent else numbered_output():
+        if not in_parent:
+            configure_logging()
+        return run_job(functools.partial(_run, cfg, job), cfg, command.words, parent)
+
+
+def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
+    check_config(cfg)
+    from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
+
+    return run(cfg, command, **of_sweep)
 
 
 def _explain(error: Exception, files: NamedFiles) -> ConfigError:
@@ -181,7 +218,7 @@ def _check_options(arguments: Sequence[str]) -> None:
         )
 
 
-def _fail(error: UserError) -> None:
+def _fail(error: UserError) -> NoReturn:
     if started_by_torchrun():
         from isaacgymenvs_lite.distributed.group import first_of_all  # imports torch
 

@@ -25,23 +25,27 @@ class TypedCommand:
     Attributes:
         program: the words before the settings, such as `python train.py`.
         words: the settings as typed; empty if a program composed the configuration.
+        is_job: one of a sweep, whose run may not be the last one.
     """
 
     program: tuple[str, ...] = ("python", "-m", _TRAIN)
     words: tuple[str, ...] = ()
+    is_job: bool = False
 
     @classmethod
     def of_this_process(cls) -> TypedCommand:
         """Return the command line in `sys.argv`."""
         return cls(_program(), tuple(sys.argv[1:]))
 
-    def play(self, task: str) -> str:
+    def play(self, task: str, checkpoint: Path) -> str:
         """Return the command that plays the run's newest checkpoint, for a shell.
 
         Args:
             task: name of the task, for a command line without `task=`.
+            checkpoint: the newest one.
         """
-        played = ["test=True", "checkpoint=last", f"num_envs={_NUM_PLAYED}"]
+        named = checkpoint if self.is_job else "last"
+        played = ["test=True", f"checkpoint={named}", f"num_envs={_NUM_PLAYED}"]
         return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
 
     def resume(self, run: Path, num_processes: int = 1) -> str:

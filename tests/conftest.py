@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,15 @@ from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
+
+
+def pytest_configure() -> None:
+    """Let processes that tests start end at Ctrl-C, also where a shell runs all in the background.
+
+    Such a shell ignores the signal, and children inherit that.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_finish() -> None:

@@ -97,17 +97,19 @@ assert own.HumanoidAMP is HumanoidAMP
 skeleton = MotionLib("walk", 28, [5, 8, 11, 14], "cpu").skeleton
 assert (DOF_BODY_IDS, DOF_OFFSETS) == (list(skeleton.dof_body_ids), list(skeleton.dof_offsets))
 from isaacgymenvs.pbt.launcher.run_description import RunDescription
-from isaacgymenvs.pbt.pbt import PbtAlgoObserver
+from isaacgymenvs.pbt.pbt import PbtAlgoObserver, initial_pbt_check
+from isaacgymenvs.pbt.mutation import mutate_mini_epochs
 class Own(PbtAlgoObserver): pass
-Own(None)
+assert mutate_mini_epochs(4, change_min=1.1, change_max=1.5) in (3, 5)
+RunDescription("ant", experiments=[])
 """
 
 
-def test_what_scripts_import_is_there_and_pbt_says_what_to_do_when_it_is_used(tmp_path) -> None:
+def test_what_scripts_import_is_there_and_a_launcher_says_what_to_do_instead(tmp_path) -> None:
     done = _run(tmp_path, IMPORTS)
     last = done.stderr.strip().splitlines()[-1]
-    assert "isaacgymenvs.pbt.pbt.PbtAlgoObserver: population-based training is not" in last
-    assert "set pbt.enabled=False" in last
+    assert "isaacgymenvs.pbt.launcher.run_description.RunDescription: processes are not" in last
+    assert "start train.py once for each policy, with pbt=pbt_default pbt.policy_idx=0" in last
 
 
 # --- a fork's train.py ------------------------------------------------------------------------
@@ -217,6 +219,23 @@ def test_a_fork_s_train_script_works_with_our_files(fork: Path) -> None:
     done = _train(fork, "task=Cartpole", *sizes, "max_iterations=1")
     assert done.returncode == 0, done.stderr
     assert list(fork.glob("runs/Cartpole_*/nn/*.pth"))
+
+
+@pytest.mark.slow
+def test_a_fork_s_train_script_restarts_the_policy_of_a_population(fork: Path) -> None:
+    """With its own observers and Runner: one that is replaced at every interval."""
+    shutil.rmtree(fork / "cfg")
+    shutil.copytree(cfg_dir(), fork / "cfg")
+    sizes = ["num_envs=8", "train.params.config.minibatch_size=64", "rl_device=cpu"]
+    pbt = ["pbt=pbt_default", "pbt.num_policies=1", "pbt.dbg_mode=True", "pbt.start_after=0"]
+    times = ["pbt.interval_steps=256", "pbt.initial_delay=0", "pbt.mutation_rate=1"]
+    short = ["task.env.resetDist=0.001", "+train.params.config.games_to_track=8"]
+    done = _train(fork, "task=Cartpole", *sizes, *pbt, *times, *short, "max_iterations=4")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("pbt: policy 0 (objective -2) goes on with the weights") == 1
+    (run,) = fork.glob("runs/Cartpole_pbt_00_*")
+    assert len(list(run.glob("nn/last_Cartpole_ep_4_*.pth"))) == 1
+    assert list(fork.glob("runs/pbt_workspace/000/000001.*"))
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ import tomllib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
@@ -31,7 +32,7 @@ from isaacgymenvs_lite import command_line
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
-from isaacgymenvs_lite.config.hydra_bridge import options_parser
+from isaacgymenvs_lite.config.hydra_bridge import options_parser, parse_overrides
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.workflows.command import PlaySettings, TrainSettings, read_command
@@ -77,6 +78,9 @@ EXTRAS = {
     "benchmarks.curves": "docs",
     "benchmarks.film": "video",
     "capture_video=True": "video",
+    "hydra/sweeper=optuna": "sweep",
+    "hydra/launcher=": "sweep",
+    "+study=": "sweep",
     "wandb_activate=True": "wandb",
 }
 
@@ -207,7 +211,22 @@ def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
     options, others = options_parser().parse_known_args([with_real_file(word) for word in words])
     assert not others, f"{others[0]}: no option of train.py"
-    check_config(compose(complete_arguments(options.overrides), options.config_dir))
+    overrides = complete_arguments(options.overrides)
+    check_config(compose(words_of_first_job(overrides), options.config_dir))
+
+
+def words_of_first_job(words: Sequence[str]) -> list[str]:
+    """Words with the first of several values; those of plugins only if the plugins are there."""
+    found = []
+    for word, override in zip(words, parse_overrides(words), strict=True):
+        if word.startswith(("hydra", "+study=")) and not find_spec("hydra_plugins"):
+            continue
+        if override.is_choice_sweep():
+            word = f"{override.key_or_group}={next(override.sweep_string_iterator())}"
+        elif override.is_interval_sweep():
+            word = f"{override.key_or_group}={override.value().start}"
+        found.append(word)
+    return found
 
 
 def with_real_file(word: str) -> str:
@@ -321,6 +340,8 @@ def test_a_command_is_accepted(words):
         "python train.py task=Ant task.env.episodeLenght=3",
         "python train.py --task Ant",
         "python train.py train=/no/such/AntPPO.yaml",
+        "python train.py -m task=Cartpol seed=1,2",
+        "python train.py -m num_env=choice(1,2)",
         "python -m isaacgymenvs_lite.demos",
         "python -m isaacgymenvs_lite.demo second=3",
         "python -m isaacgymenvs_lite.check SwingUp.yaml",

@@ -30,7 +30,7 @@ class Runner:
         self.commands: list[TypedCommand] = []
         self.error: BaseException | None = None
 
-    def run(self, cfg: DictConfig, command: TypedCommand) -> None:
+    def run(self, cfg: DictConfig, command: TypedCommand, **_: object) -> None:
         self.runs.append(cfg)
         self.commands.append(command)
         logging.getLogger("isaacgymenvs_lite.some").info("running")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import shutil
@@ -49,7 +50,14 @@ def command(*words: str) -> TypedCommand:
     ],
 )
 def test_playing(words: list[str], expected: str) -> None:
-    assert command(*words).play("Default") == f"python train.py {expected} {PLAYED}"
+    played = command(*words).play("Default", Path("runs/a/nn/a.pth"))
+    assert played == f"python train.py {expected} {PLAYED}"
+
+
+def test_playing_a_job_of_a_sweep() -> None:
+    job = dataclasses.replace(command("task=Ant"), is_job=True)
+    played = "test=True checkpoint=runs/a/nn/a.pth num_envs=16"
+    assert job.play("Ant", Path("runs/a/nn/a.pth")) == f"python train.py task=Ant {played}"
 
 
 def test_going_on() -> None:

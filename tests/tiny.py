@@ -71,6 +71,16 @@ TINY_SAC = (
 )
 """The task of SAC; updates begin in the second epoch."""
 
+TINY_PBT = (
+    *("task=Ant", *TINY_PPO, "num_envs=8", "task.env.episodeLength=8", "max_iterations=12"),
+    *("pbt=pbt_default", "pbt.num_policies=2", "pbt.workspace=ws", "pbt.mutation_rate=1.0"),
+    *("pbt.interval_steps=128", "pbt.start_after=0", "pbt.initial_delay=0"),
+)
+"""A policy of two; every epoch has 32 environment steps, every fourth one compares."""
+
+DOWNHILL, UPHILL = "task.sim.gravity=[40,0,-9.81]", "task.sim.gravity=[-40,0,-9.81]"
+"""What makes the objective of Ant, its speed along x, clearly good or clearly bad."""
+
 
 def composed(words: Sequence[str]) -> DictConfig:
     """Return what `compose` does; the same words are composed once in a process.

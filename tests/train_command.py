@@ -8,7 +8,6 @@ import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -17,14 +16,14 @@ from isaacgymenvs_lite import train
 
 
 def make_train_command(
-    monkeypatch: pytest.MonkeyPatch, folder: Path, run: Callable[[Any, Any], None]
+    monkeypatch: pytest.MonkeyPatch, folder: Path, run: Callable[..., object]
 ) -> Callable[..., int]:
     """Return call(*words), which runs the command line in a folder and returns its exit code.
 
     Args:
         monkeypatch: takes back what this changes in the process.
         folder: the working folder.
-        run: is called in place of `runner.run`.
+        run: is called in place of `runner.run`; jobs of a sweep give it `stop` and `direction`.
     """
     stand_in = types.ModuleType("isaacgymenvs_lite.runner")
     stand_in.run = run  # type: ignore[attr-defined]

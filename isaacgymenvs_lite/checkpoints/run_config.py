@@ -109,7 +109,8 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     try:
         apply_overrides(settings, cfg)
         with open_dict(cfg):
-            cfg.resume = str(file)
+            # A restarted policy of a population has another checkpoint to begin with.
+            cfg.resume = "" if "pbt_restart" in given else str(file)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(
             f"{' '.join(settings)}: {one_line(error)}; these words change settings of the run"

@@ -104,6 +104,29 @@ def write_training_state(
     return files, too_large
 
 
+def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
+    """Write the checkpoint that a run goes on from in another process, and remove its states.
+
+    The states would lead `resume=` back to the networks before.
+
+    Args:
+        run: the run folder.
+        checkpoint: of these or other networks.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: the folder cannot be written or is full; the former states are left.
+    """
+    folder = run / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{checkpoint['epoch']}.pth"
+    write_atomically(file, plain_numbers(checkpoint))
+    remove_other_states(run, checkpoint["epoch"])
+    return file
+
+
 def remove_other_states(run: Path, epoch: int) -> None:
     """Remove the files of all states of a run but one, once that is complete."""
     for file in (run / FOLDER).iterdir():
@@ -143,7 +166,7 @@ def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> Tr
         entry = _read_archive(file, "all processes need the run folder on a disk they share")
         entry = entry.get(KEY) if isinstance(entry, dict) else None
         memory = _memory_of(entry, file)
-        if entry.get("token") != token:
+        if not isinstance(entry, dict) or entry.get("token") != token:
             raise CheckpointError(f"resume={file}: is not of the same training state as {path}")
     return TrainingState(checkpoint, memory, _read_buffers(buffers, token), num_processes)
 

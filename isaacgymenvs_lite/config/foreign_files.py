@@ -29,7 +29,7 @@ _HYDRA = "hydra"
 _TARGET = "_target_"
 _TRAIN_DIR = "train.params.config.train_dir"
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
-# The section `hydra` of a root file of IsaacGymEnvs; ours has the same values.
+# The section `hydra` of a root file of IsaacGymEnvs; ours has the same values, and more.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
 _HARMLESS_LOGGING = ("hydra/job_logging", "hydra/hydra_logging")
 _NO_LOGGING = ("none", "disabled")

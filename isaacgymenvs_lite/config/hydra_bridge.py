@@ -7,9 +7,10 @@ to mend. The rules for files of other people are not here: callers pass them as 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from hydra import version
 from hydra._internal import config_loader_impl
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
+from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra._internal.utils import create_config_search_path, get_args_parser
@@ -27,22 +29,26 @@ from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.core.plugins import Plugins
-from hydra.core.utils import setup_globals
+from hydra.core.utils import JobReturn, JobStatus, setup_globals
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
-from hydra.types import RunMode
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar.gen.OmegaConfGrammarParser import OmegaConfGrammarParser
 from omegaconf.grammar_parser import parse
 
-from isaacgymenvs_lite.errors import ConfigError, one_line
+from isaacgymenvs_lite.errors import ConfigError, JobError, SweepError, UserError, one_line
 from isaacgymenvs_lite.paths import cfg_dir
 
 CONFIG_NAME = "config"
 # IsaacGymEnvs chose 1.1, which warns at every start. The two differ in what cfg/config.yaml states
 # anyway: stay in the working directory, `_self_` in the defaults list.
 HYDRA_VERSION_BASE = "1.3"
+
+STUDIES = "study"
+"""The group of cfg/ whose files set a sweeper: `+study=NAME`."""
 
 NamedFiles = Mapping[str, Mapping[str, Path]]
 """Group -> name -> file, for files that are not in a folder of the search path."""
@@ -56,6 +62,7 @@ _HEADER_LENGTH = 512  # characters in which Hydra looks for `# @package`
 # What Hydra writes down of a command line, below `hydra`.
 _RECORDED = ("runtime", "overrides")
 _RECORDED_OF_JOB = ("override_dirname", "config_name", "name")
+_SWEEP_FILE = "multirun.yaml"  # of Hydra, in the folder of a sweep
 
 
 # --- overrides ------------------------------------------------------------------------------------
@@ -436,9 +443,141 @@ def program_composes_by(rules: Rules, files: NamedFiles) -> Iterator[None]:
         program.ConfigLoaderImpl = former
 
 
+# --- sweeps ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """What became of one job of a sweep.
+
+    Attributes:
+        number: of the job, from 0.
+        words: its overrides, those of the section `hydra` left out.
+        value: what the job's function returned; None if it raised.
+        error: what the job's function raised; None if it returned.
+    """
+
+    number: int
+    words: tuple[str, ...]
+    value: Any
+    error: Exception | None
+
+
+class _ReportingLauncher(Launcher):
+    """Launches jobs as another launcher does, reports their results, and keeps failures apart.
+
+    Hydra's own sweeper ends at the first failure. It gets None as the result of a failed job. A
+    sweeper with a limit of its own, `max_failure_rate`, gets the failures.
+
+    Args:
+        launcher: the other one.
+        report: receives the results of a batch.
+        waiting: a context for jobs that run in other processes.
+    """
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        report: Callable[[list[JobResult]], None],
+        waiting: Callable[[], AbstractContextManager[None]],
+    ) -> None:
+        self._launcher, self._report = launcher, report
+        runs_here = isinstance(launcher, BasicLauncher)
+        self._waiting = contextlib.nullcontext if runs_here else waiting
+        self._sweeper_counts_failures = self._has_run = False
+        self._folder = Path()
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Read the settings of the sweep; the other launcher is set up already."""
+        self._folder = Path(config.hydra.sweep.dir)
+        self._sweeper_counts_failures = "max_failure_rate" in config.hydra.sweeper
+
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
+        """Run a batch of jobs.
+
+        Raises:
+            JobError: the launcher itself has failed, such as a process that was killed.
+            SweepError: of a job.
+        """
+        self._has_run = True
+        with self._waiting():
+            returns = self._launch(job_overrides, initial_job_idx)
+            results = [_result_of(job, n) for n, job in enumerate(returns, initial_job_idx)]
+            for result in results:
+                if isinstance(result.error, SweepError):
+                    self._has_run = False
+                    raise result.error
+            self._report(results)
+        for job in returns:
+            if job.status == JobStatus.FAILED and not self._sweeper_counts_failures:
+                job.status, job.return_value = JobStatus.COMPLETED, None
+        return returns
+
+    def _launch(self, job_overrides: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
+        try:
+            return self._launcher.launch(job_overrides, initial_job_idx=first)
+        except (HydraException, OmegaConfBaseException, UserError, ValueError):
+            raise  # composing a job; `hydra_errors` explains it
+        except Exception as error:
+            raise JobError(
+                f"{type(self._launcher).__name__} has failed: {type(error).__name__}:"
+                f" {one_line(error)}; of this batch of jobs only their run folders are left"
+            ) from error
+
+    def remove_unused_folder(self) -> None:
+        """Remove the sweep's folder if it is empty, or has only Hydra's file and no job has run."""
+        with contextlib.suppress(OSError):
+            files = {file.name for file in self._folder.iterdir()}
+            if files == {_SWEEP_FILE} and not self._has_run:
+                (self._folder / _SWEEP_FILE).unlink()
+            self._folder.rmdir()
+
+
+@contextmanager
+def sweeps_report_to(
+    report: Callable[[list[JobResult]], None],
+    waiting: Callable[[], AbstractContextManager[None]],
+) -> Iterator[None]:
+    """Let the sweeps of Hydra's program report their jobs as long as the context lasts.
+
+    A job that fails does not end the others; see `_ReportingLauncher`, also for the arguments.
+    """
+    plugins: Any = Plugins.instance()
+    make = plugins.instantiate_launcher
+    made: list[_ReportingLauncher] = []
+
+    def make_reporting(**context: Any) -> Launcher:
+        launcher = _ReportingLauncher(make(**context), report, waiting)
+        launcher.setup(**context)
+        made.append(launcher)
+        return launcher
+
+    plugins.instantiate_launcher = make_reporting
+    try:
+        yield
+    finally:
+        del plugins.instantiate_launcher
+        for launcher in made:
+            launcher.remove_unused_folder()
+
+
+def _result_of(job: JobReturn, number: int) -> JobResult:
+    # Not its property `return_value`, which prints and raises.
+    value, failed = job._return_value, job.status == JobStatus.FAILED
+    words = tuple(w for w in job.overrides or () if not w.startswith(("hydra.", "hydra/")))
+    return JobResult(number, words, None if failed else value, value if failed else None)
+
+
 def _is_about_hydra(word: Override) -> bool:
+    """Return whether a word sets something of Hydra, as the studies of cfg/ do."""
     package = (word.package or "").removeprefix("_global_.")
-    return word.is_hydra_override() or package.split(".")[0] == "hydra"
+    return (
+        word.is_hydra_override() or package.split(".")[0] == "hydra" or word.key_or_group == STUDIES
+    )
 
 
 @functools.lru_cache(maxsize=32)

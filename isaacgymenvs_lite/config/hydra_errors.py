@@ -19,6 +19,11 @@ from isaacgymenvs_lite.schema import nearest
 ComposeError = (HydraException, OmegaConfBaseException, ValueError)
 
 _ALIKE = 0.75
+# Plugins of Hydra that the extra [sweep] installs.
+_PLUGINS = {
+    "hydra/sweeper": ("optuna",),
+    "hydra/launcher": ("joblib", "submitit_local", "submitit_slurm"),
+}
 
 
 def explain(
@@ -56,6 +61,11 @@ def explain(
         )
     if text.startswith("Could not append") and key is not None:
         return ConfigError(f"the key '{key}' exists: leave out the + before it to change its value")
+    if "does not support sweep type" in text:
+        return ConfigError(
+            "interval(...) has no list of values: add hydra/sweeper=optuna, which chooses them, or"
+            " write choice(...) or range(...)"
+        )
     reason = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
     first = text.split("\n\n")[0]
     return ConfigError(one_line(f"{first} {reason or ''}"))
@@ -85,6 +95,11 @@ def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> Co
     group, _, name = path.rpartition("/")
     if error.options is None or not group:
         return ConfigError(one_line(str(error).split("\nConfig search path")[0]))
+    if name in _PLUGINS.get(group, ()):
+        return ConfigError(
+            f"{group}={name} needs packages that are not installed;"
+            ' pip install "isaacgymenvs-lite[sweep]"'
+        )
     if (published := missing_choice(group, name)) is not None:
         return ConfigError(f"{published}; choices: {', '.join(sorted(error.options))}")
     if group != "train":

@@ -13,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.hydra_errors import explain_interpolation
+from isaacgymenvs_lite.config.pbt_settings import mutable_values, read_pbt_settings
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import (
@@ -115,7 +116,7 @@ class LaunchSettings:
     full_experiment_name: str | None = setting(None, blank=True)
     """Exact name of the run folder; not in the file, added with +full_experiment_name=."""
     pbt_restart: bool = setting(False)
-    """Set by population-based training when it restarts a process."""
+    """Set by population based training when it restarts a process."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +145,7 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
         if key not in _SECTIONS and key not in postponed
     }
     settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
-    _check_features(settings, cfg)
+    _check_features(settings)
     if settings.resume and settings.test:
         raise ConfigError(
             f"resume={settings.resume} goes on with a training; to play a policy give checkpoint="
@@ -164,6 +165,8 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
         read_run_name(settings.full_experiment_name, "full_experiment_name")
     env = tree["task"]["env"] or {}
     read_keys(_EnvSize, env, "task.env")
+    if (pbt := read_pbt_settings(tree)) is not None:
+        mutable_values(tree, pbt)
     return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
 
 
@@ -202,17 +205,12 @@ def _keys_below(tree: Any, section: str) -> list[str]:
     return [str(key) for key in below] if isinstance(below, dict) else []
 
 
-def _check_features(settings: LaunchSettings, cfg: DictConfig) -> None:
+def _check_features(settings: LaunchSettings) -> None:
     """Refuse what this version does not do, rather than ignore it.
 
     Raises:
         ConfigError: such a feature is switched on.
     """
-    if value := _select(cfg, "pbt.enabled"):
-        raise ConfigError(
-            f"pbt.enabled={value}: population-based training is not implemented in this version;"
-            " set pbt.enabled=False"
-        )
     num_processes = os.environ.get("WORLD_SIZE") or "1"
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
@@ -239,10 +237,3 @@ def _resolve_tree(cfg: DictConfig) -> dict[str, Any]:
         raise explain_interpolation(error) from error
     assert isinstance(tree, dict)
     return {str(key): value for key, value in tree.items()}
-
-
-def _select(cfg: DictConfig, path: str) -> Any:
-    try:
-        return OmegaConf.select(cfg, path)
-    except OmegaConfBaseException as error:
-        raise explain_interpolation(error) from error

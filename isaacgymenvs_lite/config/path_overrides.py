@@ -55,7 +55,7 @@ class PathOverrides:
         def take(group: str, file: Path) -> None:
             name = re.sub(r"[^\w-]", "_", file.stem)  # what Hydra's grammar takes for a name
             files.setdefault(group, {})[name] = file
-            words.append(f"{group}={name}")
+            words.append(f"{group}={quoted(name)}")  # 2024.yaml is no number
 
         for override in overrides:
             group, _, value = override.partition("=")

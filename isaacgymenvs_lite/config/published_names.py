@@ -73,7 +73,6 @@ PUBLISHED_TASKS: dict[str, PublishedName] = {
 }
 """Task -> what it is; a name that this project has by now does not count, see `missing_task`."""
 
-_PBT_FILES = ("pbt_default",)
 _ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
 
 
@@ -118,16 +117,11 @@ def missing_choice(group: str, name: str) -> str | None:
     """Return a message about a published file of a configuration group that is not here, or None.
 
     Args:
-        group: task, train or pbt.
-        name: as typed: `pbt_default`.
+        group: task or train.
+        name: as typed: `ShadowHand`.
     """
     if group == "task":
         return missing_task(name)
-    if group == "pbt" and name in _PBT_FILES:
-        return (
-            f"pbt={name} is published: population-based training, which is not here yet; leave"
-            " pbt= out"
-        )
     if group == "train" and (task := missing_task_of_file(name)):
         return f"train={name}: {missing_task(task)}"
     return None

@@ -120,8 +120,9 @@ def prepare_train_params(
     config["device"] = config["device_name"] = device
     config["num_actors"] = num_envs
     _apply_launch_keys(config, cfg)
-    config["population_based_training"] = bool(plain(cfg.pbt).get("enabled", False))
-    config["pbt_idx"] = None
+    pbt = plain(cfg.pbt)
+    config["population_based_training"] = bool(pbt.get("enabled", False))
+    config["pbt_idx"] = pbt.get("policy_idx", 0) if config["population_based_training"] else None
     config["full_experiment_name"] = run_name
     config.setdefault("env_name", ENV_NAME)
     shaper = check_reward_shaper(config.get("reward_shaper"), f"{_WHERE}.config.reward_shaper")

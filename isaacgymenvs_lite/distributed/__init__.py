@@ -2,6 +2,9 @@
 
 import os
 
+STARTS = "ISAACGYMENVS_LITE_STARTS"
+"""Environment variable: how often a process has replaced itself by a new one (`pbt.restart`)."""
+
 
 def started_by_torchrun() -> bool:
     """Return whether torchrun started this process together with others."""

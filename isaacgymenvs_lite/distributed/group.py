@@ -22,7 +22,10 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor
+from torch.distributed.distributed_c10d import PrefixStore
+from torch.distributed.rendezvous import rendezvous
 
+from isaacgymenvs_lite.distributed import STARTS
 from isaacgymenvs_lite.errors import ConfigError, PeerError, PeerMistakeError, UserError
 
 log = logging.getLogger(__name__)
@@ -235,10 +238,12 @@ def joined_group(
     elif on_gpu:
         torch.cuda.set_device(group.local_rank)
     if not dist.is_initialized():
-        dist.init_process_group(
-            "cpu:gloo,cuda:nccl" if on_gpu else "gloo",
-            timeout=datetime.timedelta(seconds=timeout_s),
-        )
+        timeout = datetime.timedelta(seconds=timeout_s)
+        store, rank, size = next(rendezvous("env://", timeout=timeout))
+        # The store outlives a process that replaces itself, with what it wrote there.
+        start = PrefixStore(f"start{os.environ.get(STARTS, 0)}", store)
+        backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
+        dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
         atexit.register(dist.destroy_process_group)
     former, _current = _current, group
     try:

@@ -18,14 +18,16 @@ RENAMED: dict[str, str] = {
     "tasks.amp.utils_amp": "isaacgymenvs_compat.utils_amp",
     "tasks.amp.utils_amp.amp_torch_utils": "isaacgymenvs_compat.torch_jit_utils",
     "tasks.amp.utils_amp.motion_lib": "isaacgymenvs_compat.motion_lib",
+    "pbt.pbt": "isaacgymenvs_compat.pbt",
     "train": "isaacgymenvs_compat.train",
 }
 """Modules that are called otherwise here."""
 
 STAND_INS: dict[str, str] = {
-    "pbt": (
-        "population-based training is not implemented in this version; set pbt.enabled=False, or"
-        " start several runs with seeds and settings of their own"
+    **dict.fromkeys(
+        ("pbt.experiments", "pbt.launcher"),
+        "processes are not started from Python here: start train.py once for each policy, with"
+        " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
     ),
 }
 """Packages whose names can be imported, and why using one is an error."""

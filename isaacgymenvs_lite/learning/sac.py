@@ -40,6 +40,9 @@ class _EndOfEpoch(AlgoObserver):
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         self._observer.process_infos(infos, done_indices)
 
+    def after_steps(self) -> None:
+        self._observer.after_steps()
+
     def after_clear_stats(self) -> None:
         self._observer.after_clear_stats()  # type: ignore[attr-defined]  # some have it
 
@@ -142,8 +145,17 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature."""
+        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature.
+
+        The learning rates of this run count, as for the other agents.
+        """
+        optimizers = (self.actor_optimizer, self.critic_optimizer, self.log_alpha_optimizer)
+        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
+        own_rates = [group["lr"] for group in groups]
         super().set_full_state_weights(weights, set_epoch=set_epoch)
+        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
+        for group, rate in zip(groups, own_rates, strict=True):
+            group["lr"] = rate
         if "log_alpha" in weights:
             with torch.no_grad():
                 self.log_alpha.copy_(weights["log_alpha"])
@@ -198,7 +210,9 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         self.go_on()
         self.store_if_due()
         self.epoch_num += 1
-        return super().train_epoch()
+        result = super().train_epoch()
+        self.algo_observer.after_steps()  # rl_games' other agents call it
+        return result
 
     @property
     def next_logged_frame(self) -> int:

@@ -42,12 +42,14 @@ class ImitationObserver(AlgoObserver):
     Attributes:
         last: the newest result, None before the first evaluation.
         last_frame: environment steps trained before it.
+        best_pose_error_m: lowest of all results, None before the first one that has a pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
     """
 
     MAX_TIME_SHARE = 0.02
     _SEED = 1234
-    stored = ()
+    best_pose_error_m: float | None = None
+    stored = ("best_pose_error_m",)
 
     def __init__(self, make_env: Callable[[int], Any], frequency: int, num_episodes: int) -> None:
         super().__init__()
@@ -58,6 +60,8 @@ class ImitationObserver(AlgoObserver):
         self._spent_s = 0.0
         self._evaluations = 0
         self._epochs = 0
+        self._measured_epochs = 0
+        self._frame = 0
         self._due = False
         self.last: EvaluationResult | None = None
         self.last_frame: int | None = None
@@ -73,6 +77,7 @@ class ImitationObserver(AlgoObserver):
         if self._frequency == 0:
             return
         self._epochs += 1
+        self._frame = frame
         self._due |= self._epochs % self._frequency == 0
         trained_s = time.monotonic() - self._start_s - self._spent_s
         # The next one will cost what the others cost on average.
@@ -81,10 +86,23 @@ class ImitationObserver(AlgoObserver):
             return
         self._due = False
         start = time.monotonic()
-        self.last, self.last_frame = self.measure(), frame
+        self._evaluate()
         self._spent_s += time.monotonic() - start
         self._evaluations += 1
-        self._write(self.last, frame)
+
+    def evaluate_end(self) -> None:
+        """Evaluate the policy at the end of the training, unless the last epoch was evaluated."""
+        if self._epochs > self._measured_epochs:
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        self._measured_epochs = self._epochs
+        self.last, self.last_frame = result, frame = self.measure(), self._frame
+        measured = result.imitation
+        if measured is not None and math.isfinite(measured.pose_error_m):
+            best = self.best_pose_error_m
+            self.best_pose_error_m = min(measured.pose_error_m, math.inf if best is None else best)
+        self._write(result, frame)
 
     def measure(self) -> EvaluationResult:
         """Play the episodes of one evaluation with the mean policy, on the simulation for them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -64,10 +65,13 @@ class MetricsObserver(AlgoObserver):
 
     Attributes:
         latest: metrics of the newest epoch, None before the first one has ended.
+        best_reward: highest `episode_reward` of all epochs, None before the first episode has
+            ended.
     """
 
     latest: EpochMetrics | None = None
-    stored = ("_falls",)
+    best_reward: float | None = None
+    stored = ("_falls", "best_reward")
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
@@ -100,6 +104,9 @@ class MetricsObserver(AlgoObserver):
             fall_rate=self._falls.mean.item() if self._falls.current_size > 0 else None,
             train_info=algo.train_info_means() if hasattr(algo, "train_info_means") else {},
         )
+        if latest.episode_reward is not None:
+            best = self.best_reward
+            self.best_reward = max(latest.episode_reward, -math.inf if best is None else best)
         for tag, value in (
             ("info/fall_rate", latest.fall_rate),
             ("info/disc_acc", latest.disc_accuracy),

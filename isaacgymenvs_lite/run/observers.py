@@ -14,6 +14,7 @@ from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.imitation import ImitationObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
@@ -70,6 +71,7 @@ class TrainingObservers(MultiObserver):
         imitation: measures the pose error, if the task has reference motions.
         max_episode_steps: the task's time limit in control steps.
         stop: the user's request to end the training.
+        population: compares the policy with others, if there are any.
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.
@@ -83,8 +85,10 @@ class TrainingObservers(MultiObserver):
         imitation: ImitationObserver | None,
         max_episode_steps: int,
         stop: StopRequest,
+        population: AlgoObserver | None = None,
     ) -> None:
-        metrics = MetricsObserver()
+        self._metrics = metrics = MetricsObserver()
+        self._imitation = imitation
         self.agent: Any = None
         self._stop = stop
         self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
@@ -99,8 +103,9 @@ class TrainingObservers(MultiObserver):
             observers.append(imitation)
         diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
         observers += [metrics, self._progress, diagnostics]
-        # What they show and write is about all processes.
-        super().__init__(observers if current_group().is_main else [])
+        if not current_group().is_main:  # what they show and write is about all processes
+            observers = []
+        super().__init__(observers if population is None else [*observers, population])
 
     def after_init(self, algo: Any) -> None:
         """Store the agent, and guard its TensorBoard writer before the first scalar."""
@@ -113,6 +118,17 @@ class TrainingObservers(MultiObserver):
         """After each rollout; a request to end in one process ends all."""
         self._stop.requested = current_group().any(self._stop.requested)
         super().after_steps()
+
+    def evaluate_end(self) -> None:
+        """Measure the pose error of the last policy, if pose errors are measured at all."""
+        if self._imitation is not None:
+            self._imitation.evaluate_end()
+
+    def best(self, objective: Objective) -> float | None:
+        """Return the best number of the run; None if nothing could be measured."""
+        if objective is POSE_ERROR:
+            return None if self._imitation is None else self._imitation.best_pose_error_m
+        return self._metrics.best_reward
 
     def close_log(self) -> None:
         """End the display of progress, and write the scalars that wait."""

@@ -28,6 +28,13 @@ def test_a_train_file_is_taken_from_its_path(published: Path) -> None:
     assert compose(["task=Ant", "train=AntPPO"]).train.params.config.learning_rate == 3e-4
 
 
+@pytest.mark.parametrize("name", ["2024", "77_903", "1e5", "true", "null"])
+def test_names_that_look_like_other_values_are_names(name, published: Path) -> None:
+    file = published.rename(published.with_name(f"{name}.yaml"))
+    cfg = compose(["task=Ant", f"train={file}"])
+    assert cfg.train.params.config.learning_rate == 7e-3
+
+
 def test_paths_may_be_relative_and_go_without_suffix(published: Path, monkeypatch) -> None:
     monkeypatch.chdir(published.parent)
     for named in ("./AntPPO", "AntPPO.yaml", "./AntPPO.yaml"):

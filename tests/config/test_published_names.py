@@ -36,7 +36,7 @@ def test_what_is_here_is_not_missing(monkeypatch) -> None:
     monkeypatch.setitem(PUBLISHED_TASKS, "Ant", PUBLISHED_TASKS["Trifinger"])
     assert missing_task("Ant") is None  # it has a task file by now
     assert missing_task("Cartpole") is None
-    assert missing_choice("pbt", "no_pbt") is None
+    assert missing_choice("pbt", "pbt_default") is None
 
 
 @pytest.mark.parametrize(
@@ -78,8 +78,6 @@ def test_every_way_in_says_it() -> None:
         find_task("ShadowHand")
     with pytest.raises(ConfigError, match=f"train=ShadowHandPPOLSTM: {SAID}"):
         compose(["task=Ant", "train=ShadowHandPPOLSTM"])
-    with pytest.raises(ConfigError, match=r"pbt=pbt_default is published: .* leave pbt= out"):
-        compose(["task=Ant", "pbt=pbt_default"])
 
 
 def test_names_of_nobody_are_unknown_as_before() -> None:

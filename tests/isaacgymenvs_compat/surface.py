@@ -145,11 +145,6 @@ OTHER: dict[str, str] = {
     "tasks.humanoid.compute_humanoid_reward": _TERMS,
     "tasks.ingenuity.compute_ingenuity_reward": _TERMS,
     "tasks.quadcopter.compute_quadcopter_reward": _TERMS,
-    **{
-        f"{module}.{name}": _STAND_IN
-        for module in ("pbt.mutation", "pbt.pbt")
-        for name in NAMES[module].split()
-    },
     "utils.dr_utils.apply_random_samples": _STAND_IN,
     "utils.dr_utils.check_buckets": _STAND_IN,
     "utils.dr_utils.get_default_setter_args": _STAND_IN,
@@ -168,6 +163,7 @@ ABSENT: dict[str, str] = {
             ("Allegro", "Factory", "Franka", "IndustReal", "Shadow", "Tri", "resolve_")
         )
     },
+    "pbt.pbt.PbtParams": "config.pbt_settings.read_pbt_settings",
     "tasks.anymal_terrain.Terrain": "tasks/terrain makes the ground",
     "tasks.anymal_terrain.quat_apply_yaw": "calc_heading_quat and quat_apply",
     "tasks.anymal_terrain.wrap_to_pi": "normalize_angle",

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import Any
 
 import pytest
@@ -92,3 +94,28 @@ def test_spread_is_the_mean_distance_from_the_average_pose():
 def test_a_clip_that_stands_still_has_no_spread_and_decides():
     moving, standing = torch.rand(5, 2, 3), torch.ones(4, 2, 3)
     assert clip_spread_m(ReferencePoses([moving, standing])) == 0.0
+
+
+def test_the_best_pose_error_of_a_run(clock, agent, result):
+    observer = TimedImitation(clock, result, 1, 0.0)
+    assert observer.best_pose_error_m is None
+    for error in (math.nan, 0.3, 0.1, 0.2):
+        observer.result = dataclasses.replace(
+            result, imitation=dataclasses.replace(result.imitation, pose_error_m=error)
+        )
+        train(observer, agent, epochs=1, epoch_s=1.0)
+    assert observer.best_pose_error_m == 0.1
+
+
+@pytest.mark.parametrize(("frequency", "evaluations"), [(2, 2), (3, 1), (5, 1)])
+def test_the_last_policy_is_evaluated_once(frequency, evaluations, clock, agent, result):
+    observer = TimedImitation(clock, result, frequency, 0.0)
+    observer.evaluate_end()
+    assert observer.evaluated_at == []  # nothing was trained
+    train(observer, agent, epochs=3, epoch_s=1.0)
+    observer.evaluate_end()
+    observer.evaluate_end()
+    assert len(observer.evaluated_at) == evaluations
+    assert observer.best_pose_error_m == 0.123
+    # under the frame of the last epoch, as if it had been due
+    assert agent.writer.scalars["imitation/pose_error_m"][-1] == (3000, 0.123)

@@ -92,3 +92,14 @@ def test_a_diverged_episode_is_neither_a_fall_nor_none(figures):
     figures.after_print_stats(16000, 1, 12.5)
     assert figures.latest is not None
     assert figures.latest.fall_rate == 1.0
+
+
+def test_the_best_reward_of_all_epochs(figures, agent):
+    figures.after_print_stats(0, 1, 0.0)
+    assert figures.best_reward is None
+    for epoch, reward in enumerate((-9.0, -3.0, -5.0), start=2):
+        agent.game_rewards.clear()
+        agent.game_rewards.update(torch.tensor([[reward]]))
+        agent.game_lengths.update(torch.tensor([[10.0]]))
+        figures.after_print_stats(1000 * epoch, epoch, 0.0)
+    assert figures.best_reward == -3.0

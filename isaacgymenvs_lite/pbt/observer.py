@@ -1,0 +1,283 @@
+"""Population based training as an observer of a training."""
+
+from __future__ import annotations
+
+import logging
+import random
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from rl_games.common.algo_observer import AlgoObserver
+from torch import Tensor
+
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
+from isaacgymenvs_lite.checkpoints.training_state import write_start
+from isaacgymenvs_lite.config.pbt_settings import PBTSettings, mutable_values, read_pbt_settings
+from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.pbt.mutation import mutate
+from isaacgymenvs_lite.pbt.objective import ObjectiveMeter
+from isaacgymenvs_lite.pbt.population import find_replacement
+from isaacgymenvs_lite.pbt.restart import RestartRequest
+from isaacgymenvs_lite.pbt.workspace import Record, Workspace
+from isaacgymenvs_lite.schema import plain
+
+log = logging.getLogger(__name__)
+
+# A policy that gets the weights of a better one keeps its own settings as often as it takes those.
+_TAKE_SETTINGS = 0.5
+
+
+def run_suffix(cfg: DictConfig) -> str:
+    """Return what the run folders of a policy have in their names; '' without a population."""
+    settings = read_pbt_settings(plain(cfg))
+    return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
+
+
+def mutate_first(cfg: DictConfig, seed: int) -> None:
+    """Change the settings of a policy that begins, in place, so that it differs from the others.
+
+    Args:
+        cfg: the tree; without a population, or if the policy goes on, it stays as it is.
+        seed: of the training.
+    """
+    tree = plain(cfg)
+    pbt = read_pbt_settings(tree)
+    if pbt is None or _goes_on(cfg):
+        return
+    former = mutable_values(tree, pbt)
+    params = _mutated(former, pbt, _generator(seed, pbt, "start"))
+    log.info("pbt: policy %d begins with %s", pbt.policy_idx, _changes(former, params))
+    for path, value in params.items():
+        OmegaConf.update(cfg, path, value)
+
+
+def mutable_settings(cfg: DictConfig) -> dict[str, float]:
+    """Return the settings that mutate, numbers by path; none without a population."""
+    tree = plain(cfg)
+    pbt = read_pbt_settings(tree)
+    return {} if pbt is None else mutable_values(tree, pbt)
+
+
+@contextmanager
+def population_of(
+    cfg: DictConfig, seed: int, train_dir: Path, decides: bool = True
+) -> Iterator[PBTObserver | None]:
+    """Join the population of a tree, and give its observer; None without one.
+
+    Args:
+        cfg: the tree.
+        seed: of the training.
+        train_dir: folder of the runs.
+        decides: False of all but the first of several processes that train one policy: these
+            leave the workspace alone.
+
+    Raises:
+        ConfigError: the workspace cannot be used, see `Workspace`.
+    """
+    tree = plain(cfg)
+    pbt = read_pbt_settings(tree)
+    if pbt is None:
+        yield None
+        return
+    params = mutable_values(tree, pbt)
+    workspace = Workspace(train_dir / pbt.workspace, pbt, tree, params)
+    observer = PBTObserver(pbt, workspace, params, seed, str(cfg.task.name))
+    observer.decides = decides
+    with ExitStack() as opened:
+        if decides:
+            opened.enter_context(workspace).join(is_new=not _goes_on(cfg))
+        yield observer
+
+
+class PBTObserver(AlgoObserver):
+    """Compares the policy with its population, and ends the training that should go on changed.
+
+    At every `pbt.interval_steps` the policy writes record and checkpoint into the workspace and
+    reads those of the others. If it is replaced, a `RestartRequest` leaves rl_games' loop.
+
+    Of several processes that train one policy (data-parallel), the first decides, and all of them
+    restart: `after_steps` is called in each at the same place, and `share` sends the decision. All
+    of them need the seed of the first, so that they begin with the same settings.
+
+    Args:
+        settings: of the population.
+        workspace: of this policy.
+        params: settings that mutate, numbers by path.
+        seed: of the training; with the policy's index it decides all mutations.
+        task: its name.
+
+    Attributes:
+        decides: whether this process decides; False of all but the first of a policy.
+        share: receives the first process' decision (None elsewhere) and returns it in all.
+        is_stopping: returns whether the training is about to end, so that nothing restarts.
+    """
+
+    stored = ()
+
+    def __init__(
+        self,
+        settings: PBTSettings,
+        workspace: Workspace,
+        params: Mapping[str, float],
+        seed: int,
+        task: str,
+    ) -> None:
+        super().__init__()
+        self._settings = settings
+        self._workspace = workspace
+        self._params = dict(params)
+        self._seed, self._task = seed, task
+        self._iteration: int | None = None
+        self._first_frame = 0
+        self.decides = True
+        self.share: Callable[[RestartRequest | None], RestartRequest | None] = _as_it_is
+        self.is_stopping: Callable[[], bool] = lambda: False
+
+    def after_init(self, algo: Any) -> None:
+        """Store the agent."""
+        self._algo = algo
+        self._objective = ObjectiveMeter(algo)
+
+    def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
+        """Measure the objective of the environments (n, 1) whose episodes ended."""
+        self._objective.process_infos(infos, done_indices)
+
+    def after_steps(self) -> None:
+        """Compare if it is time.
+
+        Raises:
+            RestartRequest: the policy is replaced.
+        """
+        request = self.share(self.decide() if self.decides else None)
+        if request is not None:
+            self.act(request)
+
+    def act(self, request: RestartRequest) -> None:
+        """Leave rl_games' loop.
+
+        Raises:
+            RestartRequest: always.
+        """
+        raise request
+
+    # --- deciding --------------------------------------------------------------------------
+
+    def decide(self) -> RestartRequest | None:
+        """Compare if it is time; return what to restart with if the policy is replaced."""
+        frame = self._algo.frame
+        iteration = frame // self._settings.interval_steps
+        if self._iteration is None:
+            self._iteration, self._first_frame = iteration, frame
+        objective = self._objective.value
+        if iteration <= self._iteration or objective is None or self.is_stopping():
+            return None
+        self._iteration = iteration
+        best = self._objective.end_interval(objective)
+        try:
+            population = self._exchange(iteration, objective)
+        except OSError as error:
+            log.warning("pbt: no comparison at frame %d (%s); training goes on", frame, error)
+            return None
+        settings = self._settings
+        if frame - self._first_frame < settings.start_after or frame < settings.initial_delay:
+            return None
+        rng = _generator(self._seed, settings, iteration)
+        objectives = {index: record.true_objective for index, record in population.items()}
+        donor = find_replacement(settings, objectives, best, rng)
+        return None if donor is None else self._replaced_by(donor, population, rng)
+
+    def _exchange(self, iteration: int, objective: float) -> dict[int, Record]:
+        """Write this policy's record; return the newest one of each policy.
+
+        Raises:
+            OSError: the workspace cannot be written.
+        """
+        algo, workspace = self._algo, self._workspace
+        record = Record(
+            iteration=iteration,
+            true_objective=objective,
+            frame=algo.frame,
+            epoch=max(0, algo.epoch_num - 1),  # rl_games has counted the one that goes on
+            experiment_name=algo.experiment_name,
+            params=self._params,
+        )
+        workspace.write(record, {**algo.get_full_state_weights(), "epoch": record.epoch})
+        population = {**workspace.newest_records(iteration), self._settings.policy_idx: record}
+        workspace.remove_old(population)
+        leader = max(population, key=lambda index: population[index].true_objective)
+        workspace.keep_best(leader, population[leader], self._task)
+        for path, value in self._params.items():
+            algo.writer.add_scalar(f"pbt/{path}", value, algo.frame)
+        best = population[leader].true_objective
+        algo.writer.add_scalar("pbt/00_best_objective", best, algo.frame)
+        log.info(
+            "pbt: policy %d, frame %d: objective %.4g, the best %.4g of policy %d (%d of %d known)",
+            *(self._settings.policy_idx, algo.frame, objective, best, leader),
+            *(len(population), self._settings.num_policies),
+        )
+        return population
+
+    def _replaced_by(
+        self, donor: int, population: Mapping[int, Record], rng: random.Random
+    ) -> RestartRequest | None:
+        """Return what to restart with; None if the donor's checkpoint cannot be used."""
+        own, algo = self._settings.policy_idx, self._algo
+        params = self._params
+        if rng.random() < _TAKE_SETTINGS:
+            params = {path: population[donor].params[path] for path in params}
+        params = _mutated(params, self._settings, rng)
+        run = Path(algo.experiment_dir)
+        try:
+            state = load_checkpoint(self._workspace.checkpoint_of(donor, population[donor]))
+            # The run goes on where it is; only the networks are another policy's.
+            state |= {"frame": algo.frame, "epoch": population[own].epoch}
+            if donor != own:
+                state.pop("last_mean_rewards", None)
+            file = write_start(run, state)
+        except (OSError, CheckpointError) as error:
+            log.warning("pbt: policy %d is not replaced (%s); training goes on", own, error)
+            return None
+        log.info(
+            "pbt: policy %d (objective %.4g) goes on with the weights of policy %d (%.4g), and %s",
+            *(own, population[own].true_objective, donor, population[donor].true_objective),
+            _changes(self._params, params),
+        )
+        return RestartRequest(
+            {
+                **params,
+                "checkpoint": str(file.absolute()),
+                "full_experiment_name": algo.experiment_name,
+                "pbt_restart": True,
+            },
+            run,
+        )
+
+
+def _goes_on(cfg: DictConfig) -> bool:
+    """Return whether the policy has begun before this process."""
+    return any(OmegaConf.select(cfg, key) for key in ("pbt_restart", "resume"))
+
+
+def _generator(seed: int, settings: PBTSettings, when: int | str) -> random.Random:
+    return random.Random(f"{seed} {settings.policy_idx} {when}")
+
+
+def _mutated(
+    params: Mapping[str, float], settings: PBTSettings, rng: random.Random
+) -> dict[str, float]:
+    limits = (settings.mutation_rate, settings.change_min, settings.change_max)
+    return mutate(params, settings.mutation, *limits, rng)
+
+
+def _changes(former: Mapping[str, float], params: Mapping[str, float]) -> str:
+    """Return the settings that changed in words."""
+    changed = {path for path in params if params[path] != former[path]}
+    texts = [f"{path} {former[path]:.4g} -> {params[path]:.4g}" for path in sorted(changed)]
+    return ", ".join(texts) or "the settings as they are"
+
+
+def _as_it_is(request: RestartRequest | None) -> RestartRequest | None:
+    return request

@@ -1,0 +1,89 @@
+"""Starts a training again in the same process id, by the same command with changed settings."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from isaacgymenvs_lite.checkpoints.policy_arguments import as_override
+from isaacgymenvs_lite.distributed import STARTS
+
+log = logging.getLogger(__name__)
+
+_TRAIN = ("-m", "isaacgymenvs_lite.train")
+
+
+class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_games' loop
+    """Ends a training that goes on with other settings in a new process.
+
+    `runner.train` closes task, log and folders on its way; then train.py calls `start_again`. A
+    program that called `runner.run` composes the tree again with `overrides`.
+
+    Args:
+        settings: values by their paths in the tree.
+        run: the run folder, in which the training goes on.
+    """
+
+    def __init__(self, settings: Mapping[str, str | float | bool], run: Path) -> None:
+        super().__init__("the training goes on with other settings: compose them and run again")
+        self.settings = dict(settings)
+        self._run = run
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What one process of a data-parallel training sends to the others, as JSON has it."""
+        return {"settings": self.settings, "run": str(self._run)}
+
+    @classmethod
+    def of(cls, content: dict[str, Any] | None) -> RestartRequest | None:
+        """Return the request that another process has sent; None if it has sent none."""
+        return None if content is None else cls(content["settings"], Path(content["run"]))
+
+    @property
+    def overrides(self) -> list[str]:
+        """The settings as words of a command line."""
+        return [
+            # `checkpoint` is also looked for by its name.
+            f"{'' if path == 'checkpoint' else '++'}{path}={as_override(value)}"
+            for path, value in self.settings.items()
+        ]
+
+    def words(self, typed: Sequence[str]) -> list[str]:
+        """Return a command line with these settings in place of the typed ones."""
+        kept = [word for word in typed if word.partition("=")[0].lstrip("+") not in self.settings]
+        kept = [f"resume={self._run}" if word.startswith("resume=") else word for word in kept]
+        return [*kept, *self.overrides]
+
+
+def start_again(request: RestartRequest, typed: Sequence[str]) -> NoReturn:
+    """Replace this process by the same command with the settings of a request.
+
+    The environment stays, so that a launcher such as torchrun finds the process as it was. Files
+    and locks that are still open are closed by the system: Python opens them close-on-exec.
+
+    Args:
+        request: what changes.
+        typed: the words after the program's name.
+    """
+    command = [sys.executable, *_program(typed), *request.words(typed)]
+    log.debug("restart: %s", shlex.join(command))
+    os.environ[STARTS] = str(int(os.environ.get(STARTS) or 0) + 1)
+    for handler in logging.getLogger().handlers:
+        handler.flush()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os.execv(command[0], command)
+
+
+def _program(typed: Sequence[str]) -> list[str]:
+    """Return what follows the interpreter: its options, and the script or module."""
+    own = sys.orig_argv[1:]
+    end = len(own) - len(typed)
+    if end > 0 and own[end:] == list(typed):
+        return own[:end]
+    return list(_TRAIN)  # a program of its own, which set sys.argv
