@@ -12,6 +12,7 @@ import contextlib
 import io
 import logging
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -37,6 +38,7 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
+from isaacgymenvs_lite.distributed import started_by_torchrun
 from isaacgymenvs_lite.distributed.group import ProcessGroup, current_group, joined_group
 from isaacgymenvs_lite.distributed.restarts import mark_run
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
@@ -379,8 +381,18 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
 
 @contextmanager
 def _joined_processes(cfg: DictConfig) -> Iterator[ProcessGroup]:
-    """Give the processes that train together: those that torchrun has started, or this one."""
+    """Give the processes that train together: those that torchrun has started, or this one.
+
+    Raises:
+        ConfigError: torchrun and `multi_gpu` contradict each other.
+        UserError: as `ProcessGroup.fail_together`.
+    """
     settings = check_config(cfg)
+    if not settings.multi_gpu and started_by_torchrun():
+        raise ConfigError(
+            f"torchrun has started {os.environ['WORLD_SIZE']} processes, but multi_gpu is False:"
+            " add multi_gpu=True to train one policy together, or leave torchrun out"
+        )
     if not settings.multi_gpu:
         yield ProcessGroup()
         return

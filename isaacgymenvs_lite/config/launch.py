@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import secrets
 from dataclasses import dataclass
 from typing import Any
@@ -211,14 +210,8 @@ def _check_features(settings: LaunchSettings) -> None:
     Raises:
         ConfigError: such a feature is switched on.
     """
-    num_processes = os.environ.get("WORLD_SIZE") or "1"
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
-    if not settings.multi_gpu and num_processes != "1":
-        raise ConfigError(
-            f"torchrun has started {num_processes} processes, but multi_gpu is False: add"
-            " multi_gpu=True to train one policy together, or start train.py without torchrun"
-        )
     if settings.wandb_activate:
         require("wandb", "wandb_activate=True", otherwise="leave wandb_activate out")
 

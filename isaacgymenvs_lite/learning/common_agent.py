@@ -66,6 +66,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
+from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
 from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_dataset, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import (
     RunningMeanStd,
@@ -799,6 +800,7 @@ def _prepare_settings(settings: dict[str, Any]) -> Any:
     mixed_precision = settings.get("mixed_precision", False)
     # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
     settings["mixed_precision"] = False
+    leave_out_nccl(settings)
     settings["torch_compile"] = torch_compile_setting(
         settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
     )

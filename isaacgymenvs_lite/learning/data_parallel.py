@@ -20,6 +20,21 @@ from isaacgymenvs_lite.errors import ConfigError
 _METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
+def leave_out_nccl(config: dict[str, Any]) -> None:
+    """Keep rl_games' constructor from starting NCCL, in place; the agent joins the others later.
+
+    Raises:
+        ConfigError: there are no others.
+    """
+    if config.get("multi_gpu") and current_group().size == 1:
+        raise ConfigError(
+            "train.params.config.multi_gpu=True: this program trains in one process; start it with"
+            " torchrun, and make and run the Runner in `with"
+            " isaacgymenvs_lite.distributed.group.joined_group(device, timeout_s):`"
+        )
+    config["multi_gpu"] = False
+
+
 class DataParallel(A2CAgent):
     """PPO of several processes; of one, it is rl_games' PPO as it is."""
 
@@ -75,9 +90,12 @@ class DataParallel(A2CAgent):
         self.has_joined = True
         group.take_from_main_(tensors)
         self.multi_gpu = True
+        # rl_games sends learning rates in float32: a resumed run has them rounded, too.
+        self.update_lr(float(self.last_lr))
         if self.has_central_value:
             self.central_value_net.multi_gpu = True
             self.central_value_net.world_size = group.size
+            self.central_value_net.update_lr(self.central_value_net.lr)
 
     def train(self) -> Any:
         """Train as rl_games."""

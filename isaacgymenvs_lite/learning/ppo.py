@@ -16,6 +16,7 @@ from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
 from isaacgymenvs_lite.learning.diverged import (
     EpisodeMeters,
     RolloutMask,
@@ -50,6 +51,7 @@ class PPOAgent(PPOSafeguards):
         on_cpu = device.type == "cpu"
         # rl_games' switch means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
+        leave_out_nccl(config)
         config["torch_compile"] = torch_compile_setting(
             config.get("torch_compile"), device.type, can_compile=True
         )
