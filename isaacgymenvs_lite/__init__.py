@@ -47,7 +47,7 @@ def make(
         rl_device: torch device of what `step` and `reset` return.
         graphics_device_id: index of the rendering device.
         headless: no window; with False the program ends when its window is closed, or by ESC.
-        multi_gpu: not supported yet.
+        multi_gpu: of trainings; no effect on a task.
         virtual_screen_capture: open no window, even with `headless=False`; `render()` returns
             pictures, drawn without a display.
         force_render: show every step in the window; False: only when `render` is called.

@@ -75,6 +75,14 @@ class StoppedAtOnceError(KeyboardInterrupt):
         self.exit_status = 128 + signal_number
 
 
+class PeerError(UserError):
+    """Another process of a data-parallel training has gone; its own error is the cause."""
+
+
+class PeerMistakeError(PeerError):
+    """Another process of a data-parallel training ends with an error, and all do."""
+
+
 class WrapperError(UserError, TypeError):
     """An adapter got something else than a task."""
 

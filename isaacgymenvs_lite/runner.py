@@ -12,10 +12,12 @@ import contextlib
 import io
 import logging
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,9 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
+from isaacgymenvs_lite.distributed import started_by_torchrun
+from isaacgymenvs_lite.distributed.group import ProcessGroup, current_group, joined_group
+from isaacgymenvs_lite.distributed.restarts import mark_run
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
 from isaacgymenvs_lite.errors import (
     CheckpointError,
@@ -46,7 +51,13 @@ from isaacgymenvs_lite.errors import (
 )
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
-from isaacgymenvs_lite.pbt.observer import mutate_first, population_of, run_suffix
+from isaacgymenvs_lite.pbt.observer import (
+    PBTObserver,
+    mutable_settings,
+    mutate_first,
+    population_of,
+    run_suffix,
+)
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
@@ -67,6 +78,11 @@ _rl_games_log = logging.getLogger("rl_games")
 
 _DEFAULT_IMITATION_FREQUENCY = 50
 _PRECISION = "train.params.config.mixed_precision"
+# Of processes that train together.
+_SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
+_OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
+# What only the main one does.
+_QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
 _IMITATION_EPISODES = 16
 # More take seconds to make: one is made first, to estimate the memory of all.
 _MANY_ENVS = 100_000
@@ -131,53 +147,54 @@ def train(
             `pbt.restart.start_again`; everything of this one is closed.
     """
     command = command or TypedCommand()
-    launch = _with_decided_precision(_read_launch(cfg, command))
-    launch = replace(launch, cfg=launch.cfg.copy())
-    mutate_first(launch.cfg, launch.seed)
+    with _memory_errors_explained(cfg), _joined_processes(cfg) as group, ExitStack() as stack:
+        launch = _read_launch_together(cfg, command, group, stack)
+        return _train(launch, command, group, stop or StopRequest(), direction)
+
+
+def _train(
+    launch: _Launch, command: TypedCommand, group: ProcessGroup, stop: StopRequest, direction: str
+) -> float | None:
+    """Train in a run folder that the main process has reserved; see `train`."""
     interrupt: KeyboardInterrupt | None = None
-    with (
-        _memory_errors_explained(cfg),
-        _open_tasks(launch) as make_task,
-        population_of(launch.cfg, launch.seed, launch.folder.train_dir) as pbt,
-        launch.folder,
-    ):
-        viewers = Viewers(launch.settings)
-        if launch.num_envs > _MANY_ENVS:
-            with _quiet("isaacgymenvs_lite.config"):
-                _check_memory(launch, make_task(1))
-        # Made before the agent, so that its mistakes show before a run folder exists.
-        task = make_task(launch.num_envs)
-        params = _read_params(launch, task)
-        check_training_memory(params, task, launch.num_envs)
-        params["config"]["print_stats"] = False
-        imitation = _imitation_observer(params["config"], task, make_task)
-        objective = objective_of(params["config"], imitation is not None)
-        objective.check_direction(direction, str(cfg.task.name))
-        stop = stop or StopRequest()
-        if pbt is not None:
-            pbt.is_stopping = lambda: stop.requested
-        observers = TrainingObservers(
-            launch.cfg,
-            launch.settings,
-            launch.folder.name,
-            imitation,
-            task.max_episode_length,
-            stop,
-            pbt,
-        )
-        launch.folder.create(launch.repeatable)
-        task.listeners.append(DivergenceFiles(task, launch.folder.path))
+    with _open_tasks(launch) as make_task, ExitStack() as stack:
+        with group.together():
+            pbt = stack.enter_context(_population(launch, group, stop))
+            viewers = Viewers(launch.settings)
+            task, params = _make_task(launch, make_task)
+            imitation = _imitation_observer(params["config"], task, make_task)
+            objective = objective_of(params["config"], imitation is not None)
+            objective.check_direction(direction, str(launch.cfg.task.name))
+            observers = TrainingObservers(
+                launch.cfg,
+                launch.settings,
+                launch.folder.name,
+                imitation,
+                task.max_episode_length,
+                stop,
+                pbt,
+            )
+        with group.together():
+            if group.is_main:
+                launch.folder.create(launch.repeatable)
+                mark_run(launch.folder.path)
+        task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
+        if group.size > 1:
+            sizes = f"{group.size} ranks x {launch.num_envs} environments"
+            log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
         try:
             viewers.start(task, launch.folder.path, stop.request)
-            with stop, _output_to_log():
+            with stop, _output_to_log(), group.lost_peers_explained():
                 runner = _load_runner(params, task, observers)
                 runner.run({"train": True, "play": False, **launch.overrides})
-                if objective is POSE_ERROR and not stop.requested:
+                if group.is_main and objective is POSE_ERROR and not stop.requested:
                     observers.evaluate_end()
         except NotFiniteError:
             raise  # the run folder shows how it happened
-        except UserError:
+        except UserError as error:
             launch.folder.remove_if_unused()
+            if not getattr(observers.agent, "has_joined", False):
+                group.fail_together(error)
             raise
         except RestartRequest:
             if not stop.requested:
@@ -192,6 +209,8 @@ def train(
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
+        if not group.is_main:
+            return None
         # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
         # never reach.
         if not launch.checkpoint_file("").exists():
@@ -204,6 +223,23 @@ def train(
             raise interrupt
         _check_saved(launch.folder)
         return best
+
+
+def _make_task(
+    launch: _Launch, make_task: Callable[[int], VecTask]
+) -> tuple[VecTask, dict[str, Any]]:
+    """Return the task of a training, and the section `params` of its train file.
+
+    They are made before the agent, so that mistakes show before a run folder exists.
+    """
+    if launch.num_envs > _MANY_ENVS:
+        with _quiet("isaacgymenvs_lite.config"):
+            _check_memory(launch, make_task(1))
+    task = make_task(launch.num_envs)
+    params = _read_params(launch, task)
+    check_training_memory(params, task, launch.num_envs)
+    params["config"]["print_stats"] = False
+    return task, params
 
 
 @torch_settings_kept()
@@ -341,6 +377,101 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
     return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
+
+
+@contextmanager
+def _joined_processes(cfg: DictConfig) -> Iterator[ProcessGroup]:
+    """Give the processes that train together: those that torchrun has started, or this one.
+
+    Raises:
+        ConfigError: torchrun and `multi_gpu` contradict each other.
+        UserError: as `ProcessGroup.fail_together`.
+    """
+    settings = check_config(cfg)
+    if not settings.multi_gpu and started_by_torchrun():
+        raise ConfigError(
+            f"torchrun has started {os.environ['WORLD_SIZE']} processes, but multi_gpu is False:"
+            " add multi_gpu=True to train one policy together, or leave torchrun out"
+        )
+    if not settings.multi_gpu:
+        yield ProcessGroup()
+        return
+    with joined_group(settings.rl_device, settings.distributed_timeout_s) as group:
+        versions = {f"version of {name}": metadata.version(name) for name in _SAME_VERSIONS}
+        group.check_equal({**versions, **_flat(cfg)}, "setting")
+        yield group
+
+
+def _flat(cfg: DictConfig) -> dict[str, str]:
+    """Return the leaves of a tree as texts, without what may differ between machines."""
+    tree: Any = OmegaConf.to_container(cfg, resolve=False)
+
+    def leaves(path: str, value: Any) -> Iterator[tuple[str, str]]:
+        if isinstance(value, dict):
+            for key, below in value.items():
+                yield from leaves(f"{path}.{key}" if path else str(key), below)
+        else:
+            yield path, str(value)
+
+    return {path: text for path, text in leaves("", tree) if path not in _OF_MACHINES}
+
+
+def _read_launch_together(
+    cfg: DictConfig, command: TypedCommand, group: ProcessGroup, stack: ExitStack
+) -> _Launch:
+    """Return the launch of this process; what all processes need to agree on, the main one decides.
+
+    That is the run folder, which it reserves until `stack` ends, the checkpoint, the precision and
+    the seed, to which each process adds its rank.
+    """
+    main: _Launch | None = None
+    with group.together():
+        if group.is_main:
+            main = _with_decided_precision(_read_launch(cfg, command))
+            main = replace(main, cfg=main.cfg.copy())
+            mutate_first(main.cfg, main.seed)
+            stack.enter_context(main.folder)
+    decided = group.from_main(
+        main
+        and {
+            "seed": main.seed,
+            "full_experiment_name": main.folder.name,
+            "checkpoint": "" if main.settings.resume else main.checkpoint,
+            _PRECISION: OmegaConf.select(main.cfg, _PRECISION),
+            **mutable_settings(main.cfg),
+        }
+    )
+    if main is not None:
+        return main
+    own = cfg.copy()
+    decided["seed"] += group.rank
+    if OmegaConf.select(own, _PRECISION) != "auto":
+        del decided[_PRECISION]
+    with open_dict(own):
+        for path, value in {**decided, **_QUIET}.items():
+            OmegaConf.update(own, path, value, force_add=True)
+        if group.device_of(str(own.rl_device)) != str(own.rl_device):
+            own.rl_device = group.device_of(str(own.rl_device))
+    return _read_launch(own)
+
+
+@contextmanager
+def _population(
+    launch: _Launch, group: ProcessGroup, stop: StopRequest
+) -> Iterator[PBTObserver | None]:
+    """Give the observer that compares the policy with its population, if it has one.
+
+    Of several processes that train the policy the main one decides, and all restart.
+    """
+    with population_of(
+        launch.cfg, launch.seed, launch.folder.train_dir, decides=group.is_main
+    ) as pbt:
+        if pbt is not None:
+            pbt.is_stopping = lambda: stop.requested
+            pbt.share = lambda request: RestartRequest.of(
+                group.from_main(request.content if request is not None else None)
+            )
+        yield pbt
 
 
 def _with_decided_precision(launch: _Launch) -> _Launch:
@@ -510,7 +641,8 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     task = str(launch.cfg.task.name)
     log.info("saved %s; play it: %s", newest, command.play(task, newest))
     if was_stopped:
-        log.info("go on with it: %s", command.resume(launch.folder.path))
+        resume = command.resume(launch.folder.path, current_group().size)
+        log.info("go on with it: %s", resume)
 
 
 def _check_saved(folder: RunFolder) -> None:

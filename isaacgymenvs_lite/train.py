@@ -35,7 +35,14 @@ from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.errors import ConfigError, StoppedAtOnceError, UserError
+from isaacgymenvs_lite.distributed import started_by_torchrun
+from isaacgymenvs_lite.distributed.restarts import train_dir_of, words_after_restart
+from isaacgymenvs_lite.errors import (
+    ConfigError,
+    PeerMistakeError,
+    StoppedAtOnceError,
+    UserError,
+)
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 from isaacgymenvs_lite.sweep import (
@@ -78,7 +85,9 @@ def main() -> None:
 
 def configure_logging() -> None:
     """Send the log to stderr, messages only, without breaking a progress bar."""
-    logging.basicConfig(level=logging.INFO, handlers=[message_handler()], force=True)
+    # Of several processes one logs; the others report what only they can.
+    level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
+    logging.basicConfig(level=level, handlers=[message_handler()], force=True)
 
 
 def message_handler() -> logging.Handler:
@@ -95,6 +104,7 @@ def _run_hydra() -> None:
         ConfigError: the configuration cannot be composed.
     """
     command = TypedCommand.of_this_process()
+    _go_on_after_restart()
     if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
         from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
 
@@ -131,6 +141,17 @@ def _run_hydra() -> None:
         sweep.report()
     if sweep.num_failed:
         sys.exit(EXIT_FAILED_JOBS)
+
+
+def _go_on_after_restart() -> None:
+    """Replace the command line by one that goes on, if torchrun has restarted this process."""
+    if not started_by_torchrun():
+        return
+    from isaacgymenvs_lite.run.folder import run_folders
+
+    runs = run_folders(train_dir_of(sys.argv[1:]))
+    if (words := words_after_restart(sys.argv[1:], runs)) is not None:
+        sys.argv[1:] = words
 
 
 def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
@@ -198,7 +219,14 @@ def _check_options(arguments: Sequence[str]) -> None:
 
 
 def _fail(error: UserError) -> NoReturn:
-    print(f"error: {error}", file=sys.stderr)
+    if started_by_torchrun():
+        from isaacgymenvs_lite.distributed.group import first_of_all  # imports torch
+
+        error = first_of_all(error)
+    if isinstance(error, PeerMistakeError):
+        log.info("%s", error)  # the other process reports it
+    else:
+        print(f"error: {error}", file=sys.stderr)
     sys.exit(EXIT_USER_ERROR)
 
 

@@ -48,9 +48,19 @@ class TypedCommand:
         played = ["test=True", f"checkpoint={named}", f"num_envs={_NUM_PLAYED}"]
         return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
 
-    def resume(self, run: Path) -> str:
-        """Return the command that goes on with the training in a run folder, for a shell."""
-        return shlex.join([*self.program, f"resume={run}"])
+    def resume(self, run: Path, num_processes: int = 1) -> str:
+        """Return the command that goes on with the training in a run folder, for a shell.
+
+        Args:
+            run: the folder.
+            num_processes: that train together, on this machine.
+        """
+        words = [*self.program, f"resume={run}"]
+        if num_processes > 1:
+            start = ["torchrun", "--standalone", f"--nproc-per-node={num_processes}"]
+            program = words[1:] if words[0] == _python() else ["--no-python", *words]
+            words = [*start, *program, "multi_gpu=True"]
+        return shlex.join(words)
 
     def check(self, task: str) -> str:
         """Return the command that describes the run's files, for a shell; `task` as in `play`."""

@@ -45,6 +45,9 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 # Not ours, and known to whoever types them.
 SYSTEM = {"git", "cd", "ssh", "tensorboard"}
+TORCHRUN = {"--standalone", "--nproc-per-node", "--nnodes", "--max-restarts"} | {
+    f"--rdzv-{name}" for name in ("id", "backend", "endpoint")
+}
 ACTIVATE = (".", ".venv/bin/activate")
 # Commands about files that only the page has.
 RUN_ELSEWHERE = {
@@ -207,6 +210,16 @@ def check_python(words: Sequence[str]) -> None:
         check_train(rest)
 
 
+def check_torchrun(words: Sequence[str]) -> None:
+    options = list(itertools.takewhile(lambda word: word.startswith("--"), words))
+    script, *rest = words[len(options) :]
+    assert script == "train.py"
+    assert {option.partition("=")[0] for option in options} <= TORCHRUN
+    assert "multi_gpu=True" in rest
+    if not any(word.startswith("resume=") for word in rest):
+        check_train(rest)
+
+
 def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
     options, others = options_parser().parse_known_args([with_real_file(word) for word in words])
@@ -300,6 +313,7 @@ def check_experiments(words: Sequence[str]) -> None:
 
 
 CHECKS = {
+    "torchrun": check_torchrun,
     "python": check_python,
     "python3": check_python3,
     "make": check_make,

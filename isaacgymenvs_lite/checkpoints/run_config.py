@@ -99,6 +99,7 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     check_expansion(cfg)
     for key in _TYPED_AGAIN:
         cfg.pop(key, None)
+    cfg.multi_gpu = False  # so does the word: torchrun may start other processes, or none
     for key in _TYPED_AGAIN & values.keys():
         cfg[key] = None  # the word sets it
     settings = [

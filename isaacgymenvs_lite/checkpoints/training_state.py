@@ -4,6 +4,10 @@ A training state is a checkpoint with one more entry, `training_state`: what the
 task remember. The replay buffers, which can be large, are in a file of their own beside it. Only
 the newest state of a run is kept. Each file appears whole or not at all, and the one before is
 removed once both are written, so that a crash at any time leaves a state.
+
+Of several processes each writes what it remembers, all but the main one to
+`<epoch>_rank<rank>.pth`. The networks are in the main one's file alone. A secret that all files of
+a state share tells them from those of another state of the same epoch.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ FOLDER = "resume"
 
 _VERSION = 1
 _STATE = re.compile(r"\d+\.pth")
-_BUFFERS = re.compile(r"\d+_buffers\.pth")
+_FILE_OF_STATE = re.compile(r"(\d+)(_rank\d+)?(_buffers)?\.pth")
 
 
 @dataclass(frozen=True)
@@ -45,22 +49,31 @@ class TrainingState:
         checkpoint: networks, optimisers and counts, as every checkpoint has them.
         memory: what the agent and the task remember; None of a plain checkpoint.
         buffers: rows of replay buffers by name; None without their file.
+        num_processes: that trained together; if there are others now, `memory` is the main one's.
     """
 
     checkpoint: dict[str, Any]
     memory: dict[str, Any] | None
     buffers: dict[str, Any] | None
+    num_processes: int = 1
+
+
+def new_token() -> str:
+    """Return a secret that the files of a state share."""
+    return secrets.token_hex(8)
 
 
 def write_training_state(
-    run: Path, state: TrainingState, epoch: int
+    run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
 ) -> tuple[list[Path], int | None]:
-    """Write a state into a run folder, and remove the ones before.
+    """Write a state into a run folder, beside the ones before.
 
     Args:
         run: the run folder.
         state: has `memory`.
         epoch: of the state.
+        token: see `new_token`.
+        rank: of this process.
 
     Returns:
         The files that were written; the bytes of the buffers if these are larger than what a
@@ -71,19 +84,23 @@ def write_training_state(
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    token = secrets.token_hex(8)
-    files, too_large = [folder / f"{epoch}.pth"], None
+    file, buffers = _files_of(folder / f"{epoch}.pth", rank)
+    files, too_large = [file], None
     if state.buffers is not None:
-        buffers = folder / f"{epoch}_buffers.pth"
         size = _num_bytes(state.buffers)
         if size < MAX_FILE_BYTES:
             write_atomically(buffers, {"token": token, "buffers": state.buffers})
             files.append(buffers)
         else:
             too_large = size
-    entry = {"version": _VERSION, "token": token, "memory": plain_numbers(state.memory)}
-    write_atomically(files[0], {**plain_numbers(state.checkpoint), KEY: entry})
-    _remove_others(folder, files)
+    entry = {
+        "version": _VERSION,
+        "token": token,
+        "num_processes": state.num_processes,
+        "memory": plain_numbers(state.memory),
+    }
+    checkpoint = plain_numbers(state.checkpoint) if rank == 0 else {}
+    write_atomically(file, {**checkpoint, KEY: entry})
     return files, too_large
 
 
@@ -106,19 +123,32 @@ def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{checkpoint['epoch']}.pth"
     write_atomically(file, plain_numbers(checkpoint))
-    _remove_others(folder, [file])
+    remove_other_states(run, checkpoint["epoch"])
     return file
 
 
-def _remove_others(folder: Path, files: list[Path]) -> None:
-    for other in folder.iterdir():
-        if other not in files and (_STATE.fullmatch(other.name) or _BUFFERS.fullmatch(other.name)):
+def remove_other_states(run: Path, epoch: int) -> None:
+    """Remove the files of all states of a run but one, once that is complete."""
+    for file in (run / FOLDER).iterdir():
+        found = _FILE_OF_STATE.fullmatch(file.name)
+        if found and int(found[1]) != epoch:
             with contextlib.suppress(OSError):
-                other.unlink()
+                file.unlink()
 
 
-def read_training_state(path: Path) -> TrainingState:
+def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
+    """Return the files of a process: its state and its buffers, given the main one's state."""
+    stem = path.stem if rank == 0 else f"{path.stem}_rank{rank}"
+    return path.with_name(f"{stem}.pth"), path.with_name(f"{stem}_buffers.pth")
+
+
+def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
     """Return what a file holds: a training state, or a plain checkpoint.
+
+    Args:
+        path: file of the main process.
+        rank: of this process, which reads its own files beside it.
+        num_processes: that train now.
 
     Raises:
         CheckpointError: it is missing or damaged, or no checkpoint.
@@ -127,6 +157,21 @@ def read_training_state(path: Path) -> TrainingState:
     entry = checkpoint.pop(KEY, None)
     if entry is None:
         return TrainingState(checkpoint, None, None)
+    memory, token = _memory_of(entry, path), entry.get("token")
+    former_processes = entry.get("num_processes", 1)
+    if former_processes != num_processes:
+        return TrainingState(checkpoint, memory, None, former_processes)
+    file, buffers = _files_of(path, rank)
+    if rank > 0:
+        entry = _read_archive(file, "all processes need the run folder on a disk they share")
+        entry = entry.get(KEY) if isinstance(entry, dict) else None
+        memory = _memory_of(entry, file)
+        if not isinstance(entry, dict) or entry.get("token") != token:
+            raise CheckpointError(f"resume={file}: is not of the same training state as {path}")
+    return TrainingState(checkpoint, memory, _read_buffers(buffers, token), num_processes)
+
+
+def _memory_of(entry: Any, path: Path) -> dict[str, Any]:
     if not isinstance(entry, dict) or entry.get("version") != _VERSION:
         raise CheckpointError(
             f"resume={path}: its training state is of another version; start a run with its"
@@ -135,25 +180,26 @@ def read_training_state(path: Path) -> TrainingState:
     memory = entry.get("memory")
     if not isinstance(memory, dict):
         raise CheckpointError(f"resume={path}: damaged: its training state has no content")
-    return TrainingState(checkpoint, memory, _read_buffers(path, entry.get("token")))
+    return memory
 
 
-def _read_buffers(path: Path, token: Any) -> dict[str, Any] | None:
+def _read_buffers(file: Path, token: Any) -> dict[str, Any] | None:
     """Return the buffers that were written with a state; None if there are none."""
-    file = path.with_name(f"{path.stem}_buffers.pth")
     if not file.is_file():
         return None
-    try:
-        content = read_archive(file)
-    except OSError as error:
-        raise CheckpointError(f"resume={file}: cannot be read ({error.strerror})") from error
-    except Exception as error:  # a damaged file may raise anything in the reader
-        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
-        raise CheckpointError(
-            f"resume={file}: damaged{reason}; remove it to go on with empty replay buffers"
-        ) from error
+    content = _read_archive(file, "remove it to go on with empty replay buffers")
     buffers = content.get("buffers") if isinstance(content, dict) else None
     return buffers if isinstance(buffers, dict) and content.get("token") == token else None
+
+
+def _read_archive(file: Path, hint: str) -> Any:
+    try:
+        return read_archive(file)
+    except OSError as error:
+        raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
+    except Exception as error:  # a damaged file may raise anything in the reader
+        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
+        raise CheckpointError(f"resume={file}: damaged{reason}; {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:

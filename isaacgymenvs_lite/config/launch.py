@@ -73,6 +73,9 @@ class LaunchSettings:
     num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
     """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
+    """Several processes, which torchrun starts, train one policy."""
+    distributed_timeout_s: float = setting(600.0, above=0, maximum=86400)
+    """How long the processes wait for one that does not answer."""
 
     progress_interval: float = setting(10.0, above=0)
     """Seconds between lines of progress where the output is no terminal."""
@@ -207,14 +210,8 @@ def _check_features(settings: LaunchSettings) -> None:
     Raises:
         ConfigError: such a feature is switched on.
     """
-    switches = {
-        "multi_gpu": (settings.multi_gpu, "data-parallel training"),
-    }
-    for key, (value, feature) in switches.items():
-        if value:
-            raise ConfigError(
-                f"{key}={value}: {feature} is not implemented in this version; set {key}=False"
-            )
+    if settings.multi_gpu and settings.test:
+        raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
     if settings.wandb_activate:
         require("wandb", "wandb_activate=True", otherwise="leave wandb_activate out")
 

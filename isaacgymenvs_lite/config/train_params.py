@@ -133,13 +133,17 @@ def prepare_train_params(
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
-    if config.get("multi_gpu"):
+    if config.get("multi_gpu") and not cfg.multi_gpu:
         raise ConfigError(
-            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: data-parallel training is not"
-            " implemented in this version; set it to False"
+            f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: several processes are started with"
+            " torchrun and multi_gpu=True (docs/distributed.md); set it to False here"
         )
+    # rl_games would start NCCL while it makes an agent: agents join the others themselves.
+    config["multi_gpu"] = False
     algo = params["algo"]["name"]
     if algo == "sac":
+        if cfg.multi_gpu:
+            raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
     recurrent = "rnn" in params["network"]
@@ -313,6 +317,8 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
     if not recurrent:
         # rl_games demands that it divides the batch, although nothing is cut into sequences.
         config["seq_length"] = 1
+    if config.get("schedule_type") == "per_minibatch":  # rl_games 2's name
+        config["schedule_type"] = "legacy"
     if "max_steps" in config:
         # As max_steps it would end up as an array axis inside rl_games.
         config.setdefault("max_frames", config.pop("max_steps"))

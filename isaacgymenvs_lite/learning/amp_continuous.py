@@ -30,6 +30,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
@@ -273,13 +275,15 @@ class AMPAgent(StyleRewards, CommonAgent):
         if not (self._masks_exploration and self.normalize_advantage):
             return super()._calc_advs(batch_dict)
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        return normalize_masked(advantages, batch_dict["rand_action_mask"])
+        normalize = normalize_masked if current_group().size == 1 else normalize_jointly
+        return normalize(advantages, batch_dict["rand_action_mask"])
 
     def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         rows = super()._minibatch_extras(input_dict)
         if self._masks_exploration:
             mask = input_dict["rand_action_mask"]
-            rows["row_weights"] = mask / mask.mean().clamp(min=1.0 / len(mask))
+            share = current_group().mean(mask.mean())  # of rows that explored
+            rows["row_weights"] = mask / share.clamp(min=1.0 / len(mask))
         for name in _AMP_OBS_KINDS:
             noise = self.discriminator.sample_noise(input_dict[name])
             if noise is not None:

@@ -59,13 +59,20 @@ from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
+from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
 from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_dataset, take_rows
-from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, replace_normalizers
+from isaacgymenvs_lite.learning.modules.running_mean_std import (
+    RunningMeanStd,
+    count_in_jointly,
+    replace_normalizers,
+)
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
@@ -485,7 +492,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages, and pass all rows to the dataset."""
-        num_rows = self._enough_rows(len(batch_dict["returns"]))
+        num_rows = current_group().smallest(self._enough_rows(len(batch_dict["returns"])))
         fit_dataset(self.dataset, num_rows, self.num_minibatches)
         super().prepare_dataset(batch_dict)
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
@@ -496,6 +503,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         if not self.normalize_advantage:
             return advantages
+        if current_group().size > 1:
+            return normalize_jointly(advantages, torch.ones_like(advantages))
         return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
@@ -569,11 +578,16 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Update all running statistics by a minibatch; later, slices of it are only normalised."""
 
         def update(normalizer: RunningMeanStd, kinds: list[Tensor]) -> None:
-            normalizer.eval()
             for rows in kinds:
                 normalizer.count_in(rows)
 
-        self.executor.map(update, self._normalizer_inputs(minibatch))
+        inputs = self._normalizer_inputs(minibatch)
+        for normalizer, _ in inputs:
+            normalizer.eval()
+        if current_group().size > 1:
+            count_in_jointly(inputs)
+        else:
+            self.executor.map(update, inputs)
 
     def _normalizer_inputs(
         self, input_dict: dict[str, Tensor]
@@ -600,7 +614,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def _schedule_learning_rate(self, kl: Tensor) -> None:
         # Only the adaptive schedule looks at the KL, and reading it waits for the device.
-        kl_value = kl.item() if self.is_adaptive_lr else 0.0
+        kl_value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
         self.last_lr, self.entropy_coef = self.scheduler.update(
             self.last_lr, self.entropy_coef, self.epoch_num, 0, kl_value
         )
@@ -786,6 +800,7 @@ def _prepare_settings(settings: dict[str, Any]) -> Any:
     mixed_precision = settings.get("mixed_precision", False)
     # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.
     settings["mixed_precision"] = False
+    leave_out_nccl(settings)
     settings["torch_compile"] = torch_compile_setting(
         settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
     )

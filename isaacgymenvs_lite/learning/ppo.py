@@ -10,10 +10,13 @@ from rl_games.common.a2c_common import swap_and_flatten01
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
+from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
 from isaacgymenvs_lite.learning.diverged import (
     EpisodeMeters,
     RolloutMask,
@@ -48,6 +51,7 @@ class PPOAgent(PPOSafeguards):
         on_cpu = device.type == "cpu"
         # rl_games' switch means CUDA autocast with a gradient scaler.
         config["mixed_precision"] = not on_cpu and resolve_mixed_precision(precision, device)
+        leave_out_nccl(config)
         config["torch_compile"] = torch_compile_setting(
             config.get("torch_compile"), device.type, can_compile=True
         )
@@ -114,12 +118,17 @@ class PPOAgent(PPOSafeguards):
             else:
                 batch_dict = take_rows(batch_dict, flat)
         if not self.is_rnn:
-            num_rows = len(batch_dict["returns"])
+            num_rows = current_group().smallest(len(batch_dict["returns"]))
             fit_dataset(self.dataset, num_rows, self.num_minibatches)
             if self.has_central_value:
                 central = self.central_value_net
                 fit_dataset(central.dataset, num_rows, central.num_minibatches)
         super().prepare_dataset(batch_dict)
+        if self.normalize_advantage and current_group().size > 1:
+            advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=1)
+            masks = batch_dict.get("rnn_masks")
+            mask = torch.ones_like(advantages) if masks is None else masks
+            self.dataset.values_dict["advantages"] = normalize_jointly(advantages, mask)
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
         """Take a gradient step; the mean of a recurrent policy's losses is over unmasked rows."""

@@ -19,9 +19,12 @@ from rl_games.interfaces.base_algorithm import BaseAlgorithm
 
 from isaacgymenvs_lite.checkpoints.training_state import (
     TrainingState,
+    new_token,
     read_training_state,
+    remove_other_states,
     write_training_state,
 )
+from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
 from isaacgymenvs_lite.utils.object_state import (
@@ -100,11 +103,12 @@ class Resuming(BaseAlgorithm):
         buffers = None
         if self.config.get("save_buffers", True):
             buffers = self._read("stored_buffers")
-        state = TrainingState(weights, self._memory(), buffers or None)
+        group = current_group()
+        state = TrainingState(weights, self._memory(), buffers or None, group.size)
+        run, token = Path(self.experiment_dir), group.from_main(new_token())
+        written = None
         try:
-            files, too_large = write_training_state(
-                Path(self.experiment_dir), state, self.epoch_num
-            )
+            written = write_training_state(run, state, self.epoch_num, token, group.rank)
         except OSError as error:
             log.warning(
                 "cannot write the training state of epoch %d below %s (%s); training goes on",
@@ -112,9 +116,12 @@ class Resuming(BaseAlgorithm):
                 self.experiment_dir,
                 error.strerror or error,
             )
+        if group.any(written is None) or written is None:
             return
+        if group.is_main:
+            remove_other_states(run, self.epoch_num)
         self._stored_epoch = self.epoch_num
-        self._report_size(files, too_large, time.monotonic() - start)
+        self._report_size(*written, time.monotonic() - start)
 
     def _report_size(self, files: list[Path], too_large: int | None, seconds: float) -> None:
         if self._reported_size:
@@ -207,7 +214,8 @@ class Resuming(BaseAlgorithm):
         Raises:
             CheckpointError: it cannot be used.
         """
-        self._to_resume = read_training_state(Path(fn))
+        group = current_group()
+        self._to_resume = read_training_state(Path(fn), group.rank, group.size)
         self._resumed_from = fn
         return self._to_resume.checkpoint
 
@@ -234,7 +242,8 @@ class Resuming(BaseAlgorithm):
                 f"resume={self._resumed_from}: the training state does not fit ({one_line(error)});"
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
             ) from error
-        continue_log(self.writer, self.next_logged_frame)
+        if self.writer is not None:  # of several processes only the main one has one
+            continue_log(self.writer, self.next_logged_frame)
         place = (self.epoch_num, self.frame, self._resumed_from)
         log.info("resumed after epoch %d, frame %d: %s", *place)
         if fresh:
@@ -255,8 +264,17 @@ class Resuming(BaseAlgorithm):
             fresh.append("learning rates start at the new setting")
             for name in [name for name in memory["agent"] if name.endswith("lr")]:
                 del memory["agent"][name]
+        others = state.num_processes != current_group().size
+        if others and not current_group().is_main:  # the main process has other observers
+            memory["agent"].pop("_stored_observer", None)
         self._write("stored", memory["agent"])
         self._rates_restored()
+        if others:
+            fresh.append(
+                f"{state.num_processes} process(es) trained it and {current_group().size} do now,"
+                " so that episodes, replay buffers and random numbers start again"
+            )
+            return
         if self.config.get("save_buffers", True) and any(self._attributes("stored_buffers")):
             if state.buffers is None:
                 fresh.append("without their file the replay buffers start empty")

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
 from isaacgymenvs_lite.checkpoints.retention import Retention
+from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
+from isaacgymenvs_lite.learning.data_parallel import DataParallel
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.resuming import Resuming
 
@@ -86,11 +87,13 @@ class Safeguards(Resuming):
     # --- saving ----------------------------------------------------------------------------
 
     def save(self, fn: str) -> None:
-        """Write a checkpoint to `<fn>.pth`.
+        """Write a checkpoint to `<fn>.pth`; of several processes the main one does.
 
         Raises:
             NotFiniteError: the networks are not finite; nothing is written.
         """
+        if not current_group().is_main:
+            return
         self._check_learned()
         state: Any = self.get_full_state_weights()
         saved = save_checkpoint(fn, state)
@@ -142,7 +145,8 @@ class Safeguards(Resuming):
         )
 
     def _end(self, message: str) -> NotFiniteError:
-        self.writer.add_text("advice", message, self.frame)
+        if self.writer is not None:  # only the main process has one
+            self.writer.add_text("advice", message, self.frame)
         return NotFiniteError(message)
 
     def _steadier_settings(self) -> str:
@@ -218,7 +222,7 @@ class Safeguards(Resuming):
         return self._end(message)
 
 
-class PPOSafeguards(Safeguards, A2CAgent):
+class PPOSafeguards(Safeguards, DataParallel):
     """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
 
     The rollout is checked before the update, losses and networks before rl_games reports them and
@@ -250,10 +254,19 @@ class PPOSafeguards(Safeguards, A2CAgent):
 
     def update_epoch(self) -> int:
         """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
+        self.take_own_meters()
+        if self.has_joined:
+            self.count_frames()
         self.go_on()
+        self.join_others([tensor for _, tensor in _tensors_of(self._parts())])
         self.store_if_due()
         epoch_num: int = super().update_epoch()
         return epoch_num
+
+    def store_training_state(self) -> None:
+        """Write the state after this epoch; see `Resuming`."""
+        self.take_own_meters()
+        super().store_training_state()
 
     def _rates_restored(self) -> None:
         self.update_lr(float(self.last_lr))
@@ -344,6 +357,7 @@ class PPOSafeguards(Safeguards, A2CAgent):
         returns = batch_dict["returns"]
         if not _all_finite([returns]) and not bool(returns.isfinite().all()):
             raise self._not_finite("returns are not finite")
+        self.share_meters()
         super().prepare_dataset(batch_dict)
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:

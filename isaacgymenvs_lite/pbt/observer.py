@@ -54,6 +54,13 @@ def mutate_first(cfg: DictConfig, seed: int) -> None:
         OmegaConf.update(cfg, path, value)
 
 
+def mutable_settings(cfg: DictConfig) -> dict[str, float]:
+    """Return the settings that mutate, numbers by path; none without a population."""
+    tree = plain(cfg)
+    pbt = read_pbt_settings(tree)
+    return {} if pbt is None else mutable_values(tree, pbt)
+
+
 @contextmanager
 def population_of(
     cfg: DictConfig, seed: int, train_dir: Path, decides: bool = True

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override
+from isaacgymenvs_lite.distributed import STARTS
 
 log = logging.getLogger(__name__)
 
@@ -33,9 +34,15 @@ class RestartRequest(Exception):  # noqa: N818  not an error: the way out of rl_
         self.settings = dict(settings)
         self._run = run
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Let one process of a data-parallel training send the request to the others."""
-        return type(self), (self.settings, self._run)
+    @property
+    def content(self) -> dict[str, Any]:
+        """What one process of a data-parallel training sends to the others, as JSON has it."""
+        return {"settings": self.settings, "run": str(self._run)}
+
+    @classmethod
+    def of(cls, content: dict[str, Any] | None) -> RestartRequest | None:
+        """Return the request that another process has sent; None if it has sent none."""
+        return None if content is None else cls(content["settings"], Path(content["run"]))
 
     @property
     def overrides(self) -> list[str]:
@@ -65,6 +72,7 @@ def start_again(request: RestartRequest, typed: Sequence[str]) -> NoReturn:
     """
     command = [sys.executable, *_program(typed), *request.words(typed)]
     log.debug("restart: %s", shlex.join(command))
+    os.environ[STARTS] = str(int(os.environ.get(STARTS) or 0) + 1)
     for handler in logging.getLogger().handlers:
         handler.flush()
     sys.stdout.flush()

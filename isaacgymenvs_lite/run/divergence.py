@@ -22,20 +22,22 @@ class DivergenceFiles:
     Args:
         task: the task; the simulation keeps the recordings until they are written.
         run_folder: of the run.
+        rank: of this process, part of the names (`0001_rank1.npz`) of all but the main one.
     """
 
-    def __init__(self, task: Any, run_folder: Path) -> None:
+    def __init__(self, task: Any, run_folder: Path, rank: int = 0) -> None:
         self._recordings = task.simulation.recordings
         self._task_name = str(task.cfg.get("name", ""))
         self._folder = run_folder / _FOLDER
-        self._written = len(list(self._folder.glob("*.npz")))
+        self._ending = f"_rank{rank}.npz" if rank > 0 else ".npz"
+        self._written = len(list(self._folder.glob("[0-9]" * 4 + self._ending)))
         self._has_reported = False
 
     def after_step(self) -> None:
         """Write what the simulation recorded in the step."""
         while self._recordings and self._written < _MAX_FILES:
             recording = replace(self._recordings.pop(0), task=self._task_name)
-            path = self._folder / f"{self._written + 1:04}.npz"
+            path = self._folder / f"{self._written + 1:04}{self._ending}"
             try:
                 write_recording(path, recording)
             except ConfigError as error:

@@ -9,6 +9,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.imitation import ImitationObserver
@@ -89,6 +90,7 @@ class TrainingObservers(MultiObserver):
         self._metrics = metrics = MetricsObserver()
         self._imitation = imitation
         self.agent: Any = None
+        self._stop = stop
         self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
@@ -101,13 +103,21 @@ class TrainingObservers(MultiObserver):
             observers.append(imitation)
         diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
         observers += [metrics, self._progress, diagnostics]
+        if not current_group().is_main:  # what they show and write is about all processes
+            observers = []
         super().__init__(observers if population is None else [*observers, population])
 
     def after_init(self, algo: Any) -> None:
         """Store the agent, and guard its TensorBoard writer before the first scalar."""
         self.agent = algo
-        install(algo.writer)
+        if current_group().is_main:
+            install(algo.writer)
         super().after_init(algo)
+
+    def after_steps(self) -> None:
+        """After each rollout; a request to end in one process ends all."""
+        self._stop.requested = current_group().any(self._stop.requested)
+        super().after_steps()
 
     def evaluate_end(self) -> None:
         """Measure the pose error of the last policy, if pose errors are measured at all."""
@@ -123,7 +133,7 @@ class TrainingObservers(MultiObserver):
     def close_log(self) -> None:
         """End the display of progress, and write the scalars that wait."""
         self._progress.close()
-        if self.agent is not None:
+        if self.agent is not None and self.agent.writer is not None:
             self.agent.writer.flush()
 
     def close_wandb(self) -> None:

@@ -12,6 +12,7 @@ from rl_games.algos_torch.torch_ext import AverageMeter
 from rl_games.common.algo_observer import AlgoObserver
 from tqdm import tqdm
 
+from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.run.imitation import ImitationObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
@@ -65,7 +66,7 @@ class ProgressObserver(AlgoObserver):
         algo = self._algo
         self._total = algo.max_epochs  # before a stop makes this epoch the last one
         now = time.monotonic()
-        fps = algo.curr_frames / max(now - self._last_epoch_s, 1e-9)
+        fps = algo.curr_frames * current_group().size / max(now - self._last_epoch_s, 1e-9)
         self._frames_per_s.update(torch.tensor([fps]))
         self._last_epoch_s = now
         if self._first_epoch is None:

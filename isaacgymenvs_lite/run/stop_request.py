@@ -5,17 +5,21 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from isaacgymenvs_lite.distributed import started_by_torchrun
 from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 log = logging.getLogger(__name__)
 
 # Of an ssh session or a terminal that closes; Windows has none.
 _HANGUP = getattr(signal, "SIGHUP", None)
+# torchrun passes signals on: what a terminal sends, a process receives twice.
+_SAME_SIGNAL_S = 2.0
 
 
 class StopRequest:
@@ -32,6 +36,7 @@ class StopRequest:
     def __init__(self) -> None:
         self.requested = False
         self._former: dict[int, Any] = {}
+        self._repeats_until_s = 0.0
 
     def __enter__(self) -> StopRequest:
         self._former = _install_handlers((signal.SIGINT, signal.SIGTERM), self._handle)
@@ -47,10 +52,12 @@ class StopRequest:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.requested:
-            if number == _HANGUP:
+            if number == _HANGUP or time.monotonic() < self._repeats_until_s:
                 return
             raise StoppedAtOnceError(number)
         self.requested = True
+        if started_by_torchrun():
+            self._repeats_until_s = time.monotonic() + _SAME_SIGNAL_S
         name = signal.Signals(number).name
         log.warning("%s: ending after this epoch with a checkpoint; once more ends at once", name)
 

@@ -32,12 +32,15 @@ _COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def thread_count(num_threads: int = 0) -> int:
-    """Return `num_threads`, or for 0 the number of CPUs that this process may use."""
+    """Return `num_threads`, or for 0 the number of CPUs that this process may use.
+
+    Processes that torchrun starts on a machine share its CPUs.
+    """
     if num_threads > 0:
         return num_threads
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cpus = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    return max(1, cpus // int(os.environ.get("LOCAL_WORLD_SIZE") or 1))
 
 
 @contextmanager

@@ -73,7 +73,6 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("task.env.numEnvs=9999999999999", "of at most 16777216"),
         ("~train.params", "the key 'train.params' is missing"),
         ("latent=random", "latent=random chooses what a trained policy shows: add test=True"),
-        ("multi_gpu=True", "multi_gpu=True: data-parallel training is not implemented"),
         ("capture_video_envs=0", "capture_video_envs: got 0"),
         ("progress_interval=0", "progress_interval: got 0"),
         ("pbt.enabled=1", "pbt.enabled: got 1, expected True or False"),
@@ -83,7 +82,13 @@ def test_wrong_values(no_gpu, override, expected):
     assert expected in message(override)
 
 
-@pytest.mark.parametrize("override", ["num_envs=0", "seed=abc", "multi_gpu=True", "rl_device=gpu"])
+def test_several_processes_train_and_do_not_play():
+    with pytest.raises(ConfigError, match="multi_gpu=True trains in several processes; to play"):
+        check_config(compose(["multi_gpu=True", "test=True"]))
+    check_config(compose(["multi_gpu=True"]))
+
+
+@pytest.mark.parametrize("override", ["num_envs=0", "seed=abc", "rl_device=gpu"])
 def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch, override):
     def asked() -> bool:
         raise AssertionError("torch was asked for a GPU")

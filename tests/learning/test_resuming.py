@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,9 @@ def test_the_precision_that_auto_chose_is_kept(speedup, chosen, tmp_path, monkey
 def short_run(tmp_path_factory) -> Path:
     """Return the folder of an AMP run of two epochs, to be copied."""
     words = ["task=HumanoidAMP", *TINY_AMP, f"{CONFIG}.save_frequency=1"]
-    return train(tmp_path_factory.mktemp("run"), words)
+    run_folder = train(tmp_path_factory.mktemp("run"), words)
+    time.sleep(1.0)  # TensorBoard's files have names of whole seconds, and of the process
+    return run_folder
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,8 @@ def test_words_compose_to_the_settings():
 
 
 def test_processes_send_it_to_each_other():
-    received = pickle.loads(pickle.dumps(REQUEST))
+    received = RestartRequest.of(json.loads(json.dumps(REQUEST.content)))
+    assert received is not None
     assert received.words(["resume=last"]) == REQUEST.words(["resume=last"])
 
 

@@ -6,6 +6,9 @@ import torch
 from rl_games.algos_torch import running_mean_std
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.distributed.moments import joined_moments
+
 
 class RunningMeanStd(running_mean_std.RunningMeanStd):
     """The same statistics under the same names in checkpoints.
@@ -34,14 +37,34 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
     @torch.no_grad()
     def count_in(self, rows: Tensor) -> None:
         """Take rows (n, ...) into the statistics, whatever the mode."""
+        if current_group().size > 1:
+            count_in_jointly([(self, [rows])])
+            return
         mean = rows.mean(0)
-        var = (rows - mean).square_().mean(0)
+        self._count_in_moments(mean, (rows - mean).square_().mean(0), len(rows))
+
+    def _count_in_moments(self, mean: Tensor, var: Tensor, num_rows: int) -> None:
         statistics = (self.running_mean, self.running_var, self.count)
         self.running_mean, self.running_var, self.count = self._update_mean_var_count_from_moments(
-            *statistics, mean, var, len(rows)
+            *statistics, mean, var, num_rows
         )
         if self.memory is not None:
             self.count.clamp_(max=self.memory)
+
+
+@torch.no_grad()
+def count_in_jointly(inputs: list[tuple[RunningMeanStd, list[Tensor]]]) -> None:
+    """Take the rows of all processes into several statistics, by one message.
+
+    Args:
+        inputs: statistics, and rows (n, ...) of this process to take in, one after another.
+    """
+    kinds = [(each.running_mean, rows) for each, several in inputs for rows in several]
+    moments = iter(joined_moments(kinds))
+    for each, several in inputs:
+        for _ in several:
+            found = next(moments)
+            each._count_in_moments(found.mean, found.var, found.count)
 
 
 def replace_normalizers(model: nn.Module) -> None:

@@ -1,0 +1,268 @@
+"""The processes that train one policy together, and the messages between them.
+
+torchrun starts them; each has a rank from 0 to size - 1. This is the only module that imports
+torch.distributed (rl_games uses it too, for gradients). Without torchrun the group has one process,
+whose messages return at once, so that no other code asks whether there are several.
+
+Every method that sends a message is called by all processes, in the same order.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import datetime
+import json
+import logging
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+from torch.distributed.distributed_c10d import PrefixStore
+from torch.distributed.rendezvous import rendezvous
+
+from isaacgymenvs_lite.distributed import STARTS
+from isaacgymenvs_lite.errors import ConfigError, PeerError, PeerMistakeError, UserError
+
+log = logging.getLogger(__name__)
+
+_VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
+# What torch's two backends say when a process at the other end has gone or hangs.
+_LOST = ("connection closed", "connection reset", "broken pipe", "timed out", "gloo", "nccl")
+
+
+@dataclass(frozen=True)
+class ProcessGroup:
+    """The processes of a training, seen from one of them.
+
+    Attributes:
+        rank: of this process.
+        size: number of processes.
+        local_rank: of this process, on its machine.
+        local_size: number of processes on its machine.
+    """
+
+    rank: int = 0
+    size: int = 1
+    local_rank: int = 0
+    local_size: int = 1
+
+    @property
+    def is_main(self) -> bool:
+        """Whether this process decides, logs and writes for all."""
+        return self.rank == 0
+
+    def device_of(self, device: str) -> str:
+        """Return the device of this process, given the one that all were asked for."""
+        return f"cuda:{self.local_rank}" if device.startswith("cuda") and self.size > 1 else device
+
+    # --- numbers ---------------------------------------------------------------------------
+
+    def sum_(self, tensor: Tensor) -> Tensor:
+        """Replace a tensor by its sum over all processes, and return it."""
+        if self.size > 1:
+            dist.all_reduce(tensor)
+        return tensor
+
+    def mean(self, tensor: Tensor) -> Tensor:
+        """Return the mean of a tensor over all processes."""
+        return tensor if self.size == 1 else self.sum_(tensor.detach().clone()) / self.size
+
+    def smallest(self, number: int) -> int:
+        """Return the smallest of all processes' numbers."""
+        return min(self.gather(number))
+
+    def any(self, flag: bool) -> bool:
+        """Return whether a flag is set in any process."""
+        return max(self.gather(int(flag))) > 0
+
+    def gather(self, number: int) -> list[int]:
+        """Return the numbers of all processes, by rank."""
+        if self.size == 1:
+            return [number]
+        numbers = torch.zeros(self.size, dtype=torch.int64)
+        numbers[self.rank] = number
+        return [int(each) for each in self.sum_(numbers).tolist()]
+
+    # --- values of the main process --------------------------------------------------------
+
+    def from_main(self, value: Any) -> Any:
+        """Return the value that the main process gives, of any kind that JSON has."""
+        if self.size == 1:
+            return value
+        text = json.dumps(value).encode() if self.is_main else b""
+        (length, *_others) = self.gather(len(text))
+        content = torch.zeros(length, dtype=torch.uint8)
+        if self.is_main:
+            content.copy_(torch.frombuffer(bytearray(text), dtype=torch.uint8))
+        dist.broadcast(content, 0)
+        return json.loads(bytes(content.tolist()))
+
+    def take_from_main_(self, tensors: Iterable[Tensor]) -> None:
+        """Overwrite tensors by those of the main process, which have the same shapes."""
+        if self.size == 1:
+            return
+        with torch.no_grad():
+            for tensor in tensors:
+                content = tensor.detach().contiguous()
+                dist.broadcast(content, 0)
+                tensor.copy_(content)
+
+    # --- errors ----------------------------------------------------------------------------
+
+    def check_equal(self, values: Mapping[str, Any], what: str) -> None:
+        """Check that all processes have the same values.
+
+        Args:
+            values: of this process; of any kind that JSON has.
+            what: they are, for the message.
+
+        Raises:
+            ConfigError: this process has others than the main one.
+            PeerMistakeError: another process has.
+        """
+        expected = self.from_main(values)
+        differing = sorted(
+            key for key in {*values, *expected} if values.get(key) != expected.get(key)
+        )
+        error = None
+        if differing:
+            key = differing[0]
+            more = f", and {len(differing) - 1} more" if len(differing) > 1 else ""
+            error = ConfigError(
+                f"rank {self.rank} has another {what} than rank 0: {key}={values.get(key)!r}, not"
+                f" {expected.get(key)!r}{more}; start all processes with the same command"
+            )
+        self.fail_together(error)
+
+    def fail_together(self, error: UserError | None = None) -> None:
+        """End all processes if one of them has made out a mistake.
+
+        Args:
+            error: of this process; None if all is well here.
+
+        Raises:
+            UserError: `error`, in the first process that has one.
+            PeerMistakeError: another process has.
+        """
+        failed = [rank for rank, flag in enumerate(self.gather(int(error is not None))) if flag]
+        if not failed:
+            return
+        if error is not None and failed[0] == self.rank:
+            raise error
+        raise PeerMistakeError(f"rank {self.rank} ends, because rank {failed[0]} does")
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:
+        """End all processes if one of them makes out a mistake in this block.
+
+        Raises:
+            UserError: as `fail_together`.
+        """
+        try:
+            yield
+        except UserError as error:
+            self.fail_together(error)
+            raise
+        self.fail_together()
+
+    @contextlib.contextmanager
+    def lost_peers_explained(self) -> Iterator[None]:
+        """Turn what torch raises when another process has gone into a line about that.
+
+        Raises:
+            PeerError: another process has gone, or did not answer in time.
+        """
+        try:
+            yield
+        except RuntimeError as error:
+            text = str(error).lower()
+            if self.size == 1 or not any(words in text for words in _LOST):
+                raise
+            reason = "did not answer in time" if "timed out" in text else "ended"
+            raise PeerError(
+                f"rank {self.rank}: another process of this training {reason}; its error, in the"
+                " output above or on its own machine, is the cause"
+            ) from error
+
+
+_TIMEOUT_OF_MISTAKES_S = 60.0
+
+_current = ProcessGroup()
+
+
+def current_group() -> ProcessGroup:
+    """Return the processes that train with this one."""
+    return _current
+
+
+@contextlib.contextmanager
+def joined_group(
+    device: str, timeout_s: float, mistake: UserError | None = None
+) -> Iterator[ProcessGroup]:
+    """Give the group of the processes that torchrun has started; outside it is one process again.
+
+    The processes stay connected until they end, for the next training: torch cannot connect the
+    same ones again.
+
+    Args:
+        device: of the networks: gloo connects CPUs, NCCL GPUs.
+        timeout_s: how long a message may take before the others count as lost.
+        mistake: of this process, which ends all.
+
+    Raises:
+        ConfigError: torchrun has not started this process.
+        UserError: as `fail_together`, if a process had made out a mistake before.
+    """
+    global _current
+    missing = [name for name in _VARIABLES if not os.environ.get(name)]
+    if missing:
+        raise ConfigError(
+            f"multi_gpu=True: torchrun has not started this process ({', '.join(missing)} not"
+            " set); start several with torchrun --standalone --nproc-per-node=2 train.py ..."
+            " multi_gpu=True, or train in one with multi_gpu=False"
+        )
+    names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
+    group = ProcessGroup(*(int(os.environ[name]) for name in names))
+    on_gpu = device.startswith("cuda")
+    if on_gpu and group.local_size > torch.cuda.device_count():
+        mistake = mistake or ConfigError(
+            f"rl_device={device}: {group.local_size} processes on a machine with"
+            f" {torch.cuda.device_count()} GPU(s); expected one each: give torchrun fewer with"
+            " --nproc-per-node, or rl_device=cpu"
+        )
+    elif on_gpu:
+        torch.cuda.set_device(group.local_rank)
+    if not dist.is_initialized():
+        timeout = datetime.timedelta(seconds=timeout_s)
+        store, rank, size = next(rendezvous("env://", timeout=timeout))
+        # The store outlives a process that replaces itself, with what it wrote there.
+        start = PrefixStore(f"start{os.environ.get(STARTS, 0)}", store)
+        backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
+        dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
+        atexit.register(dist.destroy_process_group)
+    former, _current = _current, group
+    try:
+        with group.lost_peers_explained():
+            group.fail_together(mistake)
+            yield group
+    finally:
+        _current = former
+
+
+def first_of_all(error: UserError) -> UserError:
+    """Return the error that this process should report, of a mistake before it joins the others.
+
+    All processes mostly make the same one: one of them reports it.
+    """
+    if dist.is_initialized():
+        return error
+    try:
+        with joined_group("cpu", _TIMEOUT_OF_MISTAKES_S, error):
+            return error
+    except UserError as first:
+        return first

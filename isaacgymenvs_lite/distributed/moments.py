@@ -1,0 +1,67 @@
+"""Means and variances over the rows of all processes, several in one message.
+
+Sums are of deviations from a point that is near the mean and the same in all processes, in float64:
+no digits are lost where a mean is large against its spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.distributed.group import current_group
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Of the rows of all processes.
+
+    Attributes:
+        count: number of rows.
+        mean: (...) of each column, float64.
+        var: (...) the mean squared deviation from it, float64.
+    """
+
+    count: int
+    mean: Tensor
+    var: Tensor
+
+
+def joined_moments(kinds: Sequence[tuple[Tensor, Tensor]]) -> list[Moments]:
+    """Return the moments of several kinds of rows, by one message.
+
+    Args:
+        kinds: for each kind a point (...) near the mean, the same in all processes, and the rows
+            (n, ...) of this process.
+    """
+    sums = []
+    for near, rows in kinds:
+        deviations = rows.double() - near.double()
+        count = deviations.new_full((1,), len(rows))
+        sums += [count, deviations.sum(0).flatten(), deviations.square_().sum(0).flatten()]
+    joined = current_group().sum_(torch.cat(sums)).split([len(each) for each in sums])
+    moments = []
+    for i, (near, _) in enumerate(kinds):
+        count, first, second = joined[3 * i : 3 * i + 3]
+        first, second = first / count, second / count
+        mean = near.double() + first.view(near.shape)
+        moments.append(Moments(int(count), mean, (second - first.square()).view(near.shape)))
+    return moments
+
+
+def normalize_jointly(values: Tensor, mask: Tensor) -> Tensor:
+    """Return values (n,) normalised by mean and deviation of the rows of mask (n,) 1, of all.
+
+    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
+    """
+    wide, weight = values.double(), mask.double()
+    sums = torch.stack([weight.sum(), (weight * wide).sum(), (weight * wide.square()).sum()])
+    count, first, second = current_group().sum_(sums).tolist()
+    if count < 2:
+        return values
+    mean = first / count
+    var = max(0.0, second / count - mean * mean) * count / (count - 1)
+    return (values - mean) / (var**0.5 + 1e-8)

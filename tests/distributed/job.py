@@ -1,0 +1,163 @@
+"""What torchrun starts for the tests: `-m tests.distributed.job FOLDER`.
+
+Trains agents, one after another, and writes what each process has learned to
+FOLDER/<name>_<rank>.pth. The main process adds what the first gradient step would have been in one
+process with the rows of all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.runner import run
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE
+
+ADAPTIVE = f"{CONFIG}.lr_schedule=adaptive"
+TOGETHER = ("multi_gpu=True", "num_envs=16", "max_iterations=3", f"{CONFIG}.truncate_grads=False")
+SHORT = "task.env.episodeLength=5"
+AGENTS = {
+    "ppo": ("task=Ant", *TINY_PPO, ADAPTIVE, SHORT, *TOGETHER),
+    "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO, *TOGETHER),
+    "amp": (
+        "task=HumanoidAMP",
+        *TINY_AMP,
+        ADAPTIVE,
+        SHORT,
+        f"+{CONFIG}.enable_eps_greedy=True",
+        *TOGETHER,
+    ),
+    "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT, *TOGETHER),
+}
+RANK = int(os.environ.get("RANK", "0"))
+
+
+def learned(agent: Any) -> dict[str, Any]:
+    """Return what must be equal in all processes."""
+    parts = agent._parts()
+    modules = {key: module.state_dict() for key, module in parts.modules.items()}
+    optimizers = {key: optimizer.state_dict() for key, optimizer in parts.optimizers.items()}
+    return {
+        "modules": modules,
+        "optimizers": optimizers,
+        "frame": agent.frame,
+        "epoch": agent.epoch_num,
+        "last_lr": agent.last_lr,
+    }
+
+
+class FirstStep:
+    """Records the first gradient step of agents with a loss of their own."""
+
+    def __init__(self) -> None:
+        self.record: dict[str, Any] = {}
+        self._prepare = CommonAgent.prepare_minibatch
+        self._step = CommonAgent.trancate_gradients_and_step
+
+    def __enter__(self) -> FirstStep:
+        record, prepare, step = self.record, self._prepare, self._step
+
+        def prepare_minibatch(agent: Any, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
+            if not record:
+                record["before"] = _copied(agent.get_full_state_weights())
+                record["minibatch"] = {k: v for k, v in minibatch.items() if v is not None}
+            rows = prepare(agent, minibatch)
+            if "rows" not in record:
+                record["rows"] = {k: v for k, v in rows.items() if v is not None}
+                record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
+            return rows
+
+        def trancate_gradients_and_step(agent: Any) -> None:
+            own = [None if p.grad is None else p.grad.clone() for p in agent._learned]
+            step(agent)
+            if "gradients" not in record:
+                record["own_gradients"] = own
+                record["gradients"] = [p.grad for p in agent._learned]
+
+        CommonAgent.prepare_minibatch = prepare_minibatch  # type: ignore[method-assign]
+        CommonAgent.trancate_gradients_and_step = trancate_gradients_and_step
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        CommonAgent.prepare_minibatch = self._prepare  # type: ignore[method-assign]
+        CommonAgent.trancate_gradients_and_step = self._step
+
+
+def _copied(state: dict[str, Any]) -> Any:
+    return copy.deepcopy(state)
+
+
+def joined_first_step(agent: Any, steps: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the first step of one process with the rows of several; the agent is as before it."""
+
+    def joined(key: str) -> dict[str, Tensor]:
+        return {name: torch.cat([step[key][name] for step in steps]) for name in steps[0][key]}
+
+    agent.set_train()
+    agent._update_normalizers(joined("minibatch"))
+    counted = _copied(agent.get_stats_weights(model_stats=True))
+    gradients, _ = agent.executor.gradients(agent.compute_loss, joined("rows"), agent._learned)
+    return {"counted": counted, "gradients": gradients}
+
+
+def train(folder: Path, name: str, words: tuple[str, ...]) -> None:
+    """Train an agent, and write what it has learned."""
+    agents: list[Any] = []
+    episodes: dict[str, Any] = {}
+    remember, share = PPOSafeguards.join_others, PPOSafeguards.share_meters
+
+    def join_others(agent: Any, tensors: list[Tensor]) -> None:
+        agents[:] = [agent]
+        remember(agent, tensors)
+
+    def share_meters(agent: Any) -> None:
+        share(agent)
+        episodes["mean_reward"] = agent.game_rewards.get_mean().tolist()
+        episodes["episodes"] = int(agent.game_rewards.current_size)
+
+    PPOSafeguards.join_others = join_others  # type: ignore[method-assign]
+    PPOSafeguards.share_meters = share_meters  # type: ignore[method-assign]
+    try:
+        with contextlib.chdir(folder), FirstStep() as first:
+            run(compose(words))
+    finally:
+        PPOSafeguards.join_others = remember  # type: ignore[method-assign]
+        PPOSafeguards.share_meters = share  # type: ignore[method-assign]
+    before = first.record.pop("before", None)
+    content = {"learned": _copied(learned(agents[0])) | episodes, "first": first.record}
+    file = folder / f"{name}_{RANK}.pth"
+    torch.save(content, file)
+    dist.barrier()
+    if RANK == 0 and first.record:
+        other = torch.load(folder / f"{name}_1.pth", weights_only=True)
+        agents[0].set_full_state_weights(before)
+        content["joined"] = joined_first_step(agents[0], [first.record, other["first"]])
+        torch.save(content, file)
+
+
+def main() -> None:
+    folder = Path(sys.argv[1])
+    for name, words in AGENTS.items():
+        train(folder, name, words)
+    (low,) = (folder / "runs").glob("HumanoidASE_*")
+    words = (
+        *("task=HumanoidHeading", "task.env.motion_file=stand", *TINY_PPO, *TOGETHER),
+        f"{CONFIG}.llc_config={low / 'config.yaml'}",
+        f"{CONFIG}.llc_checkpoint={next(low.glob('nn/*.pth'))}",
+    )
+    train(folder, "hrl", words)
+
+
+if __name__ == "__main__":
+    main()

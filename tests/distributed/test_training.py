@@ -1,0 +1,204 @@
+"""Two processes that torchrun starts train one policy, as one process with all their rows would."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.checkpoints.archive import read_archive
+from tests.distributed.job import AGENTS
+from tests.learning.test_resuming import assert_same as assert_same_state
+from tests.tiny import CONFIG
+
+REPOSITORY = Path(__file__).parents[2]
+NAMES = [*AGENTS, "hrl"]
+WITH_OWN_LOSS = ["amp", "gen_amp", "hrl"]
+
+
+def torchrun(*words: str, folder: Path, num_processes: int = 2) -> subprocess.CompletedProcess[str]:
+    """Start processes in a folder; their package is this one."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    command += [f"--nproc-per-node={num_processes}", *words]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> dict[str, list[Any]]:
+    """Return what each of two processes has learned, and the first step, by agent."""
+    folder = tmp_path_factory.mktemp("ranks")
+    done = torchrun("-m", "tests.distributed.job", str(folder), folder=folder)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return {
+        name: [torch.load(folder / f"{name}_{rank}.pth", weights_only=True) for rank in (0, 1)]
+        for name in NAMES
+    }
+
+
+def assert_same(one: Any, other: Any, where: str = "") -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one:
+            assert_same(one[key], other[key], f"{where}.{key}")
+    elif isinstance(one, (list, tuple)):
+        assert len(one) == len(other), where
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_same(a, b, f"{where}.{i}")
+    elif isinstance(one, Tensor):
+        assert torch.equal(one, other), where
+    else:
+        assert one == other, where
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_processes_hold_the_same_bits(name, trained):
+    main, other = (content["learned"] for content in trained[name])
+    assert_same(main, other)
+    assert main["epoch"] == 3
+    assert main["modules"]["model"].keys()
+    # three epochs of 4 steps of 16 environments, in two processes
+    steps = 5 if name == "hrl" else 1
+    assert main["frame"] == 3 * 4 * 16 * 2 * steps
+
+
+@pytest.mark.parametrize("name", ["ppo", "amp", "gen_amp", "hrl"])
+def test_episodes_of_all_processes_count(name, trained):
+    # Each of 32 environments ends two episodes of five steps in 12 steps, HRL's more.
+    assert trained[name][0]["learned"]["episodes"] >= 64
+
+
+@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+def test_processes_have_rows_of_their_own(name, trained):
+    main, other = (content["first"] for content in trained[name])
+    assert not torch.equal(main["minibatch"]["obs"], other["minibatch"]["obs"])
+    own = [
+        torch.cat([g.flatten() for g in each["own_gradients"] if g is not None])
+        for each in (main, other)
+    ]
+    assert float((own[0] - own[1]).norm() / own[0].norm()) > 1e-3
+
+
+@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+def test_the_gradient_is_that_of_the_joined_rows(name, trained):
+    found, expected = (trained[name][0][key]["gradients"] for key in ("first", "joined"))
+    assert [g is None for g in found] == [g is None for g in expected]
+    flat = [torch.cat([g.flatten() for g in each if g is not None]) for each in (found, expected)]
+    # float32, sums in another order
+    assert float((flat[0] - flat[1]).norm()) < 1e-5 * float(flat[1].norm())
+
+
+@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+def test_normalizers_count_the_joined_rows(name, trained):
+    found, expected = (trained[name][0][key]["counted"] for key in ("first", "joined"))
+    kinds = {kind for kind, state in found.items() if "running_mean" in state}
+    assert kinds >= {"running_mean_std"} | ({"amp_input_mean_std"} if name != "hrl" else set())
+    for kind in kinds:
+        for key, value in expected[kind].items():
+            torch.testing.assert_close(found[kind][key], value, rtol=1e-6, atol=1e-7)
+
+
+# --- mistakes and losses ------------------------------------------------------------------------
+
+TRAIN = str(REPOSITORY / "train.py")
+ANT = ("task=Ant", "num_envs=8", "train.params.config.horizon_length=4", "max_iterations=1")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((*ANT, "multi_gpu=True", "checkpoint=no.pth"), "checkpoint=no.pth: no file"),
+        pytest.param(
+            (*ANT, "multi_gpu=True", "numm_envs=3"),
+            "unknown key 'numm_envs'",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ANT,
+            "torchrun has started 2 processes, but multi_gpu is False",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_mistake_is_one_line_of_one_process(words, message, tmp_path):
+    done = torchrun(TRAIN, *words, folder=tmp_path)
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert done.returncode != 0
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert not (tmp_path / "runs").exists()
+
+
+PROGRAM = """
+import os, sys
+import isaacgymenvs_lite.learning.ppo as ppo
+from isaacgymenvs_lite import train
+
+if os.environ["RANK"] == "1":
+    if "settings" in sys.argv[1]:
+        sys.argv.append("train.params.config.gamma=0.5")
+    elif "leaves" in sys.argv[1]:
+        ppo.PPOAgent.prepare_dataset = lambda agent, batch: os._exit(0)
+del sys.argv[1]
+train.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        pytest.param(
+            "settings",
+            "rank 1 has another setting than rank 0: train.params.config.gamma='0.5'",
+            marks=pytest.mark.slow,
+        ),
+        ("leaves", "rank 0: another process of this training ended; its error"),
+    ],
+)
+def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    done = torchrun(str(program), what, *ANT, "multi_gpu=True", folder=tmp_path)
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert done.returncode != 0
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert not list(tmp_path.glob("runs/*"))
+
+
+def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
+    """Four epochs at once, and two and two; and three of one process after two."""
+    words = (*ANT, "multi_gpu=True", "task.env.episodeLength=5", f"{CONFIG}.mixed_precision=False")
+    folders = [tmp_path / name for name in ("whole", "stopped", "alone")]
+    for folder, epochs in zip(folders, (4, 2), strict=False):
+        folder.mkdir()
+        done = torchrun(TRAIN, *words, f"max_iterations={epochs}", folder=folder)
+        assert done.returncode == 0, done.stderr[-2000:]
+    shutil.copytree(folders[1], folders[2])
+    again = ("resume=last", "multi_gpu=True", "max_iterations=4")
+    assert torchrun(TRAIN, *again, folder=folders[1]).returncode == 0
+    for name in ("4.pth", "4_rank1.pth"):
+        states = [
+            read_archive(next(folder.glob(f"runs/*/resume/{name}"))) for folder in folders[:2]
+        ]
+        for state in states:
+            del state["training_state"]["token"]
+        assert_same_state(*states)
+    done = subprocess.run(
+        [sys.executable, TRAIN, "resume=last", "max_iterations=3"],
+        cwd=folders[2],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    assert "2 process(es) trained it and 1 do now" in done.stderr
+    assert [file.name for file in folders[2].glob("runs/*/resume/*")] == ["3.pth"]
