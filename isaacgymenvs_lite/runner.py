@@ -209,16 +209,16 @@ def _train(
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
-        if not group.is_main:
-            return None
-        # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
-        # never reach.
-        if not launch.checkpoint_file("").exists():
-            _save(observers.agent, launch, "")
-        best = observers.best(objective)
-        if best is not None:
-            log.info("%s", objective.describe(best))
-        _report_end(launch, command, stop.requested)
+        best = None
+        if group.is_main:
+            # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
+            # never reach.
+            if not launch.checkpoint_file("").exists():
+                _save(observers.agent, launch, "")
+            best = observers.best(objective)
+            if best is not None:
+                log.info("%s", objective.describe(best))
+            _report_end(launch, command, stop.requested)
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)

@@ -65,6 +65,12 @@ class Parts:
 _AS_THEY_ARE = ("epoch", "frame", "last_mean_rewards", "env_state", LLC_KEY)
 
 
+def _as_counted(name: str, tensor: Any) -> Any:
+    """Return a tensor; the integer that rl_games 2 counts a normaliser's rows with, in float64."""
+    is_count = name.rpartition(".")[2] == "count" and isinstance(tensor, Tensor)
+    return tensor.double() if is_count and tensor.dtype == torch.int64 else tensor
+
+
 class Fitting:
     """Compares a checkpoint with the modules and optimisers that load it.
 
@@ -121,6 +127,7 @@ class Fitting:
         """
         own = module.state_dict()
         names = {name.replace(_COMPILED_PREFIX, ""): name for name in own}
+        given = {name: _as_counted(name, tensor) for name, tensor in given.items()}
         for name, tensor in names.items():
             if name not in given:
                 raise self._misfit(f"has no {where}.{name}, expected {_kind(own[tensor])}")

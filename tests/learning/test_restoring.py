@@ -79,6 +79,18 @@ def first_moment(state: dict[str, Any]) -> tuple[dict[str, Any], str]:
     return state[key], key
 
 
+def test_whole_numbers_of_rows_load_as_rl_games_2_has_them(make):
+    agent = make("ppo")
+    state = copy.deepcopy(agent.get_full_state_weights())
+    counts = [name for name in state["model"] if name.endswith(".count")]
+    assert len(counts) == 2
+    for name in counts:
+        state["model"][name] = torch.tensor(77)
+    agent.set_full_state_weights(state)
+    assert {float(agent.model.state_dict()[name]) for name in counts} == {77.0}
+    assert {agent.model.state_dict()[name].dtype for name in counts} == {torch.float64}
+
+
 Change = Callable[[dict[str, Any]], None]
 
 
