@@ -352,3 +352,8 @@ def test_broken_numbers_of_every_section_are_refused(prepare, override, expected
     with pytest.raises(ConfigError) as refused:
         prepare(*words)
     assert expected in str(refused.value)
+
+
+def test_the_schedule_has_rl_games_2s_name_too(prepare):
+    config = config_of(prepare("+train.params.config.schedule_type=per_minibatch"))
+    assert config["schedule_type"] == "legacy"
