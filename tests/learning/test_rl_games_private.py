@@ -32,7 +32,8 @@ MEMBERS: dict[Any, str] = {
     player.BasePlayer: "get_action get_batch_size run reset",
     experience.VectorizedReplayBuffer: "add sample",
     datasets.PPODataset: "update_values_dict update_mu_sigma",
-    algo_observer.AlgoObserver: "before_init after_init process_infos after_steps after_print_stats",
+    algo_observer.AlgoObserver: """
+        before_init after_init process_infos after_steps after_print_stats""",
 }
 # A function -> texts of its source that show what it does.
 STEPS: dict[Any, tuple[str, ...]] = {
