@@ -21,7 +21,7 @@ ROOT_KEYS = {
     *("capture_video_len", "force_render", "headless", "latent"),
     # ours
     *("capture_video_envs", "progress_interval", "viewer", "viewer_port", "viewer_host"),
-    *("viewer_allowed_hosts", "task_checkout", "resume"),
+    *("viewer_allowed_hosts", "task_checkout", "resume", "distributed_timeout_s"),
 }
 
 
