@@ -240,8 +240,9 @@ def joined_group(
     if not dist.is_initialized():
         timeout = datetime.timedelta(seconds=timeout_s)
         store, rank, size = next(rendezvous("env://", timeout=timeout))
-        # The store outlives a process that replaces itself, with what it wrote there.
-        start = PrefixStore(f"start{os.environ.get(STARTS, 0)}", store)
+        # The store may outlive the processes: new ones must not find the addresses of old ones.
+        counts = [os.environ.get(name, "0") for name in ("TORCHELASTIC_RESTART_COUNT", STARTS)]
+        start = PrefixStore("start" + ".".join(counts), store)
         backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
         dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
         atexit.register(dist.destroy_process_group)
