@@ -57,7 +57,7 @@ class Times:
         frames: of all ranks in an epoch.
         messages_s: in messages, waiting included.
         alone_s: of the same messages without anything else.
-        small_s: of them, those of less than 64 kB.
+        small_s: of the messages of less than 64 kB alone.
     """
 
     epoch_s: float

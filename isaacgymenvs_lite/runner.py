@@ -30,7 +30,12 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.training_state import run_of_file
 from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
 from isaacgymenvs_lite.config.resolvers import without_environment
-from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
+from isaacgymenvs_lite.config.run_names import (
+    DEFAULT_TRAIN_DIR,
+    TRAIN_DIR,
+    read_run_name,
+    run_name_of,
+)
 from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
     apply_wrapper_limits,
@@ -66,6 +71,7 @@ from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
+from isaacgymenvs_lite.schema import leaves
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand
 from isaacgymenvs_lite.utils.threads import thread_count
@@ -209,13 +215,9 @@ def _train(
             observers.close_log()
             viewers.close()  # before wandb: its run gets the last videos
             observers.close_wandb()
-        best = None
+        best = observers.best(objective) if group.is_main else None
         if group.is_main:
-            # rl_games writes it for a best reward after `save_best_after` epochs, which short runs
-            # never reach.
-            if not launch.checkpoint_file("").exists():
-                _save(observers.agent, launch, "")
-            best = observers.best(objective)
+            _save_best(observers.agent, launch)
             if best is not None:
                 log.info("%s", objective.describe(best))
             _report_end(launch, command, stop.requested)
@@ -363,7 +365,7 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
     name = run_name_of(cfg)
-    train_dir = Path(OmegaConf.select(cfg, "train.params.config.train_dir") or "runs")
+    train_dir = Path(OmegaConf.select(cfg, TRAIN_DIR) or DEFAULT_TRAIN_DIR)
     if resumed is not None:
         folder = RunFolder.at(run_of_file(resumed), train_dir)
         return _Launch(cfg, settings, seed, name.name, folder, str(resumed))
@@ -404,16 +406,8 @@ def _joined_processes(cfg: DictConfig) -> Iterator[ProcessGroup]:
 
 def _flat(cfg: DictConfig) -> dict[str, str]:
     """Return the leaves of a tree as texts, without what may differ between machines."""
-    tree: Any = OmegaConf.to_container(cfg, resolve=False)
-
-    def leaves(path: str, value: Any) -> Iterator[tuple[str, str]]:
-        if isinstance(value, dict):
-            for key, below in value.items():
-                yield from leaves(f"{path}.{key}" if path else str(key), below)
-        else:
-            yield path, str(value)
-
-    return {path: text for path, text in leaves("", tree) if path not in _OF_MACHINES}
+    values = leaves(OmegaConf.to_container(cfg, resolve=False))
+    return {path: str(value) for path, value in values if path not in _OF_MACHINES}
 
 
 def _read_launch_together(
@@ -631,6 +625,12 @@ def _save(agent: Any, launch: _Launch, suffix: str) -> None:
     if agent is not None:
         with _output_to_log():
             agent.save(str(launch.checkpoint_file(suffix).with_suffix("")))
+
+
+def _save_best(agent: Any, launch: _Launch) -> None:
+    """Write the best checkpoint unless rl_games has: it does after `save_best_after` epochs."""
+    if not launch.checkpoint_file("").exists():
+        _save(agent, launch, "")
 
 
 def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> None:

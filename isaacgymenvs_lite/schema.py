@@ -23,7 +23,7 @@ import math
 import reprlib
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -253,6 +253,20 @@ def select(tree: Any, path: str) -> Any:
     for key in path.split("."):
         tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
+
+
+def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield paths and values of all in nested mappings that is no mapping, or an empty one.
+
+    Args:
+        tree: the mappings.
+        path: of `tree` itself, which the paths begin with.
+    """
+    if isinstance(tree, Mapping) and (tree or not path):
+        for key, value in tree.items():
+            yield from leaves(value, f"{path}.{key}" if path else str(key))
+    else:
+        yield path, tree
 
 
 def check_mapping(tree: Any, path: str) -> None:

@@ -35,8 +35,9 @@ from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.config.path_overrides import PathOverrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
+from isaacgymenvs_lite.config.run_names import train_dir_of
 from isaacgymenvs_lite.distributed import started_by_torchrun
-from isaacgymenvs_lite.distributed.restarts import train_dir_of, words_after_restart
+from isaacgymenvs_lite.distributed.restarts import words_after_restart
 from isaacgymenvs_lite.errors import (
     ConfigError,
     PeerMistakeError,

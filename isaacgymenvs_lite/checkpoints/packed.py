@@ -12,7 +12,7 @@ import copy
 import dataclasses
 import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
 from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
-from isaacgymenvs_lite.schema import read_section, select, setting
+from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
 
@@ -235,18 +235,10 @@ def _needed_settings(tree: dict[str, Any]) -> dict[str, Any]:
     return {
         path: value
         for section in _NEEDED
-        for path, value in _leaves(section, select(tree, section))
-        if not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
+        for path, value in leaves(select(tree, section), section)
+        if value is not None
+        and not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
     }
-
-
-def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the paths and values of all that is no dictionary, or an empty one."""
-    if isinstance(value, dict) and value:
-        for key, entry in value.items():
-            yield from _leaves(f"{path}.{key}", entry)
-    elif value is not None:
-        yield path, value
 
 
 def _shipped_clip(clip: str) -> str:

@@ -18,6 +18,7 @@ from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.rl_games_settings import UnitsSettings, scale_units
+from isaacgymenvs_lite.config.run_names import TRAIN_DIR, train_dir_of
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.schema import read_keys, select
@@ -25,7 +26,6 @@ from isaacgymenvs_lite.schema import read_keys, select
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
-_TRAIN_DIR = "train.params.config.train_dir"
 # What a run's file, perhaps a stranger's, does not decide: who looks on, and what is sent away.
 _TYPED_AGAIN = frozenset(
     ("viewer", "viewer_host", "viewer_port", "viewer_allowed_hosts", "wandb_logcode_dir")
@@ -93,8 +93,7 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         cfg = compose(groups)
         paths = ("task.name", "train.params.network.name")
         wanted = {path: str(OmegaConf.select(cfg, path)) for path in paths}
-    train_dir = Path(values.get(_TRAIN_DIR, "runs"))
-    file = resume_file(values["resume"], train_dir, wanted)
+    file = resume_file(values["resume"], train_dir_of(words), wanted)
     cfg = read_yaml(run_of_file(file) / "config.yaml")
     check_expansion(cfg)
     for key in _TYPED_AGAIN:
@@ -103,7 +102,7 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     for key in _TYPED_AGAIN & values.keys():
         cfg[key] = None  # the word sets it
     settings = [
-        word for key, word in given.items() if key not in ("task", "train", "resume", _TRAIN_DIR)
+        word for key, word in given.items() if key not in ("task", "train", "resume", TRAIN_DIR)
     ]
     OmegaConf.set_struct(cfg, True)
     try:

@@ -7,7 +7,7 @@ removed once both are written, so that a crash at any time leaves a state.
 
 Of several processes each writes what it remembers, all but the main one to
 `<epoch>_rank<rank>.pth`. The networks are in the main one's file alone. A secret that all files of
-a state share tells them from those of another state of the same epoch.
+a state share shows that they belong together.
 """
 
 from __future__ import annotations

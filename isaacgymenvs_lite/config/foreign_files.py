@@ -22,12 +22,12 @@ from omegaconf.errors import GrammarParseError
 from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.hydra_bridge import Override, parse_interpolations
 from isaacgymenvs_lite.config.resolvers import RESOLVERS
+from isaacgymenvs_lite.config.run_names import TRAIN_DIR
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 
 _HYDRA = "hydra"
 _TARGET = "_target_"
-_TRAIN_DIR = "train.params.config.train_dir"
 _WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
 # The section `hydra` of a root file of IsaacGymEnvs; ours has the same values, and more.
 _HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
@@ -215,8 +215,8 @@ def _has_only(section: Any, allowed: dict[str, Any]) -> bool:
 
 def _sets_train_dir(word: Override) -> bool:
     """Return whether an override chooses where runs are written."""
-    is_above = f"{_TRAIN_DIR}.".startswith(f"{word.key_or_group}.")
-    return word.key_or_group == _TRAIN_DIR or (is_above and isinstance(word.value(), dict))
+    is_above = f"{TRAIN_DIR}.".startswith(f"{word.key_or_group}.")
+    return word.key_or_group == TRAIN_DIR or (is_above and isinstance(word.value(), dict))
 
 
 def _check_train_dir(cfg: DictConfig) -> None:
@@ -225,7 +225,7 @@ def _check_train_dir(cfg: DictConfig) -> None:
     Raises:
         ConfigError: it does not.
     """
-    section, _, key = _TRAIN_DIR.rpartition(".")
+    section, _, key = TRAIN_DIR.rpartition(".")
     config = OmegaConf.select(cfg, section)
     if not isinstance(config, DictConfig) or key not in config:
         return
@@ -234,6 +234,6 @@ def _check_train_dir(cfg: DictConfig) -> None:
     path = PurePath(value) if isinstance(value, str) else None
     if path is None or path.is_absolute() or ".." in path.parts or "$" in path.as_posix():
         raise ConfigError(
-            f"{_TRAIN_DIR}: the train file chooses {value!r}, outside of the working folder;"
-            f" if that is what you want, say so yourself: {_TRAIN_DIR}={value}"
+            f"{TRAIN_DIR}: the train file chooses {value!r}, outside of the working folder;"
+            f" if that is what you want, say so yourself: {TRAIN_DIR}={value}"
         )

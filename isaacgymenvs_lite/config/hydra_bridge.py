@@ -452,7 +452,7 @@ class JobResult:
 
     Attributes:
         number: of the job, from 0.
-        words: its overrides, those of the section `hydra` left out.
+        words: its overrides, without the section `hydra`.
         value: what the job's function returned; None if it raised.
         error: what the job's function raised; None if it returned.
     """

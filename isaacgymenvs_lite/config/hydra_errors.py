@@ -12,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, Loader, parse_overrides
 from isaacgymenvs_lite.config.published_names import missing_choice
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
-from isaacgymenvs_lite.schema import nearest
+from isaacgymenvs_lite.schema import leaves, nearest
 
 # What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
 # override of a wrong kind, such as a number for a task.
@@ -136,7 +136,7 @@ def _unknown_key(
     near = nearest(leaf, choices, _ALIKE)
     hint = f" (did you mean '{f'{path}.{near}' if path else near}'?)" if near else ""
     if not hint:
-        elsewhere = [other for other in _leaf_paths(tree) if other.rpartition(".")[2] == leaf]
+        elsewhere = [other for other in _paths_of_job(tree) if other.rpartition(".")[2] == leaf]
         hint = f" (did you mean '{elsewhere[0]}'?)" if elsewhere else ""
     return ConfigError(
         f"unknown key '{key}'{hint}; {level} are {', '.join(choices)}; +{key}=... adds a new one"
@@ -158,15 +158,9 @@ def _deepest_section(tree: dict[Any, Any], key: str) -> tuple[dict[Any, Any], st
     return section, path, ""
 
 
-def _leaf_paths(section: dict[Any, Any], path: str = "") -> Iterator[str]:
-    for name, value in section.items():
-        dotted = f"{path}.{name}" if path else str(name)
-        if dotted == "hydra":
-            continue
-        if isinstance(value, dict):
-            yield from _leaf_paths(value, dotted)
-        else:
-            yield dotted
+def _paths_of_job(tree: dict[Any, Any]) -> Iterator[str]:
+    """Yield the paths of all values that are not Hydra's own."""
+    return (path for path, _ in leaves(tree) if path.split(".")[0] != "hydra")
 
 
 def _quoted(text: str) -> str | None:

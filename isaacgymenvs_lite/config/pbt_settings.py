@@ -11,7 +11,7 @@ from typing import Any
 
 from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.schema import nearest, read_section, select, setting
+from isaacgymenvs_lite.schema import leaves, nearest, read_section, select, setting
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
     settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
-    settings = dataclasses.replace(settings, mutation=dict(_flat(settings.mutation)))
+    settings = dataclasses.replace(settings, mutation=dict(leaves(settings.mutation)))
     workspace = str(read_run_name(settings.workspace, "pbt.workspace"))
     if settings.policy_idx >= settings.num_policies:
         raise ConfigError(
@@ -147,14 +147,3 @@ def _check_spelling(path: str, tree: Mapping[str, Any], settings: PBTSettings) -
         raise ConfigError(
             f"pbt.mutation: unknown key '{path}' (did you mean '{near}'?); correct or remove it"
         )
-
-
-def _flat(section: Mapping[Any, Any], above: str = "") -> list[tuple[str, Any]]:
-    """Return paths and values of a section that may also be nested."""
-    found: list[tuple[str, Any]] = []
-    for key, value in section.items():
-        if isinstance(value, Mapping):
-            found += _flat(value, f"{above}{key}.")
-        else:
-            found.append((f"{above}{key}", value))
-    return found

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from isaacgymenvs_lite.config.run_names import DEFAULT_TRAIN_DIR
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import (
     check_unknown_keys,
@@ -37,7 +38,7 @@ class RunSettings:
     name: str = setting()
     """Experiment and checkpoint name."""
     env_name: str = setting(ENV_NAME)
-    train_dir: str = setting("runs")
+    train_dir: str = setting(DEFAULT_TRAIN_DIR)
     """Folder of the run folders."""
     max_epochs: int = setting(-1, minimum=-1)
     """-1 for no limit."""

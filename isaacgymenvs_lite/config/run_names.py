@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.errors import ConfigError
 
+TRAIN_DIR = "train.params.config.train_dir"
+"""Path of the setting that names the folder of all runs."""
+DEFAULT_TRAIN_DIR = "runs"
 _NAME_IN_FILE = "train.params.config.name"
 MAX_LEVELS = 5
 """Folders in a name: `amp/walk1` has two."""
 # A file system takes 255 bytes; the folder gets a date, a checkpoint an epoch and a reward.
 _MAX_BYTES = 160
+
+
+def train_dir_of(words: Sequence[str]) -> Path:
+    """Return the folder of all runs that a command line names, or the default."""
+    typed = dict(word.lstrip("+").split("=", 1) for word in words if "=" in word)
+    return Path(typed.get(TRAIN_DIR, DEFAULT_TRAIN_DIR))
 
 
 def run_name_of(cfg: DictConfig) -> PurePosixPath:

@@ -2,7 +2,7 @@
 
 torchrun starts them; each has a rank from 0 to size - 1. This is the only module that imports
 torch.distributed (rl_games uses it too, for gradients). Without torchrun the group has one process,
-whose messages return at once, so that no other code asks whether there are several.
+whose messages return at once: most code does not ask whether there are several.
 
 Every method that sends a message is called by all processes, in the same order.
 """
@@ -103,7 +103,7 @@ class ProcessGroup:
         return json.loads(bytes(content.tolist()))
 
     def take_from_main_(self, tensors: Iterable[Tensor]) -> None:
-        """Overwrite tensors by those of the main process, which have the same shapes."""
+        """Overwrite tensors by the main process' tensors, which have the same shapes."""
         if self.size == 1:
             return
         with torch.no_grad():

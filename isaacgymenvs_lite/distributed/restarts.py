@@ -13,7 +13,6 @@ from pathlib import Path
 
 _FILE = "torchrun_job"
 _MAX_BYTES = 1000
-_TRAIN_DIR = "train.params.config.train_dir="
 
 
 def mark_run(run: Path) -> None:
@@ -36,12 +35,6 @@ def words_after_restart(words: Sequence[str], runs: Iterable[Path]) -> list[str]
         return None
     kept = [word for word in words if word.startswith(("multi_gpu=", "distributed_timeout_s="))]
     return [f"resume={max(found, key=lambda run: run.stat().st_mtime)}", *kept]
-
-
-def train_dir_of(words: Sequence[str]) -> Path:
-    """Return the folder of runs that a command line names, or the default."""
-    named = (word.lstrip("+").partition(_TRAIN_DIR) for word in words)
-    return Path(next((value for before, key, value in named if key and not before), "runs"))
 
 
 def _job() -> str:

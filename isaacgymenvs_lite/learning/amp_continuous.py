@@ -31,11 +31,10 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
-from isaacgymenvs_lite.learning.losses import normalize_masked
+from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     DiscriminatorTrainer,
@@ -275,8 +274,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         if not (self._masks_exploration and self.normalize_advantage):
             return super()._calc_advs(batch_dict)
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        normalize = normalize_masked if current_group().size == 1 else normalize_jointly
-        return normalize(advantages, batch_dict["rand_action_mask"])
+        return normalize_advantages(advantages, batch_dict["rand_action_mask"])
 
     def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         rows = super()._minibatch_extras(input_dict)

@@ -60,7 +60,6 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
@@ -74,7 +73,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import (
     replace_normalizers,
 )
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, own_rates_kept
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -503,9 +502,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
         if not self.normalize_advantage:
             return advantages
-        if current_group().size > 1:
-            return normalize_jointly(advantages, torch.ones_like(advantages))
-        return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        return losses.normalize_advantages(advantages)
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         """Return rows (B, ...) that join the training set."""
@@ -764,11 +761,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         Raises:
             CheckpointError: it holds a model without the state of its training, or does not fit.
         """
-        own_rates = [group["lr"] for group in self.optimizer.param_groups]
-        super().set_full_state_weights(weights, set_epoch)
-        # The settings of this run count, as they do for the learning rate.
-        for group, rate in zip(self.optimizer.param_groups, own_rates, strict=True):
-            group["lr"] = rate
+        with own_rates_kept(self.optimizer):
+            super().set_full_state_weights(weights, set_epoch)
         self._restored_best = self.last_mean_rewards
 
 

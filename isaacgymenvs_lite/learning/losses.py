@@ -9,6 +9,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.distributed.moments import normalize_jointly
+
 
 def actor_loss(
     old_neglogp: Tensor, new_neglogp: Tensor, advantage: Tensor, ppo: bool, e_clip: float
@@ -96,6 +99,22 @@ def diversity_loss(
     action_distance = (mu.clamp(-1.0, 1.0) - other_mu.clamp(-1.0, 1.0)).square().mean(dim=-1)
     latent_distance = 0.5 - 0.5 * (latents * other_latents).sum(dim=-1)
     return (target - action_distance / (latent_distance + 1e-5)).square()
+
+
+def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Return advantages (n,) normalised by mean and standard deviation of the rows that count.
+
+    Of several processes that train together the rows of all count.
+
+    Args:
+        advantages: of this process.
+        mask: (n,) 1 where a row counts; None: all do.
+    """
+    if current_group().size > 1:
+        return normalize_jointly(advantages, torch.ones_like(advantages) if mask is None else mask)
+    if mask is not None:
+        return normalize_masked(advantages, mask)
+    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
 
 
 def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:

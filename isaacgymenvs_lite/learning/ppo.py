@@ -11,7 +11,6 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.distributed.moments import normalize_jointly
 from isaacgymenvs_lite.env_interface import diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
@@ -23,6 +22,7 @@ from isaacgymenvs_lite.learning.diverged import (
     fit_dataset,
     take_rows,
 )
+from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
@@ -126,9 +126,8 @@ class PPOAgent(PPOSafeguards):
         super().prepare_dataset(batch_dict)
         if self.normalize_advantage and current_group().size > 1:
             advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=1)
-            masks = batch_dict.get("rnn_masks")
-            mask = torch.ones_like(advantages) if masks is None else masks
-            self.dataset.values_dict["advantages"] = normalize_jointly(advantages, mask)
+            normalized = normalize_advantages(advantages, batch_dict.get("rnn_masks"))
+            self.dataset.values_dict["advantages"] = normalized
 
     def train_actor_critic(self, input_dict: dict[str, Any]) -> Any:
         """Take a gradient step; the mean of a recurrent policy's losses is over unmasked rows."""

@@ -94,7 +94,9 @@ class Resuming(BaseAlgorithm):
     def store_training_state(self) -> None:
         """Write the state after this epoch, unless it is written already.
 
-        A failure is logged, and the training goes on: the former state is left.
+        A failure is logged, and the training goes on: the former state is left. Of several
+        processes the main one writes last: its file is what `resume=` looks for, and the others'
+        files are complete by then, whenever a process is killed.
         """
         if self._stored_epoch == self.epoch_num:
             return
@@ -105,23 +107,33 @@ class Resuming(BaseAlgorithm):
             buffers = self._read("stored_buffers")
         group = current_group()
         state = TrainingState(weights, self._memory(), buffers or None, group.size)
-        run, token = Path(self.experiment_dir), group.from_main(new_token())
-        written = None
+        token, written = group.from_main(new_token()), None
+        for is_turn in (not group.is_main, group.is_main):
+            if is_turn:
+                written = self._write_state(state, token)
+            if group.any(is_turn and written is None):
+                return
+        if group.is_main:
+            remove_other_states(Path(self.experiment_dir), self.epoch_num)
+        self._stored_epoch = self.epoch_num
+        if written is not None:
+            self._report_size(*written, time.monotonic() - start)
+
+    def _write_state(
+        self, state: TrainingState, token: str
+    ) -> tuple[list[Path], int | None] | None:
+        """Return what `write_training_state` returns; None if it could not write."""
+        run, rank = Path(self.experiment_dir), current_group().rank
         try:
-            written = write_training_state(run, state, self.epoch_num, token, group.rank)
+            return write_training_state(run, state, self.epoch_num, token, rank)
         except OSError as error:
             log.warning(
                 "cannot write the training state of epoch %d below %s (%s); training goes on",
                 self.epoch_num,
-                self.experiment_dir,
+                run,
                 error.strerror or error,
             )
-        if group.any(written is None) or written is None:
-            return
-        if group.is_main:
-            remove_other_states(run, self.epoch_num)
-        self._stored_epoch = self.epoch_num
-        self._report_size(*written, time.monotonic() - start)
+            return None
 
     def _report_size(self, files: list[Path], too_large: int | None, seconds: float) -> None:
         if self._reported_size:

@@ -17,7 +17,7 @@ from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
-from isaacgymenvs_lite.learning.safeguards import Safeguards
+from isaacgymenvs_lite.learning.safeguards import Safeguards, own_rates_kept
 
 
 class _EndOfEpoch(AlgoObserver):
@@ -150,12 +150,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         The learning rates of this run count, as for the other agents.
         """
         optimizers = (self.actor_optimizer, self.critic_optimizer, self.log_alpha_optimizer)
-        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
-        own_rates = [group["lr"] for group in groups]
-        super().set_full_state_weights(weights, set_epoch=set_epoch)
-        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
-        for group, rate in zip(groups, own_rates, strict=True):
-            group["lr"] = rate
+        with own_rates_kept(*optimizers):
+            super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
                 self.log_alpha.copy_(weights["log_alpha"])

@@ -387,6 +387,16 @@ class PPOSafeguards(Safeguards, DataParallel):
             raise self._not_finite(f"{_first_few(broken)} not finite")
 
 
+@contextmanager
+def own_rates_kept(*optimizers: torch.optim.Optimizer) -> Iterator[None]:
+    """Restore the learning rates after a checkpoint was loaded: the settings of this run count."""
+    rates = [[group["lr"] for group in optimizer.param_groups] for optimizer in optimizers]
+    yield
+    for optimizer, own in zip(optimizers, rates, strict=True):
+        for group, rate in zip(optimizer.param_groups, own, strict=True):
+            group["lr"] = rate
+
+
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
     """Yield all learned tensors, with their names in a checkpoint."""
     yield from parts.tensors.items()

@@ -69,6 +69,6 @@ class ObjectiveMeter:
         return mean if math.isfinite(mean) else None
 
     def end_interval(self, value: float) -> float:
-        """Return the best value since the last call, that of now included, and forget it."""
+        """Return the best value since the last call, including the present one, and forget it."""
         best, self._best = max(self._best, value), -math.inf
         return best

@@ -96,7 +96,7 @@ class PBTObserver(AlgoObserver):
     """Compares the policy with its population, and ends the training that should go on changed.
 
     At every `pbt.interval_steps` the policy writes record and checkpoint into the workspace and
-    reads those of the others. If it is replaced, a `RestartRequest` leaves rl_games' loop.
+    reads the others' files. If it is replaced, a `RestartRequest` leaves rl_games' loop.
 
     Of several processes that train one policy (data-parallel), the first decides, and all of them
     restart: `after_steps` is called in each at the same place, and `share` sends the decision. All

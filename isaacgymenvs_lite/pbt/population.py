@@ -1,6 +1,6 @@
 """Decides which policy of a population is replaced, and by which one.
 
-The rules are those of DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as IsaacGymEnvs has them.
+The rules follow DexPBT (Petrenko et al. 2023, arXiv:2305.12127) as IsaacGymEnvs has them.
 """
 
 from __future__ import annotations

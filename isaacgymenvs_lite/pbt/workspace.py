@@ -28,7 +28,7 @@ from isaacgymenvs_lite.checkpoints.files import plain_numbers, short, write_atom
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
-from isaacgymenvs_lite.schema import read_keys, select, setting
+from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
@@ -365,7 +365,7 @@ class Workspace:
 
 def _experiment(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, Any]:
     """Return what must be the same for all policies of a population."""
-    network = _leaves(select(tree, "train.params.network"), "train.params.network")
+    network = dict(leaves(select(tree, "train.params.network"), "train.params.network"))
     return {
         "task": select(tree, "task.name"),
         "train.params.algo.name": select(tree, "train.params.algo.name"),
@@ -373,14 +373,6 @@ def _experiment(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, Any
         "pbt.interval_steps": settings.interval_steps,
         "pbt.mutation": dict(settings.mutation),
         **{path: value for path, value in network.items() if path not in settings.mutation},
-    }
-
-
-def _leaves(value: Any, path: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        return {path: value}
-    return {
-        k: v for key, entry in value.items() for k, v in _leaves(entry, f"{path}.{key}").items()
     }
 
 

@@ -22,7 +22,7 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.runner import run
-from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE
+from tests.tiny import CONFIG, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_STYLE
 
 ADAPTIVE = f"{CONFIG}.lr_schedule=adaptive"
 TOGETHER = ("multi_gpu=True", "num_envs=16", "max_iterations=3", f"{CONFIG}.truncate_grads=False")
@@ -30,6 +30,7 @@ SHORT = "task.env.episodeLength=5"
 AGENTS = {
     "ppo": ("task=Ant", *TINY_PPO, ADAPTIVE, SHORT, *TOGETHER),
     "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO, *TOGETHER),
+    "lstm": (*TINY_LSTM, *TOGETHER),
     "amp": (
         "task=HumanoidAMP",
         *TINY_AMP,

@@ -11,11 +11,10 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.archive import read_archive
 from tests.distributed.job import AGENTS
-from tests.learning.test_resuming import assert_same as assert_same_state
+from tests.learning.test_resuming import assert_same
 from tests.tiny import CONFIG
 
 REPOSITORY = Path(__file__).parents[2]
@@ -45,30 +44,15 @@ def trained(tmp_path_factory) -> dict[str, list[Any]]:
     }
 
 
-def assert_same(one: Any, other: Any, where: str = "") -> None:
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key in one:
-            assert_same(one[key], other[key], f"{where}.{key}")
-    elif isinstance(one, (list, tuple)):
-        assert len(one) == len(other), where
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            assert_same(a, b, f"{where}.{i}")
-    elif isinstance(one, Tensor):
-        assert torch.equal(one, other), where
-    else:
-        assert one == other, where
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_all_processes_hold_the_same_bits(name, trained):
     main, other = (content["learned"] for content in trained[name])
     assert_same(main, other)
     assert main["epoch"] == 3
     assert main["modules"]["model"].keys()
-    # three epochs of 4 steps of 16 environments, in two processes
-    steps = 5 if name == "hrl" else 1
-    assert main["frame"] == 3 * 4 * 16 * 2 * steps
+    # three epochs of 16 environments, in two processes
+    steps = {"hrl": 4 * 5, "lstm": 12}.get(name, 4)
+    assert main["frame"] == 3 * 16 * 2 * steps
 
 
 @pytest.mark.parametrize("name", ["ppo", "amp", "gen_amp", "hrl"])
@@ -141,11 +125,14 @@ def test_a_mistake_is_one_line_of_one_process(words, message, tmp_path):
 PROGRAM = """
 import os, sys
 import isaacgymenvs_lite.learning.ppo as ppo
+import isaacgymenvs_lite.learning.resuming as resuming
 from isaacgymenvs_lite import train
 
 if os.environ["RANK"] == "1":
     if "settings" in sys.argv[1]:
         sys.argv.append("train.params.config.gamma=0.5")
+    elif "writes" in sys.argv[1]:
+        resuming.write_training_state = lambda *state: os._exit(0)
     elif "leaves" in sys.argv[1]:
         ppo.PPOAgent.prepare_dataset = lambda agent, batch: os._exit(0)
 del sys.argv[1]
@@ -175,6 +162,15 @@ def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):
     assert not list(tmp_path.glob("runs/*"))
 
 
+def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_read(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    done = torchrun(str(program), "writes", *ANT, "multi_gpu=True", folder=tmp_path)
+    assert done.returncode != 0
+    assert [file.name for file in tmp_path.glob("runs/*/nn/*")]
+    assert not list(tmp_path.glob("runs/*/resume/*"))
+
+
 def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
     """Four epochs at once, and two and two; and three of one process after two."""
     words = (*ANT, "multi_gpu=True", "task.env.episodeLength=5", f"{CONFIG}.mixed_precision=False")
@@ -192,7 +188,7 @@ def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
         ]
         for state in states:
             del state["training_state"]["token"]
-        assert_same_state(*states)
+        assert_same(*states)
     done = subprocess.run(
         [sys.executable, TRAIN, "resume=last", "max_iterations=3"],
         cwd=folders[2],

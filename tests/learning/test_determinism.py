@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +31,6 @@ AGENTS = {
         "train.params.network.mlp.units=[256,256]",
     ),
 }
-
-
-@pytest.fixture(autouse=True)
-def torch_settings() -> Iterator[None]:
-    deterministic = torch.are_deterministic_algorithms_enabled()
-    yield
-    torch.use_deterministic_algorithms(deterministic)
 
 
 def trained(folder: Path, words: Sequence[str], num_threads: int) -> dict[str, Any]:
