@@ -1,4 +1,7 @@
-"""Runs train.py in processes that are pinned to CPUs and end by the clock."""
+"""Runs train.py in processes that are pinned to CPUs and end by the clock.
+
+With `multi_gpu=True` torchrun starts one process for each of the CPUs.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +27,7 @@ _POLL_S = 0.5
 _PATIENCE_S = 120.0
 # Less time left than this is not worth a start, which itself takes several seconds.
 _SHORTEST_MIN = 0.25
+_RANKS = "multi_gpu=True"
 
 
 @dataclass(frozen=True)
@@ -45,19 +49,26 @@ class Plan:
     def command(self, cores: Sequence[int]) -> list[str]:
         """Return the command line of train.py for so many CPUs."""
         run_dir = self.run.folder.absolute()
-        threads = [
-            f"num_threads={len(cores)}",
-            f"++train.params.torch_threads={len(cores)}",
-        ]
+        threads = 1 if self.has_ranks else len(cores)
+        words = [f"num_threads={threads}", f"++train.params.torch_threads={threads}"]
         train = [sys.executable, str(ROOT / "train.py")]
+        if self.has_ranks:
+            torchrun = ("-m", "torch.distributed.run", "--standalone")
+            train[1:1] = [*torchrun, f"--nproc-per-node={len(cores)}"]
         if self.checkpoint is not None:
-            return [*train, override("resume", str(run_dir)), *threads]
+            together = (_RANKS,) if self.has_ranks else ()
+            return [*train, override("resume", str(run_dir)), *together, *words]
         own = [
             f"seed={self.run.seed}",
             override("+full_experiment_name", run_dir.name),
             override("+train.params.config.train_dir", str(run_dir.parent)),
         ]
-        return [*train, *self.settings, *own, *threads]
+        return [*train, *self.settings, *own, *words]
+
+    @property
+    def has_ranks(self) -> bool:
+        """Whether several processes train together."""
+        return _RANKS in self.settings
 
 
 def plan(experiment: Experiment, run: Run, minutes: float, resume: bool) -> Plan:
@@ -129,6 +140,7 @@ class Training:
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.run = job.run
+        self._has_ranks = job.has_ranks
         self._clock_s = clock_s
         self._limit_s = 60.0 * job.minutes
         words = list(command or job.command(cores))
@@ -149,13 +161,22 @@ class Training:
     def close(self) -> None:
         """End it now, with a checkpoint, and wait for that; nothing if it has ended."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self._interrupt()
             self.process.wait()
 
     def _ask_to_end(self, now_s: float) -> None:
         if now_s >= self._ask_again_s:
-            self.process.send_signal(signal.SIGINT)
+            self._interrupt()
             self._ask_again_s = now_s + _PATIENCE_S
+
+    def _interrupt(self) -> None:
+        """Send Ctrl-C to train.py; not to torchrun, which would end as a failure."""
+        if not self._has_ranks:
+            self.process.send_signal(signal.SIGINT)
+            return
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        for pid in children.read_text(encoding="ascii").split()[:1]:  # one rank ends all
+            os.kill(int(pid), signal.SIGINT)
 
 
 def log_file(run: Run) -> Path:

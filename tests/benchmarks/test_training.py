@@ -10,7 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from benchmarks.experiments import Experiment
-from benchmarks.runs import Run, start_now
+from benchmarks.runs import ROOT, Run, start_now
 from benchmarks.training import Plan, Training, log_file, plan, train_all
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.config.compose import compose
@@ -200,6 +200,28 @@ def test_ctrl_c_at_the_terminal_reaches_the_process_through_us_only(start):
     training.close()
     assert training.process.returncode == 0
     training.close()  # harmless
+
+
+RANKS = Experiment("walk", (*WALK.settings, "multi_gpu=True"))
+# Starts the stand-in as torchrun starts train.py.
+PARENT = "import subprocess, sys; sys.exit(subprocess.call([sys.executable, '-c', sys.argv[1]]))"
+
+
+def test_ranks_are_started_by_torchrun_with_a_thread_each(run):
+    words = plan(RANKS, run, 5.0, resume=False).command([4, 7])
+    end = words.index(str(ROOT / "train.py"))
+    assert words[1:end] == ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    cfg = compose(words[end + 1 :])
+    assert (cfg.multi_gpu, cfg.num_threads, cfg.train.params.torch_threads) == (True, 1, 1)
+
+
+def test_a_rank_is_asked_to_end_and_not_torchrun(run):
+    command = [sys.executable, "-c", PARENT, STAND_IN]
+    training = Training(Plan(run, RANKS.settings, None, 60.0), CORES, command)
+    wait_for(lambda: "cpus" in log_file(run).read_text())
+    wait_for(lambda: training.poll(stop=True) is not None)
+    assert training.poll(stop=True) == 0
+    assert log_file(run).read_text().splitlines()[-1] == "saved"
 
 
 # --- several processes ------------------------------------------------------------------------
