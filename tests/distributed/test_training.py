@@ -51,7 +51,7 @@ def test_all_processes_hold_the_same_bits(name, trained):
     assert main["epoch"] == 3
     assert main["modules"]["model"].keys()
     # three epochs of 16 environments, in two processes
-    steps = {"hrl": 4 * 5, "lstm": 12}.get(name, 4)
+    steps = {"hrl": 4 * 5, "lstm": 24}.get(name, 4)
     assert main["frame"] == 3 * 16 * 2 * steps
 
 
