@@ -165,6 +165,7 @@ def _protocol_config(
     protocol = {
         "test": True,
         "checkpoint": str(checkpoint),
+        "multi_gpu": False,
         "num_threads": num_threads,
         "max_iterations": "",
         "wandb_activate": False,
