@@ -131,5 +131,9 @@ class DataParallel(A2CAgent):
             shared = copy.deepcopy(own)
             total = sum(group.gather(own.current_size))
             shared.mean = group.sum_(own.mean * own.current_size) / max(total, 1)
+            if name != "game_lengths":
+                # rl_games makes it (values,) and updates it to (1, values), which its log expects;
+                # this process may have had no episode yet.
+                shared.mean = shared.mean.view(1, -1)
             shared.current_size = min(total, own.max_size)
             setattr(self, name, shared)

@@ -127,6 +127,7 @@ import os, sys
 import isaacgymenvs_lite.learning.ppo as ppo
 import isaacgymenvs_lite.learning.resuming as resuming
 from isaacgymenvs_lite import train
+from isaacgymenvs_lite.tasks.ant import Ant
 
 if os.environ["RANK"] == "1":
     if "settings" in sys.argv[1]:
@@ -135,6 +136,8 @@ if os.environ["RANK"] == "1":
         resuming.write_training_state = lambda *state: os._exit(0)
     elif "leaves" in sys.argv[1]:
         ppo.PPOAgent.prepare_dataset = lambda agent, batch: os._exit(0)
+    elif "ends" in sys.argv[1]:
+        Ant.episode_length = lambda task: 3
 del sys.argv[1]
 train.main()
 """
@@ -169,6 +172,14 @@ def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_r
     assert done.returncode != 0
     assert [file.name for file in tmp_path.glob("runs/*/nn/*")]
     assert not list(tmp_path.glob("runs/*/resume/*"))
+
+
+def test_episodes_that_end_in_one_process_only_count(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    done = torchrun(str(program), "ends", *ANT, "multi_gpu=True", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "episode length 2, reward" in done.stderr
 
 
 def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
