@@ -11,15 +11,18 @@ import contextlib
 import copy
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 import torch.distributed as dist
 from torch import Tensor
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.ppo import PPOAgent
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_STYLE
@@ -43,6 +46,9 @@ AGENTS = {
 }
 RANK = int(os.environ.get("RANK", "0"))
 
+# Whose first step is compared with one process' step.
+WITH_FIRST_STEP = ("ppo", "amp", "gen_amp", "hrl")
+
 
 def learned(agent: Any) -> dict[str, Any]:
     """Return what must be equal in all processes."""
@@ -59,40 +65,63 @@ def learned(agent: Any) -> dict[str, Any]:
 
 
 class FirstStep:
-    """Records the first gradient step of agents with a loss of their own."""
+    """Records the first gradient step: minibatch, counts of normalisers, gradients."""
 
     def __init__(self) -> None:
         self.record: dict[str, Any] = {}
-        self._prepare = CommonAgent.prepare_minibatch
-        self._step = CommonAgent.trancate_gradients_and_step
+        self._patches = pytest.MonkeyPatch()
 
     def __enter__(self) -> FirstStep:
-        record, prepare, step = self.record, self._prepare, self._step
+        prepare, step_of_own = (
+            CommonAgent.prepare_minibatch,
+            CommonAgent.trancate_gradients_and_step,
+        )
+        train, step_of_ppo = PPOAgent.train_actor_critic, PPOAgent.trancate_gradients_and_step
 
         def prepare_minibatch(agent: Any, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
-            if not record:
-                record["before"] = _copied(agent.get_full_state_weights())
-                record["minibatch"] = {k: v for k, v in minibatch.items() if v is not None}
+            self._begin(agent, minibatch)
             rows = prepare(agent, minibatch)
-            if "rows" not in record:
-                record["rows"] = {k: v for k, v in rows.items() if v is not None}
-                record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
+            if "rows" not in self.record:
+                self.record["rows"] = {k: v for k, v in rows.items() if v is not None}
+                self.record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
             return rows
 
-        def trancate_gradients_and_step(agent: Any) -> None:
-            own = [None if p.grad is None else p.grad.clone() for p in agent._learned]
-            step(agent)
-            if "gradients" not in record:
-                record["own_gradients"] = own
-                record["gradients"] = [p.grad for p in agent._learned]
+        def train_actor_critic(agent: Any, minibatch: dict[str, Tensor]) -> Any:
+            self._begin(agent, minibatch)
+            result = train(agent, minibatch)
+            if "counted" not in self.record:
+                self.record["counted"] = _copied(agent.get_stats_weights(model_stats=True))
+            return result
 
-        CommonAgent.prepare_minibatch = prepare_minibatch  # type: ignore[method-assign]
-        CommonAgent.trancate_gradients_and_step = trancate_gradients_and_step
+        def recorded(step: Callable[[Any], None]) -> Callable[[Any], None]:
+            def trancate_gradients_and_step(agent: Any) -> None:
+                own = _gradients(agent)
+                step(agent)
+                if "gradients" not in self.record:
+                    self.record["own_gradients"] = own
+                    self.record["gradients"] = _gradients(agent)
+
+            return trancate_gradients_and_step
+
+        self._patches.setattr(CommonAgent, "prepare_minibatch", prepare_minibatch)
+        self._patches.setattr(PPOAgent, "train_actor_critic", train_actor_critic)
+        name = "trancate_gradients_and_step"
+        self._patches.setattr(CommonAgent, name, recorded(step_of_own))
+        self._patches.setattr(PPOAgent, name, recorded(step_of_ppo))
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        CommonAgent.prepare_minibatch = self._prepare  # type: ignore[method-assign]
-        CommonAgent.trancate_gradients_and_step = self._step
+        self._patches.undo()
+
+    def _begin(self, agent: Any, minibatch: dict[str, Tensor]) -> None:
+        if not self.record:
+            self.record["before"] = _copied(agent.get_full_state_weights())
+            self.record["minibatch"] = {k: v for k, v in minibatch.items() if isinstance(v, Tensor)}
+
+
+def _gradients(agent: Any) -> list[Tensor | None]:
+    learned = agent._learned if isinstance(agent, CommonAgent) else agent.model.parameters()
+    return [None if p.grad is None else p.grad.clone() for p in learned]
 
 
 def _copied(state: dict[str, Any]) -> Any:
@@ -106,6 +135,13 @@ def joined_first_step(agent: Any, steps: list[dict[str, Any]]) -> dict[str, Any]
         return {name: torch.cat([step[key][name] for step in steps]) for name in steps[0][key]}
 
     agent.set_train()
+    if isinstance(agent, PPOAgent):
+        agent.multi_gpu = False
+        agent.train_actor_critic(joined("minibatch"))
+        return {
+            "counted": _copied(agent.get_stats_weights(model_stats=True)),
+            "gradients": _gradients(agent),
+        }
     agent._update_normalizers(joined("minibatch"))
     counted = _copied(agent.get_stats_weights(model_stats=True))
     gradients, _ = agent.executor.gradients(agent.compute_loss, joined("rows"), agent._learned)
@@ -140,7 +176,7 @@ def train(folder: Path, name: str, words: tuple[str, ...]) -> None:
     file = folder / f"{name}_{RANK}.pth"
     torch.save(content, file)
     dist.barrier()
-    if RANK == 0 and first.record:
+    if RANK == 0 and name in WITH_FIRST_STEP:
         other = torch.load(folder / f"{name}_1.pth", weights_only=True)
         agents[0].set_full_state_weights(before)
         content["joined"] = joined_first_step(agents[0], [first.record, other["first"]])

@@ -13,13 +13,12 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.checkpoints.archive import read_archive
-from tests.distributed.job import AGENTS
+from tests.distributed.job import AGENTS, WITH_FIRST_STEP
 from tests.learning.test_resuming import assert_same
 from tests.tiny import CONFIG
 
 REPOSITORY = Path(__file__).parents[2]
 NAMES = [*AGENTS, "hrl"]
-WITH_OWN_LOSS = ["amp", "gen_amp", "hrl"]
 
 
 def torchrun(*words: str, folder: Path, num_processes: int = 2) -> subprocess.CompletedProcess[str]:
@@ -61,7 +60,7 @@ def test_episodes_of_all_processes_count(name, trained):
     assert trained[name][0]["learned"]["episodes"] >= 64
 
 
-@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+@pytest.mark.parametrize("name", WITH_FIRST_STEP)
 def test_processes_have_rows_of_their_own(name, trained):
     main, other = (content["first"] for content in trained[name])
     assert not torch.equal(main["minibatch"]["obs"], other["minibatch"]["obs"])
@@ -72,7 +71,7 @@ def test_processes_have_rows_of_their_own(name, trained):
     assert float((own[0] - own[1]).norm() / own[0].norm()) > 1e-3
 
 
-@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+@pytest.mark.parametrize("name", WITH_FIRST_STEP)
 def test_the_gradient_is_that_of_the_joined_rows(name, trained):
     found, expected = (trained[name][0][key]["gradients"] for key in ("first", "joined"))
     assert [g is None for g in found] == [g is None for g in expected]
@@ -81,11 +80,11 @@ def test_the_gradient_is_that_of_the_joined_rows(name, trained):
     assert float((flat[0] - flat[1]).norm()) < 1e-5 * float(flat[1].norm())
 
 
-@pytest.mark.parametrize("name", WITH_OWN_LOSS)
+@pytest.mark.parametrize("name", WITH_FIRST_STEP)
 def test_normalizers_count_the_joined_rows(name, trained):
     found, expected = (trained[name][0][key]["counted"] for key in ("first", "joined"))
     kinds = {kind for kind, state in found.items() if "running_mean" in state}
-    assert kinds >= {"running_mean_std"} | ({"amp_input_mean_std"} if name != "hrl" else set())
+    assert kinds >= {"running_mean_std"} | ({"amp_input_mean_std"} if "amp" in name else set())
     for kind in kinds:
         for key, value in expected[kind].items():
             torch.testing.assert_close(found[kind][key], value, rtol=1e-6, atol=1e-7)
