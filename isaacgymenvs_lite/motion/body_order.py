@@ -7,9 +7,12 @@ import logging
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import rotations_from_dofs, turned_by_joints
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
@@ -18,6 +21,8 @@ _log = logging.getLogger(__name__)
 _OFFSET_TOLERANCE_M = 0.01
 # A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
 _HINGE_TOLERANCE_RAD = 0.01
+# Between frames, coordinates and poses that were interpolated each for itself differ by less.
+_DOF_TOLERANCE_RAD = 0.05
 # Beyond any recorded person; a clip in centimetres, or one with frames that are missing, is.
 _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 
@@ -25,17 +30,21 @@ _USUAL_PLACE_M, _USUAL_SPEED_M_S, _USUAL_SPEED_RAD_S = 1_000.0, 60.0, 300.0
 def fit_to_skeleton(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip with its bodies in the order of `skeleton`.
 
-    Logs a warning when hinge joints (knees, elbows) rotate about other axes than y, as that part of
-    the motion is dropped, when the clip was made for a body of other dimensions, and when it is
-    faster, or farther away, than people are.
+    Logs a warning when hinge joints (knees, elbows) rotate about other axes than their own, as that
+    part of the motion is dropped, when the clip was made for a body of other dimensions, when joint
+    coordinates and poses disagree, and when it is faster, or farther away, than people are.
 
     Raises:
-        MotionFileError: the clip lacks bodies, has others, or connects them in another way.
+        MotionFileError: the clip lacks bodies, has others, or connects them in another way; it has
+            joint coordinates of another skeleton, or none where rotations do not determine them.
     """
     _refuse_other_bodies(clip, skeleton)
     clip = _reorder(clip, skeleton)
     _warn_of_other_offsets(clip, skeleton)
-    _warn_of_hinge_violation(clip, skeleton)
+    if clip.dof_pos is None:
+        _warn_of_hinge_violation(clip, skeleton)
+    else:
+        _check_dofs(clip, clip.dof_pos, skeleton)
     _warn_of_odd_values(clip)
     return clip
 
@@ -71,12 +80,18 @@ def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
             )
     if order == list(range(skeleton.num_bodies)):
         return clip
+    if clip.dof_pos is not None:
+        raise MotionFileError(
+            f"{clip.name}: its bodies have another order than the model's, so that its joint"
+            " coordinates (dof_pos) belong to other joints; expected "
+            + ", ".join(skeleton.body_names)
+        )
     _log.info("%s: bodies reordered as in the humanoid", clip.name)
     return dataclasses.replace(
         clip,
         body_names=skeleton.body_names,
         parent_indices=skeleton.parent_indices,
-        local_translation=clip.local_translation[order],
+        local_translation=clip.local_translation[..., order, :],
         local_rotation=clip.local_rotation[:, order],
         linear_velocity_w=clip.linear_velocity_w[:, order],
         angular_velocity_w=clip.angular_velocity_w[:, order],
@@ -89,7 +104,11 @@ def _parent_name(names: tuple[str, ...], parent: int) -> str:
 
 def _warn_of_other_offsets(clip: MotionClip, skeleton: Skeleton) -> None:
     # The root's offset does not count: it is only the position of the character in its file.
-    difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)[1:]
+    difference = np.linalg.norm(clip.local_translation - skeleton.local_translation, axis=-1)
+    # Bodies whose joints are beside their origins move in their parents.
+    anchored = np.array(skeleton.dof_body_ids, dtype=int)[skeleton.joint_anchors.any(axis=1)]
+    difference[..., anchored] = 0.0
+    difference = difference.reshape(-1, skeleton.num_bodies).max(axis=0)[1:]
     if difference.max() > _OFFSET_TOLERANCE_M:
         body = int(difference.argmax()) + 1
         _log.warning(
@@ -115,19 +134,62 @@ def _warn_of_odd_values(clip: MotionClip) -> None:
 
 
 def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
-    hinges = list(skeleton.hinge_body_ids)
-    if not hinges:
+    try:
+        turns = turned_by_joints(skeleton, clip.local_rotation).numpy()
+    except MotionFileError as error:
+        raise MotionFileError(f"{clip.name}: {error}") from error
+    groups = [group for group, size in enumerate(skeleton.dof_sizes) if size == 1]
+    if not groups:
         return
-    # sqrt(x^2 + z^2) is the sine of half the angle between the y axis and its image.
-    off_axis = np.hypot(clip.local_rotation[:, hinges, 0], clip.local_rotation[:, hinges, 2])
+    hinges = [skeleton.dof_body_ids[group] for group in groups]
+    # The part of the quaternion's vector across the axis is the sine of half the angle between the
+    # axis and its image.
+    off_axis = np.linalg.norm(np.cross(turns[:, hinges, :3], skeleton.joint_axes[groups]), axis=-1)
     frame, hinge = (int(i) for i in np.unravel_index(off_axis.argmax(), off_axis.shape))
     angle_rad = 2.0 * math.asin(min(float(off_axis[frame, hinge]), 1.0))
     if angle_rad > _HINGE_TOLERANCE_RAD:
         _log.warning(
-            "%s: '%s' is a hinge about y but turns %.3f rad out of that axis in frame %d; "
+            "%s: '%s' is a hinge about %s but turns %.3f rad out of that axis in frame %d; "
             "that part of the motion is dropped",
             clip.name,
             skeleton.body_names[hinges[hinge]],
+            _axis_name(skeleton.joint_axes[groups[hinge]]),
             angle_rad,
+            frame,
+        )
+
+
+def _axis_name(axis: npt.NDArray[np.float64]) -> str:
+    """Return x, y or z, or the numbers of an oblique axis."""
+    for name, unit in zip("xyz", np.eye(3), strict=True):
+        if np.allclose(axis, unit):
+            return name
+    return "({:.3g}, {:.3g}, {:.3g})".format(*axis)
+
+
+def _check_dofs(clip: MotionClip, dofs: FloatArray, skeleton: Skeleton) -> None:
+    """Refuse joint coordinates of another number; warn where they give other poses.
+
+    Raises:
+        MotionFileError: see above.
+    """
+    if dofs.shape[1] != skeleton.num_dofs:
+        raise MotionFileError(
+            f"{clip.name}: dof_pos has {dofs.shape[1]} columns, expected the {skeleton.num_dofs} "
+            f"degrees of freedom of the model: {', '.join(skeleton.dof_names)}"
+        )
+    turns = rotations_from_dofs(skeleton, clip.local_rotation[:, 0], dofs)
+    # |a - b| or |a + b| of unit quaternions is 2 sin(angle / 4), angle from one to the other.
+    stored = np.asarray(clip.local_rotation, dtype=np.float64)
+    sines = [np.linalg.norm(turns + sign * stored, axis=-1) / 2.0 for sign in (-1.0, 1.0)]
+    difference = 4.0 * np.arcsin(np.minimum(*sines).clip(max=1.0))
+    frame, body = (int(i) for i in np.unravel_index(difference.argmax(), difference.shape))
+    if difference[frame, body] > _DOF_TOLERANCE_RAD:
+        _log.warning(
+            "%s: joint coordinates (dof_pos) and poses differ by %.3f rad at '%s' in frame %d; "
+            "was the clip made for another model?",
+            clip.name,
+            difference[frame, body],
+            skeleton.body_names[body],
             frame,
         )

@@ -21,6 +21,9 @@ _MAX_BODIES = 500
 _MAX_BONE_M = 10.0
 _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
+# 160 turns of a wheel's hinge.
+MAX_JOINT_RAD = 1_000.0
+_MAX_DOFS = 3 * _MAX_BODIES
 # How far the length of a stored quaternion may be from 1.
 _UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
@@ -31,6 +34,7 @@ _MIN_REPEATED_PAIRS = 2
 _POSE_LIMITS = (
     ("root_translation", MAX_PLACE_M, "m"),
     ("local_translation", _MAX_BONE_M, "m"),
+    ("dof_pos", MAX_JOINT_RAD, "rad"),
 )
 _VELOCITY_LIMITS = (
     ("linear_velocity_w", _MAX_SPEED_M_S, "m/s"),
@@ -47,11 +51,15 @@ class MotionClip:
         fps: frames per second.
         body_names: J names, root first.
         parent_indices: J body ids, -1 for the root; parents come before children.
-        local_translation: (J, 3) m, origin of a body in its parent's frame (root: not used).
+        local_translation: (J, 3) m, origin of a body in its parent's frame (root: not used); or
+            (T, J, 3) where joints are beside the origins of their bodies, which they then move.
         local_rotation: (T, J, 4), rotation of a body relative to its parent (root: to the world).
         root_translation: (T, 3) m, world position of the root.
         linear_velocity_w: (T, J, 3) m/s, of the bodies' origins in the world.
         angular_velocity_w: (T, J, 3) rad/s, in the world.
+        dof_pos: (T, D) rad, joint coordinates in the order of the `Skeleton`: rotation vectors of
+            ball joints, angles of hinges, of any size. None: the rotations of the bodies determine
+            them. Rotations do not if a body has several joints, or a hinge turns beyond pi.
     """
 
     name: str
@@ -63,6 +71,7 @@ class MotionClip:
     root_translation: FloatArray
     linear_velocity_w: FloatArray
     angular_velocity_w: FloatArray
+    dof_pos: FloatArray | None = None
 
     @property
     def num_frames(self) -> int:
@@ -89,6 +98,7 @@ class MotionClip:
         local_translation: FloatArray,
         local_rotation: FloatArray,
         root_translation: FloatArray,
+        dof_pos: FloatArray | None = None,
     ) -> MotionClip:
         """Make a clip from poses; velocities by differences, smoothed as poselib does.
 
@@ -105,6 +115,7 @@ class MotionClip:
             root_translation=np.asarray(root_translation),
             linear_velocity_w=still,
             angular_velocity_w=still,
+            dof_pos=None if dof_pos is None else np.asarray(dof_pos),
         )
         clip.validate()
         positions, turns = clip.global_poses()
@@ -115,6 +126,13 @@ class MotionClip:
         )
         clip._check_sizes(_VELOCITY_LIMITS)
         return clip
+
+    def timed_arrays(self) -> dict[str, FloatArray]:
+        """Return the arrays with one row per frame, by the names of their attributes."""
+        keys = ["local_rotation", "root_translation", "linear_velocity_w", "angular_velocity_w"]
+        keys += ["local_translation"] if np.ndim(self.local_translation) == 3 else []
+        keys += ["dof_pos"] if self.dof_pos is not None else []
+        return {key: np.asarray(getattr(self, key)) for key in keys}
 
     def global_poses(self) -> tuple[FloatArray, FloatArray]:
         """Return the world positions (T, J, 3) m and rotations (T, J, 4) of all bodies, float64."""
@@ -172,14 +190,8 @@ class MotionClip:
         keep = np.arange(first, self.num_frames, 2)
         if first == 1:
             keep = np.concatenate(([0], keep))
-        return dataclasses.replace(
-            self,
-            fps=self.fps / 2.0,
-            local_rotation=self.local_rotation[keep],
-            root_translation=self.root_translation[keep],
-            linear_velocity_w=self.linear_velocity_w[keep],
-            angular_velocity_w=self.angular_velocity_w[keep],
-        )
+        kept = {key: values[keep] for key, values in self.timed_arrays().items()}
+        return dataclasses.replace(self, fps=self.fps / 2.0, **kept)
 
     def _check_shapes(self) -> None:
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
@@ -188,14 +200,22 @@ class MotionClip:
                 f"{self.name}: has {frames} frames of {bodies} bodies, expected at most "
                 f"{_MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
             )
+        dofs = np.zeros((frames, 0)) if self.dof_pos is None else self.dof_pos
+        num_dofs = np.shape(dofs)[-1] if np.ndim(dofs) else 0
+        if num_dofs > _MAX_DOFS:
+            raise MotionFileError(
+                f"{self.name}: dof_pos has {num_dofs} columns, expected at most {_MAX_DOFS}"
+            )
         expected = {
             "parent_indices": (bodies,),
-            "local_translation": (bodies, 3),
+            "local_translation": (*(frames,) * (np.ndim(self.local_translation) == 3), bodies, 3),
             "local_rotation": (frames, bodies, 4),
             "root_translation": (frames, 3),
             "linear_velocity_w": (frames, bodies, 3),
             "angular_velocity_w": (frames, bodies, 3),
         }
+        if self.dof_pos is not None:
+            expected["dof_pos"] = (frames, num_dofs)
         for key, shape in expected.items():
             found = np.shape(getattr(self, key))
             if found != shape:
@@ -218,14 +238,9 @@ class MotionClip:
             raise MotionFileError(f"{self.name}: body names are not unique: {self.body_names}")
 
     def _check_values(self) -> None:
-        for key in (
-            "local_translation",
-            "local_rotation",
-            "root_translation",
-            "linear_velocity_w",
-            "angular_velocity_w",
-        ):
-            finite = np.isfinite(getattr(self, key))
+        arrays = {"local_translation": self.local_translation, **self.timed_arrays()}
+        for key, values in arrays.items():
+            finite = np.isfinite(values)
             if not finite.all():
                 where = tuple(int(i) for i in np.argwhere(~finite)[0])
                 raise MotionFileError(
@@ -246,8 +261,10 @@ class MotionClip:
         """Refuse numbers that no motion has: a wrong unit, or a damaged file."""
         for key, limit, unit in limits:
             values = getattr(self, key)
+            if values is None:
+                continue
             # The root's own offset is not used.
-            values = values[1:] if key == "local_translation" else values
+            values = values[..., 1:, :] if key == "local_translation" else values
             largest = float(np.abs(values).max(initial=0.0))
             if largest > limit:
                 raise MotionFileError(

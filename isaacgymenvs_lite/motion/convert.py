@@ -108,7 +108,7 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
         clip, skeleton = load_single_clip(source, skeletons)
         clip = cut(clip, settings.start_s, settings.end_s)
         if settings.fps is not None:
-            clip = resample(clip, settings.fps)
+            clip = resample(clip, settings.fps, skeleton)
     _FORMATS[path.suffix].save(path, clip, skeleton)
     _log.info(
         "%s: %d frames at %g Hz, %.2f s, %d degrees of freedom; lost: %s",

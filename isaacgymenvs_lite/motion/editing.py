@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +12,11 @@ import torch
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import joint_rotations, local_poses, qpos_from_dofs
+from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
 _TIME_ROUNDING_S = 1e-6
-# The arrays of a clip with one row per frame.
-_TIMED = ("local_rotation", "root_translation", "linear_velocity_w", "angular_velocity_w")
 
 
 def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> MotionClip:
@@ -37,13 +38,24 @@ def cut(clip: MotionClip, start_s: float = 0.0, end_s: float | None = None) -> M
             f"{1.0 / clip.fps:g} s, expected at least 2"
         )
     kept = slice(first, last + 1)
-    return dataclasses.replace(clip, **{key: getattr(clip, key)[kept] for key in _TIMED})
+    timed = clip.timed_arrays()
+    return dataclasses.replace(clip, **{key: values[kept] for key, values in timed.items()})
 
 
-def resample(clip: MotionClip, fps: float) -> MotionClip:
+def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> MotionClip:
     """Return the clip at another frame rate, poses and velocities interpolated.
 
     The first frame is kept; the last one is the last multiple of the new frame time in the clip.
+    Of a clip with joint coordinates these are interpolated, angles of hinges linearly; they
+    determine the poses.
+
+    Args:
+        clip: see above.
+        fps: of the result.
+        skeleton: of the clip; needed if it has `dof_pos`.
+
+    Raises:
+        MotionFileError: fewer than two frames remain, or the skeleton is missing.
     """
     num_frames = int(clip.length_s * fps + _TIME_ROUNDING_S) + 1
     if num_frames < 2:
@@ -54,16 +66,26 @@ def resample(clip: MotionClip, fps: float) -> MotionClip:
     before = np.minimum(places.astype(int), clip.num_frames - 2)
     share = places - before
     changed = {
-        key: _blend(np.asarray(getattr(clip, key)), before, share)
-        for key in _TIMED
+        key: _blend(values, before, share)
+        for key, values in clip.timed_arrays().items()
         if key != "local_rotation"
     }
     turns = interpolate_rotations(
         clip.local_rotation[before], clip.local_rotation[before + 1], share[:, None]
     )
-    return dataclasses.replace(
-        clip, fps=float(fps), local_rotation=turns.astype(clip.local_rotation.dtype), **changed
-    )
+    changed["local_rotation"] = turns.astype(clip.local_rotation.dtype)
+    if clip.dof_pos is not None:
+        if skeleton is None:
+            raise MotionFileError(
+                f"{clip.name}: has joint coordinates (dof_pos); pass the skeleton of the clip"
+            )
+        dofs = _blend_dofs(clip.dof_pos, skeleton, before, share)
+        root = changed["root_translation"]
+        offsets, turns = local_poses(skeleton, qpos_from_dofs(skeleton, root, turns[:, 0], dofs))
+        changed["local_rotation"] = turns.astype(clip.local_rotation.dtype)
+        changed["local_translation"] = offsets.astype(clip.local_translation.dtype)
+        changed["dof_pos"] = dofs.astype(clip.dof_pos.dtype)
+    return dataclasses.replace(clip, fps=float(fps), **changed)
 
 
 def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
@@ -76,6 +98,20 @@ def interpolate_rotations(start: FloatArray, end: FloatArray, share: FloatArray)
     way = rotations.quat_log(rotations.quat_mul(rotations.quat_conjugate(a), b))
     angle = torch.from_numpy(np.asarray(share)) * way.norm(dim=-1)
     return rotations.quat_mul(a, rotations.quat_from_angle_axis(angle, way)).numpy()
+
+
+def _blend_dofs(
+    dofs: FloatArray, skeleton: Skeleton, before: npt.NDArray[np.integer], share: FloatArray
+) -> FloatArray:
+    """Return DOFs (T, D) interpolated likewise; ball joints take the shorter way."""
+    blended = _blend(np.asarray(dofs, dtype=np.float64), before, share)
+    turns = joint_rotations(skeleton, dofs).numpy()
+    turns = interpolate_rotations(turns[before], turns[before + 1], share[:, None])
+    vectors = rotations.quat_log(torch.from_numpy(turns)).numpy()
+    for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+        if end - start == 3:
+            blended[:, start:end] = vectors[:, group]
+    return blended
 
 
 def _blend(values: FloatArray, before: npt.NDArray[np.integer], share: FloatArray) -> FloatArray:

@@ -31,7 +31,8 @@ def forward_kinematics(
 
     Args:
         parent_indices: J body ids, -1 for the root, which comes first; parents before children.
-        local_translation: (J, 3) m, offsets in the parent's frame; the root's is not used.
+        local_translation: (J, 3) or (T, J, 3) m, offsets in the parent's frame; the root's are not
+            used.
         local_rotation: (T, J, 4), rotations relative to the parent.
         root_translation: (T, 3) m, world positions of the root.
     """
@@ -41,7 +42,7 @@ def forward_kinematics(
     turns = [local[:, 0]]
     for body in range(1, len(parent_indices)):
         parent = parent_indices[body]
-        offset = rotations.quat_apply(turns[parent], offsets[body].expand_as(positions[0]))
+        offset = rotations.quat_apply(turns[parent], offsets[..., body, :].expand_as(positions[0]))
         positions.append(positions[parent] + offset)
         turns.append(_canonical(rotations.quat_mul(turns[parent], local[:, body])))
     return torch.stack(positions, dim=1).numpy(), torch.stack(turns, dim=1).numpy()

@@ -6,6 +6,7 @@ clips. The semantics are the AMP and ASE motion libraries'; quaternions xyzw.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,9 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, joint_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.utils import rotations
 
@@ -41,7 +44,8 @@ class MotionState(NamedTuple):
         dof_pos: (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges.
         root_vel: (n, 3) m/s, world.
         root_ang_vel: (n, 3) rad/s, world.
-        dof_vel: (n, num_dofs) rad/s, in the child's frame.
+        dof_vel: (n, num_dofs) rad/s, rates of hinges' angles; of ball joints the angular velocity
+            in the child's frame.
         key_pos: (n, K, 3) m, world.
     """
 
@@ -55,15 +59,19 @@ class MotionState(NamedTuple):
 
 
 class MotionLib:
-    """Clips of one humanoid, sampled by weight and read at any time.
+    """Clips of one humanoid or robot, sampled by weight and read at any time.
+
+    Ball joints are interpolated as rotations. So are hinges of the shipped humanoids, as in the
+    original; hinges of other skeletons, and all if a clip has `dof_pos`, by their angles, which may
+    exceed pi.
 
     Args:
         motion_file: a clip or a data set, see `loader.load_clips`.
-        num_dofs: degrees of freedom of the humanoid, which determine its skeleton.
+        num_dofs: degrees of freedom, which determine the skeleton of a shipped humanoid.
         key_body_ids: K body ids whose positions `get_motion_state` returns.
         device: of the tensors.
         repair_repeated_frames: drop the copies in clips that store every pose twice.
-        skeleton: the humanoid, if it is none of the shipped ones.
+        skeleton: the robot, if it is none of the shipped humanoids.
 
     Raises:
         MotionFileError: a clip cannot be used.
@@ -98,8 +106,12 @@ class MotionLib:
             _without_copies(clip, repair_repeated_frames) for clip, _ in clips_and_weights
         ]
         self._build_motion_table([weight for _, weight in clips_and_weights])
+        has_dofs = any(clip.dof_pos is not None for clip in self._clips)
+        self._joints = _JointColumns(
+            self.skeleton, with_angles=has_dofs or not self.skeleton.has_simple_joints
+        )
         self._build_frame_tables(key_ids)
-        self._dof_columns = _dof_columns(self.skeleton).to(self.device)
+        self._dof_columns = torch.tensor(self._joints.columns).to(self.device)
 
     def num_motions(self) -> int:
         """Return the number of clips."""
@@ -150,16 +162,21 @@ class MotionLib:
         row, next_row, blend = self._rows(motion_ids, motion_times)
         frame = self._frames.index_select(0, row)
         next_frame = self._frames.index_select(0, next_row)
-        num_rotations = 1 + len(self.skeleton.dof_body_ids)
-        sizes = [3 * (1 + self._num_keys), 4 * num_rotations, 3, 3, self.skeleton.num_dofs]
-        places, turns, root_vel, root_ang_vel, dof_vel = frame.split(sizes, dim=-1)
-        next_places, next_turns = next_frame.split(sizes, dim=-1)[:2]
+        num_rotations = 1 + len(self._joints.turned)
+        num_lerped = 3 * (1 + self._num_keys) + len(self._joints.angles)
+        sizes = [num_lerped, 4 * num_rotations, 3, 3, self.skeleton.num_dofs]
+        lerped, turns, root_vel, root_ang_vel, dof_vel = frame.split(sizes, dim=-1)
+        next_lerped, next_turns = next_frame.split(sizes, dim=-1)[:2]
 
-        positions = torch.lerp(places, next_places, blend.unsqueeze(-1)).unflatten(-1, (-1, 3))
+        lerped = torch.lerp(lerped, next_lerped, blend.unsqueeze(-1))
+        positions = lerped[:, : 3 * (1 + self._num_keys)].unflatten(-1, (-1, 3))
         turns = turns.unflatten(-1, (num_rotations, 4))
         next_turns = next_turns.unflatten(-1, (num_rotations, 4))
         turns = rotations.slerp(turns, next_turns, blend.view(-1, 1, 1))
         joint_vectors = rotations.quat_to_exp_map(turns[:, 1:]).flatten(1)
+        if self._joints.angles:
+            angles = lerped[:, 3 * (1 + self._num_keys) :]
+            joint_vectors = torch.cat((joint_vectors, angles), dim=-1)
         return MotionState(
             root_pos=positions[:, 0],
             root_rot=turns[:, 0],
@@ -204,40 +221,80 @@ class MotionLib:
         for clip in self._clips:
             positions, _ = clip.global_poses()
             body_pos.append(positions)
-            frames.append(_frame_rows(clip, self.skeleton, positions[:, [0, *key_ids]]))
+            frames.append(_frame_rows(clip, self._joints, positions[:, [0, *key_ids]]))
         self._frames = torch.from_numpy(np.concatenate(frames)).float().to(self.device)
         self._body_pos = torch.from_numpy(np.concatenate(body_pos)).float().to(self.device)
 
 
-def _frame_rows(
-    clip: MotionClip, skeleton: Skeleton, positions: kinematics.FloatArray
-) -> kinematics.FloatArray:
-    """Return the frames (T, D): positions, root and joint rotations, root and DOF velocities.
+class _JointColumns:
+    """How rows of frames hold joints: some groups as rotations, the others by their angles.
 
-    `positions` (T, 1 + K, 3) m belong to the root and the key bodies.
+    Args:
+        skeleton: its joint groups.
+        with_angles: keep hinges by their angles; else as rotations about y.
+
+    Attributes:
+        skeleton: see above.
+        turned: groups that are kept as rotations.
+        angles: DOFs that are kept as angles.
+        columns: (num_dofs,) where the DOFs are among the three components of the vectors of
+            `turned`, followed by `angles`.
     """
-    columns = _dof_columns(skeleton).numpy()
-    joints = list(skeleton.dof_body_ids)
-    joint_velocity = kinematics.joint_velocities(clip.local_rotation[:, joints], clip.fps)
+
+    def __init__(self, skeleton: Skeleton, with_angles: bool) -> None:
+        self.skeleton = skeleton
+        self.turned: list[int] = []
+        self.angles: list[int] = []
+        starts = [0] * skeleton.num_dofs
+        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+            if with_angles and end - start == 1:
+                starts[start] = len(self.angles)
+                self.angles.append(start)
+                continue
+            # Hinges kept as rotations are about y: the second of the three.
+            components = range(3) if end - start == 3 else (1,)
+            starts[start:end] = [3 * len(self.turned) + i for i in components]
+            self.turned.append(group)
+        shift = 3 * len(self.turned)
+        self.columns = [
+            shift + place if dof in self.angles else place for dof, place in enumerate(starts)
+        ]
+        self.with_angles = with_angles
+
+    def of_clip(self, clip: MotionClip) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return rotations (T, R, 4), angles (T, H) rad and DOF velocities (T, D) rad/s."""
+        if not self.with_angles:
+            turns = clip.local_rotation[:, list(self.skeleton.dof_body_ids)]
+            dofs = np.zeros((clip.num_frames, self.skeleton.num_dofs))
+        else:
+            dofs = dofs_of_clip(self.skeleton, clip)
+            turns = joint_rotations(self.skeleton, dofs).numpy()[:, self.turned]
+        angles = dofs[:, self.angles]
+        if clip.dof_pos is None:
+            angles = np.unwrap(angles, axis=0)
+        rates = np.diff(angles, axis=0) * clip.fps
+        velocity = kinematics.joint_velocities(turns, clip.fps).reshape(clip.num_frames, -1)
+        velocity = np.concatenate((velocity, np.concatenate((rates, rates[-1:]))), axis=1)
+        return turns, angles, velocity[:, self.columns]
+
+
+def _frame_rows(clip: MotionClip, joints: _JointColumns, positions: FloatArray) -> FloatArray:
+    """Return the frames (T, D): positions, angles of joints, rotations, velocities.
+
+    `positions` (T, 1 + K, 3) m belong to the root and the key bodies. The rotations are the root's
+    and the joints', the velocities the root's and the DOFs'.
+    """
+    turns, angles, joint_velocity = joints.of_clip(clip)
     parts = (
         positions,
-        clip.local_rotation[:, [0, *joints]],
+        angles,
+        clip.local_rotation[:, :1],
+        turns,
         clip.linear_velocity_w[:, 0],
         clip.angular_velocity_w[:, 0],
-        joint_velocity.reshape(clip.num_frames, -1)[:, columns],
+        joint_velocity,
     )
     return np.concatenate([part.reshape(clip.num_frames, -1) for part in parts], axis=-1)
-
-
-def _dof_columns(skeleton: Skeleton) -> Tensor:
-    """Return the columns (num_dofs,) of the DOFs among three components per joint group.
-
-    Ball joints take x, y and z of their rotation vector, hinges y only.
-    """
-    columns: list[int] = []
-    for group, size in enumerate(skeleton.dof_sizes):
-        columns.extend(range(3 * group, 3 * group + 3) if size == 3 else (3 * group + 1,))
-    return torch.tensor(columns)
 
 
 def _without_copies(clip: MotionClip, repair: bool) -> MotionClip:

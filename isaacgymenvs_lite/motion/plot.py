@@ -20,9 +20,8 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.kinematics import forward_kinematics
 from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import import_package
@@ -42,22 +41,24 @@ class PlotSettings:
 
 
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints."""
-    dofs = dofs_from_rotations(skeleton, clip.local_rotation)
+    """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints.
+
+    By the names of bodies; of bodies with several joints, by the names of DOFs.
+    """
+    dofs = dofs_of_clip(skeleton, clip)
     angles = {}
     spans = itertools.pairwise(skeleton.dof_offsets)
     for body, (start, end) in zip(skeleton.dof_body_ids, spans, strict=True):
         joint = dofs[:, start:end]
         angle = joint[:, 0] if end - start == 1 else np.linalg.norm(joint, axis=1)
-        angles[skeleton.body_names[body]] = angle
+        shared = body in skeleton.shared_body_ids
+        angles[skeleton.dof_names[start] if shared else skeleton.body_names[body]] = angle
     return angles
 
 
 def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
     """Return for each foot the frames (T,) in which it is on the ground: low, and slow."""
-    places, _ = forward_kinematics(
-        clip.parent_indices, clip.local_translation, clip.local_rotation, clip.root_translation
-    )
+    places, _ = clip.global_poses()
     contacts = {}
     for body, name in enumerate(clip.body_names):
         if "foot" not in name:

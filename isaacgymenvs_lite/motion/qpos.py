@@ -1,7 +1,8 @@
-"""Poses of a clip as joint coordinates: MuJoCo's qpos, or the humanoid's degrees of freedom.
+"""Poses of a clip as joint coordinates: MuJoCo's qpos, or the robot's degrees of freedom.
 
 Degrees of freedom (DOFs) are rotation vectors of ball joints and angles of hinges; qpos holds
-quaternions wxyz in place of the rotation vectors, and the root's free joint.
+quaternions wxyz in place of the rotation vectors, and the root's free joint. This is the only place
+that turns DOFs into rotations of bodies, and back.
 """
 
 from __future__ import annotations
@@ -12,54 +13,117 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 from isaacgymenvs_lite.utils import rotations
 
 _ROOT = 7  # numbers of the free joint: position, quaternion wxyz
 
 
-def clip_to_qpos(clip: MotionClip) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
-    """Return the humanoid of a clip, as a MuJoCo model, and the clip's poses, qpos (T, nq).
+def clip_to_qpos(
+    clip: MotionClip, skeleton: Skeleton | None = None
+) -> tuple[mujoco.MjModel, npt.NDArray[np.float64]]:
+    """Return the robot of a clip, as a MuJoCo model, and the clip's poses, qpos (T, nq).
 
     Args:
-        clip: of a shipped humanoid, its bodies in the humanoid's order, see `load_single_clip`.
+        clip: its bodies in the order of the robot's, see `load_single_clip`.
+        skeleton: of the robot, read from a model; None: of the shipped humanoid with these bodies.
 
     Raises:
-        MotionFileError: no shipped humanoid has these bodies.
+        MotionFileError: no shipped humanoid has these bodies; or see `qpos_from_clip`.
+        ConfigError: the skeleton has no model.
     """
-    file = shipped_humanoid_with(clip.body_names)
-    if file is None:
+    if skeleton is None:
+        file = shipped_humanoid_with(clip.body_names)
+        if file is None:
+            raise MotionFileError(
+                f"{clip.name}: no shipped humanoid has its {len(clip.body_names)} bodies"
+                f" ({', '.join(clip.body_names)})"
+            )
+        skeleton = Skeleton.from_mjcf(paths.assets_dir() / file)
+    return _model(skeleton), qpos_from_clip(skeleton, clip)
+
+
+def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
+    """Make a clip of any robot from its joint coordinates; MuJoCo's kinematics gives the poses.
+
+    Args:
+        name: see `MotionClip`.
+        fps: frames per second.
+        skeleton: of the robot.
+        qpos: (T, nq) m and rad, quaternions wxyz; the columns of objects beside the robot may be
+            left out.
+
+    Raises:
+        MotionFileError: qpos has another shape, or is no motion, see `MotionClip.validate`.
+        ConfigError: the skeleton has no model, and joints beside the origins of their bodies.
+    """
+    qpos = np.asarray(qpos, dtype=np.float64)
+    num_columns = skeleton.qpos_addresses[-1]
+    if qpos.ndim != 2 or qpos.shape[1] < num_columns or not np.isfinite(qpos).all():
         raise MotionFileError(
-            f"{clip.name}: no shipped humanoid has its {len(clip.body_names)} bodies"
-            f" ({', '.join(clip.body_names)})"
+            f"{name}: qpos has shape {qpos.shape}, expected finite numbers (frames, {num_columns}):"
+            f" position, rotation and {len(skeleton.dof_body_ids)} joints of the robot"
         )
-    path = str(paths.assets_dir() / file)
-    poses = qpos_from_poses(Skeleton.from_mjcf(path), clip.root_translation, clip.local_rotation)
-    return mujoco.MjModel.from_xml_path(path), poses
+    offsets, turns = local_poses(skeleton, qpos)
+    root, dofs = qpos[:, :3], _dofs_from_qpos(skeleton, qpos)
+    names, parents = skeleton.body_names, skeleton.parent_indices
+    return MotionClip.from_poses(name, fps, names, parents, offsets, turns, root, dofs)
+
+
+def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:
+    """Return qpos (T, nq), without objects, of a clip with its bodies in the order of `skeleton`.
+
+    Raises:
+        MotionFileError: the clip has no `dof_pos`, and several joints of one body need them.
+    """
+    if clip.dof_pos is None:
+        return qpos_from_poses(skeleton, clip.root_translation, clip.local_rotation)
+    return qpos_from_dofs(skeleton, clip.root_translation, clip.local_rotation[:, 0], clip.dof_pos)
+
+
+def qpos_from_dofs(
+    skeleton: Skeleton, root_translation: FloatArray, root_rotation: FloatArray, dofs: FloatArray
+) -> npt.NDArray[np.float64]:
+    """Return qpos (T, nq) of root positions (T, 3) m, rotations (T, 4) xyzw, DOFs (T, D) rad."""
+    values = np.asarray(dofs, dtype=np.float64)
+    turns = rotations.wxyz_from_xyzw(joint_rotations(skeleton, values)).numpy()
+    root = torch.from_numpy(np.array(root_rotation, dtype=np.float64))
+    parts = [np.asarray(root_translation, np.float64), rotations.wxyz_from_xyzw(root).numpy()]
+    for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+        parts.append(values[:, start:end] if end - start == 1 else turns[:, group])
+    return np.concatenate(parts, axis=1)
 
 
 def qpos_from_poses(
     skeleton: Skeleton, root_translation: FloatArray, local_rotation: FloatArray
 ) -> npt.NDArray[np.float64]:
-    """Return qpos (T, nq) of a humanoid whose root has the free joint.
+    """Return qpos (T, nq) of a robot whose root has the free joint.
 
     Args:
         skeleton: the tree and its joints; J bodies.
         root_translation: (T, 3) m, world position of the root.
         local_rotation: (T, J, 4) xyzw, rotations relative to the parent. Of a hinge, only the
-            rotation about y is used.
+            rotation about its axis is used.
+
+    Raises:
+        MotionFileError: a body has several joints, whose angles its rotation does not determine.
     """
-    turns = torch.from_numpy(np.ascontiguousarray(local_rotation, dtype=np.float64))
-    root_translation = np.asarray(root_translation, dtype=np.float64)
-    parts = [root_translation, rotations.wxyz_from_xyzw(turns[:, 0]).numpy()]
-    for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True):
+    turns = turned_by_joints(skeleton, local_rotation)
+    parts = [
+        np.asarray(root_translation, np.float64),
+        rotations.wxyz_from_xyzw(turns[:, 0]).numpy(),
+    ]
+    for group, (body, size) in enumerate(
+        zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
+    ):
         if size == 1:
-            parts.append(rotations.quat_log(turns[:, body])[:, 1:2].numpy())
+            parts.append(_hinge_angle(skeleton, group, rotations.quat_log(turns[:, body])).numpy())
         else:
             parts.append(rotations.wxyz_from_xyzw(turns[:, body]).numpy())
     return np.concatenate(parts, axis=1)
@@ -70,30 +134,66 @@ def poses_from_qpos(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return root positions (T, 3) m and local rotations (T, J, 4) xyzw of qpos (T, nq)."""
     values = torch.from_numpy(np.ascontiguousarray(qpos, dtype=np.float64))
-    turns = torch.zeros((len(values), skeleton.num_bodies, 4), dtype=torch.float64)
-    turns[..., 3] = 1.0  # bodies without a joint have their parent's rotation
-    turns[:, 0] = rotations.xyzw_from_wxyz(values[:, 3:_ROOT])
-    column = _ROOT
-    for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True):
-        if size == 1:
-            half = 0.5 * values[:, column]
-            turns[:, body, 1], turns[:, body, 3] = half.sin(), half.cos()
-            column += 1
+    joints = torch.zeros((len(values), len(skeleton.dof_body_ids), 4), dtype=torch.float64)
+    for group, (start, end) in enumerate(itertools.pairwise(skeleton.qpos_addresses)):
+        if end - start == 1:
+            half = 0.5 * (values[:, start] - skeleton.joint_refs[group])
+            _set_along_axis(joints[:, group], skeleton.joint_axes[group], half.sin())
+            joints[:, group, 3] = half.cos()
         else:
-            turns[:, body] = rotations.xyzw_from_wxyz(values[:, column : column + 4])
-            column += 4
+            joints[:, group] = rotations.xyzw_from_wxyz(values[:, start:end])
+    turns = _compose(skeleton, rotations.xyzw_from_wxyz(values[:, 3:_ROOT]), joints)
     return values[:, :3].numpy(), turns.numpy()
+
+
+def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where bodies are in their parents at qpos (T, nq): m, and rotations (T, J, 4) xyzw.
+
+    By MuJoCo's own kinematics. Positions are (J, 3) if all joints are at the origins of their
+    bodies, else (T, J, 3).
+
+    Raises:
+        ConfigError: the skeleton has no model, and joints beside the origins of their bodies.
+    """
+    if skeleton.model is None and not skeleton.has_offset_joints:
+        return skeleton.local_translation, poses_from_qpos(skeleton, qpos)[1]
+    positions, turns = _world_poses(skeleton, qpos)
+    local = local_rotations(skeleton.parent_indices, turns)
+    if not skeleton.has_offset_joints:
+        return skeleton.local_translation, local
+    parents = list(skeleton.parent_indices[1:])
+    to_parent = rotations.quat_conjugate(torch.from_numpy(turns[:, parents]))
+    offsets = torch.from_numpy(positions[:, 1:] - positions[:, parents])
+    moved = np.tile(skeleton.local_translation, (len(positions), 1, 1))
+    moved[:, 1:] = rotations.quat_apply(to_parent, offsets).numpy()
+    return moved, local
+
+
+def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
+    """Return the DOFs (T, D) rad of a clip whose bodies are in the order of `skeleton`.
+
+    Raises:
+        MotionFileError: as `qpos_from_clip`.
+    """
+    if clip.dof_pos is None:
+        return dofs_from_rotations(skeleton, clip.local_rotation)
+    return np.asarray(clip.dof_pos, dtype=np.float64)
 
 
 def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> FloatArray:
     """Return the DOFs (T, num_dofs) in rad of local rotations (T, J, 4) xyzw.
 
-    Of a hinge, only the rotation about y is used.
+    Of a hinge, only the rotation about its axis is used; within pi of its angle at rest.
+
+    Raises:
+        MotionFileError: a body has several joints, whose angles its rotation does not determine.
     """
-    turns = rotations.quat_log(torch.from_numpy(np.asarray(local_rotation, dtype=np.float64)))
+    vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
     columns = [
-        turns[:, body] if size == 3 else turns[:, body, 1:2]
-        for body, size in zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
+        vectors[:, body] if size == 3 else _hinge_angle(skeleton, group, vectors[:, body])
+        for group, (body, size) in enumerate(
+            zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
+        )
     ]
     return torch.cat(columns, dim=-1).numpy()
 
@@ -102,13 +202,113 @@ def rotations_from_dofs(
     skeleton: Skeleton, root_rotation: FloatArray, dofs: FloatArray
 ) -> FloatArray:
     """Return the local rotations (T, J, 4) xyzw of root rotations (T, 4) and DOFs (T, num_dofs)."""
-    vectors = torch.zeros((len(dofs), skeleton.num_bodies, 3), dtype=torch.float64)
+    root = torch.from_numpy(np.asarray(root_rotation, dtype=np.float64))
+    return _compose(skeleton, root, joint_rotations(skeleton, dofs)).numpy()
+
+
+def joint_rotations(skeleton: Skeleton, dofs: FloatArray) -> Tensor:
+    """Return the rotation (T, G, 4) xyzw of each joint at DOFs (T, num_dofs) in rad."""
     values = torch.from_numpy(np.asarray(dofs, dtype=np.float64))
-    spans = itertools.pairwise(skeleton.dof_offsets)
-    for body, (start, end) in zip(skeleton.dof_body_ids, spans, strict=True):
-        vectors[:, body, 1 if end - start == 1 else slice(None)] = (
-            values[:, start] if end - start == 1 else values[:, start:end]
+    vectors = torch.zeros((len(values), len(skeleton.dof_body_ids), 3), dtype=torch.float64)
+    for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+        if end - start == 1:
+            angle = values[:, start] - skeleton.joint_refs[group]
+            _set_along_axis(vectors[:, group], skeleton.joint_axes[group], angle)
+        else:
+            vectors[:, group] = values[:, start:end]
+    return rotations.quat_from_angle_axis(vectors.norm(dim=-1), vectors)
+
+
+def turned_by_joints(skeleton: Skeleton, local_rotation: FloatArray) -> Tensor:
+    """Return the rotations (T, J, 4) xyzw of bodies by their joints, from their rest rotations.
+
+    Args:
+        skeleton: J bodies.
+        local_rotation: (T, J, 4) xyzw, rotations relative to the parent.
+
+    Raises:
+        MotionFileError: a body has several joints, whose angles its rotation does not determine.
+    """
+    if skeleton.shared_body_ids:
+        names = ", ".join(skeleton.body_names[body] for body in skeleton.shared_body_ids)
+        raise MotionFileError(
+            f"rotations of bodies do not determine the angles of several joints on one body"
+            f" ({names}); give a clip with joint coordinates, dof_pos, as clip_from_qpos makes it"
         )
-    turns = rotations.quat_from_angle_axis(vectors.norm(dim=-1), vectors)
-    turns[:, 0] = torch.from_numpy(np.asarray(root_rotation, dtype=np.float64))
-    return turns.numpy()
+    turns = torch.from_numpy(np.array(local_rotation, dtype=np.float64))
+    turned = _turned_at_rest(skeleton)
+    from_rest = rotations.quat_conjugate(torch.from_numpy(skeleton.rest_rotation[turned]))
+    turns[:, turned] = rotations.quat_mul(from_rest.expand(len(turns), -1, -1), turns[:, turned])
+    return turns
+
+
+def _compose(skeleton: Skeleton, root_rotation: Tensor, joints: Tensor) -> Tensor:
+    """Return the local rotations (T, J, 4) of rotations (T, 4) of the root and (T, G, 4) of joints.
+
+    Bodies rotate from their rest rotations by one joint after the other.
+    """
+    turns = torch.from_numpy(skeleton.rest_rotation).repeat(len(joints), 1, 1)
+    turned = set(_turned_at_rest(skeleton))
+    for group, body in enumerate(skeleton.dof_body_ids):
+        joint = joints[:, group]
+        turns[:, body] = rotations.quat_mul(turns[:, body], joint) if body in turned else joint
+        turned.add(body)
+    turns[:, 0] = root_rotation
+    return turns
+
+
+def _turned_at_rest(skeleton: Skeleton) -> list[int]:
+    return np.flatnonzero(np.any(skeleton.rest_rotation[:, :3], axis=1)).tolist()
+
+
+def _hinge_angle(skeleton: Skeleton, group: int, vectors: Tensor) -> Tensor:
+    """Return the angles (T, 1) rad of a hinge whose body has rotated by vectors (T, 3)."""
+    axis = skeleton.joint_axes[group]
+    # Only the components that the axis has: the others' zeros would change signs of zeros.
+    parts = [float(axis[i]) * vectors[:, i : i + 1] for i in np.flatnonzero(axis)]
+    angle = torch.stack(parts).sum(dim=0) if len(parts) > 1 else parts[0]
+    ref = float(skeleton.joint_refs[group])
+    return angle + ref if ref else angle
+
+
+def _set_along_axis(vectors: Tensor, axis: npt.NDArray[np.float64], lengths: Tensor) -> None:
+    """Set vectors (T, 3 or 4), which are zero, to lengths (T,) along an axis."""
+    for i in np.flatnonzero(axis):
+        vectors[:, int(i)] = float(axis[i]) * lengths
+
+
+def _dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatArray:
+    """Return the DOFs (T, num_dofs) rad of qpos (T, nq)."""
+    columns = []
+    for start, end in itertools.pairwise(skeleton.qpos_addresses):
+        values = torch.from_numpy(qpos[:, start:end])
+        if end - start == 4:
+            values = rotations.quat_log(rotations.quat_unit(rotations.xyzw_from_wxyz(values)))
+        columns.append(values.numpy())
+    return np.concatenate(columns or [np.zeros((len(qpos), 0))], axis=1)
+
+
+def _world_poses(
+    skeleton: Skeleton, qpos: FloatArray
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the world positions (T, J, 3) m and rotations (T, J, 4) xyzw of qpos (T, nq)."""
+    model = _model(skeleton)
+    data = mujoco.MjData(model)
+    first = int(model.jnt_bodyid[0])
+    bodies = slice(first, first + skeleton.num_bodies)
+    columns = min(qpos.shape[1], model.nq)
+    positions = np.zeros((len(qpos), skeleton.num_bodies, 3))
+    quats = np.zeros((len(qpos), skeleton.num_bodies, 4))
+    for frame, pose in enumerate(qpos):
+        data.qpos[:columns] = pose[:columns]
+        mujoco.mj_kinematics(model, data)
+        positions[frame], quats[frame] = data.xpos[bodies], data.xquat[bodies]
+    return positions, rotations.xyzw_from_wxyz(torch.from_numpy(quats)).numpy()
+
+
+def _model(skeleton: Skeleton) -> mujoco.MjModel:
+    if skeleton.model is None:
+        raise ConfigError(
+            "the skeleton has no MuJoCo model; make it with Skeleton.from_model or from_mjcf"
+        )
+    return skeleton.model

@@ -1,9 +1,10 @@
-"""The kinematic tree of a humanoid and its degrees of freedom, read from the MuJoCo model."""
+"""The kinematic tree of a robot and its degrees of freedom, read from the MuJoCo model."""
 
 from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,36 +12,51 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.kinematics import FloatArray, world_points
+from isaacgymenvs_lite.utils import rotations
 
 # The model file, relative to the assets folder, of the humanoid with a number of DOFs.
 _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.xml"}
 SHIPPED_NUM_DOFS = tuple(_HUMANOIDS)
-_DOFS_OF_JOINT = {mujoco.mjtJoint.mjJNT_BALL: 3, mujoco.mjtJoint.mjJNT_HINGE: 1}
+_BALL, _HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
+_DOFS_OF_JOINT = {_BALL: 3, _HINGE: 1}
+_FREE_JOINT_QPOS, _FREE_JOINT_DOFS = 7, 6
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Bodies and degrees of freedom of a humanoid; J bodies in depth-first order, root first.
+    """Bodies and joints of a robot on a free root; J bodies in depth-first order, root first.
 
-    A joint group is the joint of one body: 3 DOFs (ball joint, rotation vector in rad in the child
-    frame) or 1 DOF (hinge about the child's y axis, rad). Bodies without a joint are rigid.
+    A joint group is one joint: 3 DOFs (ball joint, rotation vector in rad in the child frame) or 1
+    DOF (hinge, its angle in rad). A body may have several, which rotate it one after the other, in
+    MuJoCo's order. Bodies without a joint are rigid.
+
+    A skeleton made by hand may leave out what comes after `foot_corners`: then no body is turned at
+    rest, hinges rotate about the child's y axis, and joints are at the origins of their bodies.
 
     Attributes:
         body_names: J names.
         parent_indices: J body ids, -1 for the root; parents come before children.
-        local_translation: (J, 3) m, origin of a body in its parent's frame. The root's row is its
-            position in the model file, which kinematics does not use.
+        local_translation: (J, 3) m, origin of a body in its parent's frame, all joints at rest. The
+            root's row is its position in the model file, which kinematics does not use.
         dof_body_ids: G body ids, one per joint group, in DOF order.
         dof_offsets: G + 1 numbers; group g owns the DOFs dof_offsets[g] to dof_offsets[g + 1].
         foot_body_ids: K body ids, the foot that each row of `foot_corners` belongs to.
         foot_corners: (K, 3) m, corners of the box geoms of the bodies named *_foot, body frame.
-        dof_names: one name per DOF, such as abdomen_x or right_elbow, from the actuators. Empty if
-            the model does not have one actuator per DOF.
-        dof_limits: (num_dofs, 2) rad, lowest and highest value of each DOF; (0, 2) without names.
+        dof_names: one name per DOF: of a hinge the joint's; of a ball joint the names of its three
+            actuators, such as abdomen_x, or <joint>_x, _y and _z. Empty if made by hand.
+        dof_limits: (num_dofs, 2) rad, lowest and highest value of each DOF; infinite for hinges
+            without limits, -pi and pi for such ball joints; (0, 2) without names.
+        rest_rotation: (J, 4) xyzw, of a body in its parent's frame, all joints at rest; the root's
+            row is the identity.
+        joint_axes: (G, 3) unit vectors in the child frame; zeros for ball joints.
+        joint_anchors: (G, 3) m, points about which the joints rotate, in the child frame.
+        joint_refs: (G,) rad, the angle of a hinge at rest (MuJoCo's `ref`); 0 for ball joints.
+        model: the compiled model; None if made by hand.
     """
 
     body_names: tuple[str, ...]
@@ -52,6 +68,24 @@ class Skeleton:
     foot_corners: npt.NDArray[np.float64]
     dof_names: tuple[str, ...] = ()
     dof_limits: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    rest_rotation: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    joint_axes: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    joint_anchors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    joint_refs: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    model: mujoco.MjModel | None = None
+
+    def __post_init__(self) -> None:
+        """Fill in what a skeleton made by hand leaves out."""
+        is_hinge = np.array([[size == 1] for size in self.dof_sizes]).reshape(-1, 1)
+        usual = {
+            "rest_rotation": np.tile((0.0, 0.0, 0.0, 1.0), (self.num_bodies, 1)),
+            "joint_axes": is_hinge * np.array([0.0, 1.0, 0.0]),
+            "joint_anchors": np.zeros((len(self.dof_body_ids), 3)),
+            "joint_refs": np.zeros(len(self.dof_body_ids)),
+        }
+        for name, value in usual.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, value)
 
     @property
     def num_bodies(self) -> int:
@@ -69,38 +103,105 @@ class Skeleton:
         return tuple(end - start for start, end in itertools.pairwise(self.dof_offsets))
 
     @property
+    def shared_body_ids(self) -> tuple[int, ...]:
+        """The bodies with several joints, whose poses do not determine the DOFs."""
+        ids = self.dof_body_ids
+        return tuple(sorted({body for body in ids if ids.count(body) > 1}))
+
+    @property
     def hinge_body_ids(self) -> tuple[int, ...]:
-        """The bodies that rotate about their y axis only."""
+        """The bodies that rotate about one axis only."""
         groups = zip(self.dof_body_ids, self.dof_sizes, strict=True)
-        return tuple(body for body, size in groups if size == 1)
+        shared = self.shared_body_ids
+        return tuple(body for body, size in groups if size == 1 and body not in shared)
+
+    @property
+    def qpos_addresses(self) -> tuple[int, ...]:
+        """G + 1 numbers: where the coordinates of each group start in qpos, and where they end."""
+        sizes = (4 if size == 3 else 1 for size in self.dof_sizes)
+        return tuple(itertools.accumulate(sizes, initial=_FREE_JOINT_QPOS))
+
+    @property
+    def qvel_addresses(self) -> tuple[int, ...]:
+        """G + 1 numbers: where the velocities of each group start in qvel, and where they end."""
+        return tuple(_FREE_JOINT_DOFS + offset for offset in self.dof_offsets)
+
+    @functools.cached_property
+    def has_offset_joints(self) -> bool:
+        """Whether a joint is beside the origin of its body, which then moves in its parent."""
+        return bool(self.joint_anchors.any())
+
+    @functools.cached_property
+    def has_simple_joints(self) -> bool:
+        """Whether the rotation of a body is its joint's, as of the shipped humanoids.
+
+        At most one joint per body, at its origin, a ball or a hinge about y with angle 0 at rest;
+        no body is turned at rest. Clips of other skeletons have `dof_pos`.
+        """
+        is_hinge = np.array(self.dof_sizes) == 1
+        return not (
+            self.shared_body_ids
+            or self.has_offset_joints
+            or self.joint_refs.any()
+            or self.rest_rotation[:, :3].any()
+            or not np.allclose(self.joint_axes[is_hinge], (0.0, 1.0, 0.0))
+        )
 
     @classmethod
     def from_mjcf(cls, path: str | Path) -> Skeleton:
         """Read the skeleton of the MJCF file at `path` from MuJoCo's compiled model.
 
         Raises:
-            ConfigError: it is no model that MuJoCo can compile, or a body has several joints, or
-                another one than a ball joint or y hinge.
+            ConfigError: it is no model that MuJoCo can compile, or see `from_model`.
         """
         try:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
             raise ConfigError(f"{path}: is no model that can be used ({error})") from error
-        # Body 0 is MuJoCo's world: it is left out and all ids move down by one.
-        bodies = [model.body(i) for i in range(1, model.nbody)]
-        dof_body_ids, dof_offsets = _joint_groups(model, path)
-        foot_body_ids, foot_corners = _foot_corners(model)
-        dof_names, dof_limits = _actuators(model, dof_offsets[-1])
+        return cls.from_model(model, str(path))
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel, name: str = "the model") -> Skeleton:
+        """Read the skeleton of a compiled model; objects beside the robot's tree are left out.
+
+        Args:
+            model: its first joint is the free joint of the robot's root.
+            name: of the model, for messages.
+
+        Raises:
+            ConfigError: the first joint is not a free joint, or the robot has a slide.
+        """
+        if model.njnt == 0 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+            raise ConfigError(
+                f"{name}: its first joint is not the free joint of a root; a robot on a free joint"
+                " is expected (the preparation in isaacgymenvs_lite.robots adds one)"
+            )
+        root = int(model.jnt_bodyid[0])
+        # A tree's bodies follow each other, and so do its joints; ids count from the root.
+        num_bodies = int(np.count_nonzero(model.body_rootid == root))
+        bodies = slice(root, root + num_bodies)
+        joints = _joints(model, root, num_bodies, name)
+        sizes = [_DOFS_OF_JOINT[int(model.jnt_type[joint])] for joint in joints]
+        is_hinge = model.jnt_type[joints] == _HINGE
+        foot_body_ids, foot_corners = _foot_corners(model, root, num_bodies)
+        dof_names, dof_limits = _names_and_limits(model, joints)
+        rest = rotations.xyzw_from_wxyz(torch.from_numpy(model.body_quat[bodies].copy())).numpy()
+        rest[0] = (0.0, 0.0, 0.0, 1.0)
         return cls(
-            body_names=tuple(body.name for body in bodies),
-            parent_indices=tuple(int(body.parentid[0]) - 1 for body in bodies),
-            local_translation=model.body_pos[1:].copy(),
-            dof_body_ids=dof_body_ids,
-            dof_offsets=dof_offsets,
+            body_names=tuple(model.body(i).name or f"body{i}" for i in range(root, bodies.stop)),
+            parent_indices=(-1, *(int(i) - root for i in model.body_parentid[bodies][1:])),
+            local_translation=model.body_pos[bodies].copy(),
+            dof_body_ids=tuple(int(model.jnt_bodyid[joint]) - root for joint in joints),
+            dof_offsets=tuple(itertools.accumulate(sizes, initial=0)),
             foot_body_ids=foot_body_ids,
             foot_corners=foot_corners,
             dof_names=dof_names,
             dof_limits=dof_limits,
+            rest_rotation=rest,
+            joint_axes=np.where(is_hinge[:, None], model.jnt_axis[joints], 0.0),
+            joint_anchors=model.jnt_pos[joints].copy(),
+            joint_refs=np.where(is_hinge, model.qpos0[model.jnt_qposadr[joints]], 0.0),
+            model=model,
         )
 
     def sole_corners(self, positions: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -146,54 +247,63 @@ def shipped_humanoid_with(body_names: Sequence[str]) -> str | None:
     return None
 
 
-def _joint_groups(
-    model: mujoco.MjModel, path: str | Path
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the body ids and the DOF offsets of the joint groups; the free joint is skipped."""
-    body_ids: list[int] = []
-    offsets = [0]
-    for i in range(model.njnt):
-        joint = model.joint(i)
-        kind = mujoco.mjtJoint(int(joint.type[0]))
-        if kind == mujoco.mjtJoint.mjJNT_FREE:
-            continue
-        body_id = int(joint.bodyid[0]) - 1
-        is_y_hinge = kind == mujoco.mjtJoint.mjJNT_HINGE and np.allclose(joint.axis, (0, 1, 0))
-        if body_id in body_ids or not (kind == mujoco.mjtJoint.mjJNT_BALL or is_y_hinge):
+def _joints(model: mujoco.MjModel, root: int, num_bodies: int, name: str) -> npt.NDArray[np.int64]:
+    """Return the ids (G,) of the joints of the robot, the free joint left out."""
+    bodies = model.jnt_bodyid[1:]
+    joints = 1 + np.flatnonzero((bodies >= root) & (bodies < root + num_bodies))
+    for joint in joints:
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
             raise ConfigError(
-                f"{path}: joint '{joint.name}': a body of a humanoid has one joint, "
-                "a ball joint or a hinge about y"
+                f"{name}: joint '{model.joint(joint).name}' is a slide; a clip moves hinges and"
+                " ball joints (the preparation in isaacgymenvs_lite.robots fixes slides)"
             )
-        body_ids.append(body_id)
-        offsets.append(offsets[-1] + _DOFS_OF_JOINT[kind])
-    return tuple(body_ids), tuple(offsets)
+    return joints
 
 
-def _foot_corners(model: mujoco.MjModel) -> tuple[tuple[int, ...], npt.NDArray[np.float64]]:
+def _foot_corners(
+    model: mujoco.MjModel, root: int, num_bodies: int
+) -> tuple[tuple[int, ...], npt.NDArray[np.float64]]:
     """Return body ids (K) and corners (K, 3) m of the feet's boxes, in the frames of the feet."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     body_ids: list[int] = []
     corners = [np.zeros((0, 3))]
     for i in range(model.ngeom):
         geom = model.geom(i)
-        body = model.body(geom.bodyid[0])
-        if geom.type[0] == mujoco.mjtGeom.mjGEOM_BOX and body.name.endswith("_foot"):
+        body = int(geom.bodyid[0]) - root
+        is_box = geom.type[0] == mujoco.mjtGeom.mjGEOM_BOX and 0 <= body < num_bodies
+        if is_box and model.body(geom.bodyid[0]).name.endswith("_foot"):
             rotation = np.zeros(9)
             mujoco.mju_quat2Mat(rotation, geom.quat)
             corners.append(geom.pos + (signs * geom.size) @ rotation.reshape(3, 3).T)
-            body_ids.extend([int(geom.bodyid[0]) - 1] * len(signs))
+            body_ids.extend([body] * len(signs))
     return tuple(body_ids), np.concatenate(corners)
 
 
-def _actuators(
-    model: mujoco.MjModel, num_dofs: int
+def _names_and_limits(
+    model: mujoco.MjModel, joints: npt.NDArray[np.int64]
 ) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
-    """Return the names of the actuators, in DOF order, and their limits (num_dofs, 2)."""
-    if model.nu != num_dofs:
-        return (), np.zeros((0, 2))
-    # The actuator of a ball joint's axis has the axis' limits; a hinge has its own.
-    hinges = model.jnt_type[model.actuator_trnid[:, 0]] == mujoco.mjtJoint.mjJNT_HINGE
-    limits = np.where(
-        hinges[:, None], model.jnt_range[model.actuator_trnid[:, 0]], model.actuator_lengthrange
-    )
-    return tuple(model.actuator(i).name for i in range(model.nu)), limits
+    """Return the names of the DOFs and their limits (num_dofs, 2) rad."""
+    names: list[str] = []
+    limits: list[tuple[float, float]] = []
+    for joint in joints:
+        name = model.joint(joint).name or f"joint{joint}"
+        low, high = model.jnt_range[joint]
+        is_limited = bool(model.jnt_limited[joint])
+        if model.jnt_type[joint] == _HINGE:
+            names.append(name)
+            limits.append((low, high) if is_limited else (-math.inf, math.inf))
+            continue
+        # MuJoCo limits the angle of a ball joint; its three actuators may limit each axis.
+        reach = high if is_limited else math.pi
+        drives = np.flatnonzero(
+            (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+            & (model.actuator_trnid[:, 0] == joint)
+        )
+        has_own = len(drives) == 3 and bool(model.actuator_lengthrange[drives].any())
+        names += [model.actuator(i).name for i in drives] if has_own else _axes_of(name)
+        limits += list(model.actuator_lengthrange[drives]) if has_own else [(-reach, reach)] * 3
+    return tuple(names), np.array(limits, dtype=np.float64).reshape(-1, 2)
+
+
+def _axes_of(name: str) -> list[str]:
+    return [f"{name}_{axis}" for axis in "xyz"]

@@ -77,20 +77,21 @@ def test_a_humanoid_is_known_by_its_bodies(humanoid: Skeleton, armed: Skeleton) 
 
 
 @pytest.mark.parametrize(
-    "joints",
+    ("free", "joint", "message"),
     [
-        '<joint name="bad" axis="1 0 0"/>',
-        '<joint name="bad" type="slide"/>',
-        '<joint axis="0 1 0"/><joint name="bad" axis="0 1 0" pos="0 0 1"/>',
+        ("<freejoint/>", '<joint name="bad" type="slide"/>', r"joint 'bad' is a slide; .* fixes"),
+        ("", '<joint name="bad"/>', "its first joint is not the free joint of a root"),
     ],
 )
-def test_joints_that_are_no_ball_and_no_y_hinge_are_refused(tmp_path, joints: str) -> None:
+def test_slides_and_fixed_roots_are_refused(
+    tmp_path: Path, free: str, joint: str, message: str
+) -> None:
     path = tmp_path / "model.xml"
     path.write_text(
-        '<mujoco><worldbody><body name="root"><freejoint/><geom size="0.1"/>'
-        f'<body name="arm">{joints}<geom size="0.1"/></body></body></worldbody></mujoco>'
+        f'<mujoco><worldbody><body name="root">{free}<geom size="0.1"/>'
+        f'<body name="arm">{joint}<geom size="0.1"/></body></body></worldbody></mujoco>'
     )
-    with pytest.raises(ConfigError, match="joint 'bad'"):
+    with pytest.raises(ConfigError, match=message):
         Skeleton.from_mjcf(path)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line, suggest
-from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.clip import MAX_JOINT_RAD, MotionClip
 from isaacgymenvs_lite.motion.formats.files import (
     MAX_TEXT_BYTES,
     read_bytes,
@@ -25,7 +25,12 @@ from isaacgymenvs_lite.motion.formats.files import (
     written_clip,
 )
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, rotations_from_dofs
+from isaacgymenvs_lite.motion.qpos import (
+    clip_from_qpos,
+    dofs_of_clip,
+    qpos_from_dofs,
+    rotations_from_dofs,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 _TIME = "time"
@@ -42,7 +47,6 @@ _STEP_TOLERANCE = 0.1
 # The humanoid with sword and shield has 39 columns.
 _MAX_COLUMNS, _MAX_COLUMN_LENGTH = 200, 200
 _MAX_LINES = 200_000
-_MAX_ANGLE_RAD = 1_000.0
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
@@ -60,7 +64,7 @@ def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Pa
             np.arange(clip.num_frames)[:, None] / clip.fps,
             clip.root_translation,
             clip.local_rotation[:, 0],
-            dofs_from_rotations(skeleton, clip.local_rotation),
+            dofs_of_clip(skeleton, clip),
         ),
         axis=1,
     )
@@ -115,11 +119,15 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
         )
     root_rotation = np.stack([column[name] for name in _ROTATION], axis=-1)
     dofs = np.stack([column[name] for name in skeleton.dof_names], axis=-1)
-    if np.abs(dofs).max() > _MAX_ANGLE_RAD:
+    if np.abs(dofs).max() > MAX_JOINT_RAD:
         raise MotionFileError(
             f"{path}: a joint angle is {np.abs(dofs).max():.3g} rad, expected at most "
-            f"{_MAX_ANGLE_RAD:g}"
+            f"{MAX_JOINT_RAD:g}"
         )
+    root = np.stack([column[name] for name in _POSITION], axis=-1)
+    if not skeleton.has_simple_joints:
+        poses = qpos_from_dofs(skeleton, root, root_rotation, dofs)
+        return clip_from_qpos(str(path), fps, skeleton, poses)
     return MotionClip.from_poses(
         str(path),
         fps,
@@ -127,7 +135,7 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
         skeleton.parent_indices,
         skeleton.local_translation,
         rotations_from_dofs(skeleton, root_rotation, dofs),
-        np.stack([column[name] for name in _POSITION], axis=-1),
+        root,
     )
 
 

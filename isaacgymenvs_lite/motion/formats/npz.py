@@ -28,9 +28,10 @@ from isaacgymenvs_lite.motion.formats.files import (
 _FORMAT = "isaacgymenvs_lite.motion"
 _VERSION = 1
 _FLOAT_KEYS = ("local_translation", "local_rotation", "root_translation")
+_OPTIONAL_KEYS = ("dof_pos",)
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
-_KNOWN_KEYS = ("format", "version", *_NEEDED_KEYS, *_VELOCITY_KEYS)
+_KNOWN_KEYS = ("format", "version", *_NEEDED_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS)
 _MAX_MEMBERS = 10_000
 _MEMBER_SIGNATURE = b"PK\1\2"
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what numpy writes
@@ -57,6 +58,7 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
     path = Path(path)
     if path.suffix != ".npz":
         path = path.with_name(path.name + ".npz")
+    joints: dict[str, Any] = {} if clip.dof_pos is None else {"dof_pos": clip.dof_pos}
     with written_clip(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -70,6 +72,7 @@ def save_npz(path: str | Path, clip: MotionClip) -> Path:
             root_translation=clip.root_translation,
             linear_velocity_w=clip.linear_velocity_w,
             angular_velocity_w=clip.angular_velocity_w,
+            **joints,
         )
     return path
 
@@ -87,7 +90,7 @@ def load_npz(path: str | Path) -> MotionClip:
 
 def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     _check_keys(arrays, path)
-    for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS):
+    for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS):
         if key in arrays:
             _check_kind(arrays[key], key, "f", path)
     _check_kind(arrays["body_names"], "body_names", "U", path)
@@ -98,7 +101,8 @@ def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     names = tuple(str(name) for name in arrays["body_names"].ravel())
     parents = tuple(int(parent) for parent in arrays["parent_indices"].ravel())
     fps = float(arrays["fps"].item())
-    poses = {key: native_floats(arrays[key]) for key in _FLOAT_KEYS}
+    stored = [key for key in (*_FLOAT_KEYS, *_OPTIONAL_KEYS) if key in arrays]
+    poses = {key: native_floats(arrays[key]) for key in stored}
     if any(key not in arrays for key in _VELOCITY_KEYS):
         return MotionClip.from_poses(str(path), fps, names, parents, **poses)
     velocities = {key: native_floats(arrays[key]) for key in _VELOCITY_KEYS}

@@ -138,9 +138,15 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
     """Write a clip in single precision, as the published ones are; returns the path.
 
     Raises:
-        MotionFileError: the clip is not valid, or the file cannot be written.
+        MotionFileError: the clip is not valid, bodies move in their parents, or the file cannot be
+            written.
     """
     clip.validate()
+    if np.ndim(clip.local_translation) != 2:
+        raise MotionFileError(
+            f"{clip.name}: joints of its skeleton are beside the origins of their bodies, for which"
+            " poselib's format has no place; write a .npz file"
+        )
     path = Path(path)
     content = np.empty((), dtype=object)
     content[()] = _as_skeleton_motion(clip)

@@ -12,7 +12,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, poses_from_qpos
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.solve import solve_poses
@@ -126,7 +126,7 @@ def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
 
 def _limited(clip: MotionClip, skeleton: Skeleton) -> float:
     """Return the share of the frames in which a joint has reached a limit."""
-    dofs = dofs_from_rotations(skeleton, clip.local_rotation)
+    dofs = dofs_of_clip(skeleton, clip)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
     return float(near.any(axis=1).mean())

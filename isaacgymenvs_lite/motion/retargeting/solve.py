@@ -109,10 +109,11 @@ def _first_pose(model: mujoco.MjModel, skeleton: Skeleton, targets: Targets) -> 
     """Return the zero pose with bent knees and elbows at the place of the first pelvis."""
     qpos = model.qpos0.copy()
     qpos[:7] = np.roll(_poses(skeleton, targets, "pelvis")[0], 3)
-    for body in skeleton.hinge_body_ids:
-        joint = model.body(skeleton.body_names[body]).jntadr[0]
-        sign = 1.0 if model.jnt_range[joint, 1] > 0.0 else -1.0
-        qpos[model.jnt_qposadr[joint]] = sign * _FIRST_BEND_RAD
+    spans = zip(skeleton.qpos_addresses, itertools.pairwise(skeleton.dof_offsets), strict=False)
+    for place, (start, end) in spans:
+        if end - start == 1:
+            sign = 1.0 if skeleton.dof_limits[start, 1] > 0.0 else -1.0
+            qpos[place] = sign * _FIRST_BEND_RAD
     return qpos
 
 
@@ -138,11 +139,8 @@ class DofLimits:
         self._nv = model.nv
         lower, upper = skeleton.dof_limits.T
         self._balls, self._hinges = [], []
-        for body, (start, end) in zip(
-            skeleton.dof_body_ids, itertools.pairwise(skeleton.dof_offsets), strict=True
-        ):
-            joint = model.body(skeleton.body_names[body]).jntadr[0]
-            place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+            place = (skeleton.qpos_addresses[group], skeleton.qvel_addresses[group])
             limits = (lower[start:end], upper[start:end])
             if end - start == 3:
                 self._balls.append((*place, *limits))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -32,6 +33,7 @@ def build_amp_observations(
     key_body_pos: Tensor,
     local_root_obs: bool,
     as_ase: bool = False,
+    dof_offsets: tuple[int, ...] | None = None,
 ) -> Tensor:
     """Return the AMP observation of one control step: (N, 105), or (N, 125) with `as_ase`.
 
@@ -39,7 +41,7 @@ def build_amp_observations(
     `compute_humanoid_observations` for arguments and layout.
     """
     return compute_humanoid_observations(
-        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs, as_ase
+        root_states, dof_pos, dof_vel, key_body_pos, local_root_obs, as_ase, dof_offsets
     )
 
 
@@ -71,7 +73,12 @@ class HumanoidAMP(HumanoidAMPBase):
             self.key_body_ids.tolist(),
             self.device,
             repair_repeated_frames=self.env_cfg.repair_repeated_frames,
+            skeleton=self.reference_skeleton(),
         )
+
+    def reference_skeleton(self) -> Skeleton | None:
+        """Return the skeleton of the reference motions; None: of the shipped humanoid."""
+        return None
 
     def allocate_buffers(self) -> None:
         """Add the AMP observation history, (N, numAMPObsSteps, ...), newest first."""
@@ -107,7 +114,9 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _amp_features(self, state: CharacterState) -> Tensor:
         """AMP observations of one step of states as `_character_states` returns them."""
-        return build_amp_observations(*state, self.env_cfg.local_root_obs, self.amp_obs_as_ase)
+        return build_amp_observations(
+            *state, self.env_cfg.local_root_obs, self.amp_obs_as_ase, self._layout.dof_offsets
+        )
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
         """Return one step of the AMP observation of all environments or `env_ids` (n,).

@@ -73,7 +73,7 @@ class HumanoidAMPBase(MjcfTask):
     actor_name = "humanoid"
     reset_mode = ResetMode.ON_REQUEST
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
-    """Degrees of freedom of the models that the task can simulate."""
+    """Degrees of freedom of the models that the task can simulate; empty: any number."""
 
     # --- construction -----------------------------------------------------------------------
 
@@ -122,8 +122,9 @@ class HumanoidAMPBase(MjcfTask):
 
     def _check_asset(self) -> None:
         num_dofs, num_actuators = self._layout.num_dofs, self._model.nu
-        if num_dofs not in self.num_dofs_of_assets or num_actuators != num_dofs:
-            expected = " or ".join(str(n) for n in self.num_dofs_of_assets)
+        choices = self.num_dofs_of_assets or (num_dofs,)
+        if num_dofs not in choices or num_actuators != num_dofs:
+            expected = " or ".join(str(n) for n in choices)
             name = self.env_cfg.asset.asset_file_name or self.default_asset
             raise ConfigError(
                 f"task.env.asset.assetFileName='{name}' has"
@@ -174,7 +175,9 @@ class HumanoidAMPBase(MjcfTask):
     def _observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the observations of all environments, or of `env_ids` (n,)."""
         return compute_humanoid_observations(
-            *self._character_states(env_ids), self.env_cfg.local_root_obs
+            *self._character_states(env_ids),
+            self.env_cfg.local_root_obs,
+            dof_offsets=self._layout.dof_offsets,
         )
 
     def _character_states(self, env_ids: Tensor | None) -> CharacterState:
@@ -224,10 +227,20 @@ class HumanoidAMPBase(MjcfTask):
         self._write_default_pose(env_ids)
 
     def _write_default_pose(self, env_ids: Tensor) -> None:
-        """Upright, facing +x, at rest, all joint angles zero."""
+        root_state, dof_pos = self.default_pose()
         n = len(env_ids)
-        root_states = torch.zeros(n, 13, device=self.device)
-        root_states[:, 2] = _START_HEIGHT_M
-        root_states[:, 6] = 1.0
-        dofs = torch.zeros(n, self._layout.num_dofs, device=self.device)
-        self.simulation.write_state(env_ids, root_states, dofs, dofs)
+        self.simulation.write_state(
+            env_ids,
+            root_state.repeat(n, 1),
+            dof_pos.repeat(n, 1),
+            torch.zeros(n, self._layout.num_dofs, device=self.device),
+        )
+
+    def default_pose(self) -> tuple[Tensor, Tensor]:
+        """Return root state (13,) and DOF positions (D,) rad in which episodes start by default.
+
+        Upright, facing +x, at rest, all joint angles zero.
+        """
+        root_state = torch.zeros(13, device=self.device)
+        root_state[2], root_state[6] = _START_HEIGHT_M, 1.0
+        return root_state, torch.zeros(self._layout.num_dofs, device=self.device)

@@ -34,7 +34,7 @@ _BALL_TARGET_SHARE = 1.2
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)  # kept for callers in any mode
 def _dof_obs_layout(
-    num_dofs: int, as_ase: bool, device: torch.device
+    dof_offsets: tuple[int, ...], as_ase: bool, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Index tensors of `_dof_features`.
 
@@ -42,8 +42,7 @@ def _dof_obs_layout(
     the features: before, all ball joints and then all hinges, component by component; after, in
     joint order.
     """
-    offsets = skeleton_for_num_dofs(num_dofs).dof_offsets
-    groups = list(itertools.pairwise(offsets))
+    groups = list(itertools.pairwise(dof_offsets))
     balls = [a + axis for axis in range(3) for a, b in groups if b - a == 3]
     hinges = [a for a, b in groups if b - a == 1]
     num_balls, per_hinge = len(balls) // 3, 6 if as_ase else 1
@@ -57,9 +56,9 @@ def _dof_obs_layout(
             order += range(next_hinge, 6 * num_balls + per_hinge * len(hinges), len(hinges))
             next_hinge += 1
     return (
-        torch.tensor(balls, device=device),
-        torch.tensor(hinges, device=device),
-        torch.tensor(order, device=device),
+        torch.tensor(balls, device=device, dtype=torch.long),
+        torch.tensor(hinges, device=device, dtype=torch.long),
+        torch.tensor(order, device=device, dtype=torch.long),
     )
 
 
@@ -78,28 +77,42 @@ def num_humanoid_obs(
     return _NUM_ROOT_OBS + joints + dof_offsets[-1] + 3 * num_key_bodies
 
 
-def dof_to_obs(dof_pos: Tensor, as_ase: bool = False) -> Tensor:
+def dof_to_obs(
+    dof_pos: Tensor, as_ase: bool = False, dof_offsets: tuple[int, ...] | None = None
+) -> Tensor:
     """Encode joint positions for the observation, in joint order.
 
     As IsaacGymEnvs' HumanoidAMP: a 3-DoF joint gives the tangent and normal of its rotation vector
     (6 numbers), the identity's if it is longer than pi; a hinge gives its angle (1). As ASE:
-    vectors of any length, and a hinge gives the tangent and normal of its turn about y (6).
+    vectors of any length, and a hinge gives the tangent and normal of its turn (6), about y
+    whatever its axis is.
 
     Args:
-        dof_pos: (N, D) rad, D = 28.
+        dof_pos: (N, D) rad.
         as_ase: ASE's encoding.
+        dof_offsets: first degree of freedom of each joint group, and D; None: those of the shipped
+            humanoid with D = 28 or 31.
 
     Returns:
-        (N, 52), or (N, 72) with `as_ase`.
+        (N, 6 per 3-DoF joint + 1 per hinge), or (N, 6 per joint) with `as_ase`; of 28 DOFs 52 or
+        72 numbers.
+
+    Raises:
+        ConfigError: no `dof_offsets`, and no shipped humanoid with D degrees of freedom.
     """
-    return _dof_features(dof_pos.t(), as_ase).t().contiguous()
+    offsets = dof_offsets or _offsets_of_shipped(dof_pos.shape[1])
+    return _dof_features(dof_pos.t(), offsets, as_ase).t().contiguous()
 
 
-def _dof_features(dof_pos: Tensor, as_ase: bool) -> Tensor:
-    """As `dof_to_obs`, component-major: (D, N) to (52 or 72, N)."""
-    balls, hinges, order = _dof_obs_layout(len(dof_pos), as_ase, dof_pos.device)
+def _offsets_of_shipped(num_dofs: int) -> tuple[int, ...]:
+    return skeleton_for_num_dofs(num_dofs).dof_offsets
+
+
+def _dof_features(dof_pos: Tensor, dof_offsets: tuple[int, ...], as_ase: bool) -> Tensor:
+    """As `dof_to_obs`, component-major: (D, N) to (features, N)."""
+    balls, hinges, order = _dof_obs_layout(dof_offsets, as_ase, dof_pos.device)
     # index_select is several times as fast as indexing with a tensor.
-    vectors = dof_pos.index_select(0, balls).unflatten(0, (3, -1))
+    vectors = dof_pos.index_select(0, balls).unflatten(0, (3, len(balls) // 3))
     rotations = tan_norm_components(exp_map_to_quat_components(vectors.unbind(0), as_ase))
     angles = dof_pos.index_select(0, hinges)
     if not as_ase:
@@ -116,6 +129,7 @@ def compute_humanoid_observations(
     key_body_pos: Tensor,
     local_root_obs: bool,
     as_ase: bool = False,
+    dof_offsets: tuple[int, ...] | None = None,
 ) -> Tensor:
     """Describe the humanoid's state; policy observation and one step of the AMP observation.
 
@@ -128,11 +142,14 @@ def compute_humanoid_observations(
         key_body_pos: (N, K, 3) world positions (m).
         local_root_obs: take the heading out of the root rotation too.
         as_ase: joint positions as ASE encodes them; see `dof_to_obs`.
+        dof_offsets: see `dof_to_obs`.
 
     Returns:
-        (N, 13 + 52 (or 72) + D + 3 K): root height, root rotation (tangent, normal), root linear
-        and angular velocity, joint positions, joint velocities, key bodies relative to the root.
+        (N, F), see `num_humanoid_obs`; with 28 DOFs F = 13 + 52 (or 72) + D + 3 K: root height,
+        root rotation (tangent, normal), root linear and angular velocity, joint positions, joint
+        velocities, key bodies relative to the root.
     """
+    offsets = dof_offsets or _offsets_of_shipped(dof_pos.shape[1])
     # One plane of N numbers for each component: operations on them run along memory.
     root = root_states.t().contiguous()
     cos, sin = heading_cos_sin(*root[3:7].unbind(0))
@@ -152,7 +169,7 @@ def compute_humanoid_observations(
             root[2:3],
             torch.stack(tan_norm_components(root_rot)),
             vectors[:2].flatten(0, 1),
-            _dof_features(dof_pos.t(), as_ase),
+            _dof_features(dof_pos.t(), offsets, as_ase),
             dof_vel.t(),
             vectors[2:].flatten(0, 1),
         )
