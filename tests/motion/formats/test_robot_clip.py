@@ -70,13 +70,13 @@ def test_bones_seed_is_in_cm_and_degrees(tmp_path):
 
 def write_pickle(path, data, protocol=4, numpy_1=False):
     content = pickle.dumps(data, protocol=protocol)
-    if numpy_1:  # protocol 2 has the names of modules on lines of their own
+    if numpy_1:  # protocol 3 has the names of modules on lines of their own
         content = content.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
     path.write_bytes(content)
     return path
 
 
-@pytest.mark.parametrize(("protocol", "numpy_1"), [(4, False), (2, True)])
+@pytest.mark.parametrize(("protocol", "numpy_1"), [(4, False), (3, True)])
 def test_gmr(tmp_path, protocol, numpy_1):
     keys = ("root_pos", "root_rot", "dof_pos")
     data = {"fps": 50, **dict(zip(keys, arrays(6), strict=True)), "local_body_pos": None}
@@ -109,8 +109,8 @@ def test_code_in_a_pickle_is_not_run(tmp_path):
 def test_tracking_archive_shows_its_order(tmp_path, mirror, world):
     position, rotation, dofs = arrays(29)
     bodies = position[:, None] + 0.01 * np.arange(30)[:, None] * [1.0, 0.0, 0.0]
-    bodies[:, 1] = position + [0.0, 0.06, -0.1]
-    bodies[:, mirror] = position + [0.0, -0.06, -0.1]
+    bodies[:, 1] = position + np.array([0.0, 0.06, -0.1])
+    bodies[:, mirror] = position + np.array([0.0, -0.06, -0.1])
     quaternions = np.repeat(np.roll(rotation, 1, axis=1)[:, None], 30, axis=1)
     if world:
         bodies = np.insert(bodies, 0, 0.0, axis=1)
