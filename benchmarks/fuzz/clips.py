@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from benchmarks.fuzz.mutators import (
     mutate_json,
     mutate_npz,
     mutate_object_npy,
+    mutate_pickle,
     mutate_text,
     mutate_yaml,
 )
@@ -24,6 +26,10 @@ from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
 from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
+from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
+from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
+from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
+from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
@@ -233,7 +239,45 @@ def _convert_by_mapping(path: Path) -> list[str]:
     ]
 
 
+def _joint_clips() -> list[JointClip]:
+    """Return short clips of a robot with three named joints."""
+    rng = np.random.default_rng(0)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+    return [
+        JointClip("robot", 30.0, np.zeros((5, 3)), still, rng.normal(size=(5, 3)), names)
+        for names in (("hip", "knee", "ankle"), None)
+    ]
+
+
+def _write_robot_csv(folder: Path) -> list[Path]:
+    return [
+        save_robot_csv(folder / f"robot{i}.csv", clip, header=clip.joint_names is not None)
+        for i, clip in enumerate(_joint_clips())
+    ]
+
+
+def _write_robot_npz(folder: Path) -> list[Path]:
+    return [save_robot_npz(folder / f"robot{i}", clip) for i, clip in enumerate(_joint_clips())]
+
+
+def _write_robot_pickles(folder: Path) -> list[Path]:
+    clip = _joint_clips()[0]
+    frames = np.hstack((clip.root_pos, clip.root_rot[:, :3], clip.dof_pos)).tolist()
+    keys = ("fps", "root_pos", "root_rot", "dof_pos")
+    written = []
+    for name, data in (
+        ("gmr", {key: getattr(clip, key) for key in keys}),
+        ("mimickit", {"fps": 30, "loop_mode": 0, "frames": frames}),
+    ):
+        written.append(folder / f"{name}.pkl")
+        written[-1].write_bytes(pickle.dumps(data, protocol=4))
+    return written
+
+
 KINDS = (
+    Kind("robot_csv", ".csv", _write_robot_csv, read_joint_clip, mutate_text, hostile.csv),
+    Kind("robot_npz", ".npz", _write_robot_npz, read_joint_clip, mutate_npz, hostile.npz),
+    Kind("robot_pickle", ".pkl", _write_robot_pickles, read_joint_clip, mutate_pickle),
     Kind("npz", ".npz", _write_npz, _play, mutate_npz, hostile.npz, _convert),
     Kind("poselib", ".npy", _write_poselib, _play, mutate_object_npy, hostile.poselib, _convert),
     Kind(

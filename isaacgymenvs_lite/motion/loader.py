@@ -20,6 +20,12 @@ from isaacgymenvs_lite.motion.formats.files import read_json, reading
 from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_poselib_npy
+from isaacgymenvs_lite.motion.formats.robot_clip import (
+    PICKLES,
+    looks_like_joint_clip,
+    read_joint_clip,
+)
+from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_dofs
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 
 _DATASET_SUFFIXES = (".yaml", ".yml")
@@ -51,7 +57,8 @@ def load_clips(
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
             clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
             others are one clip with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
-            `.json` of DeepMimic, `.csv` of joint angles.
+            `.json` of DeepMimic, `.csv` of joint angles, and files of robots' joint coordinates
+            (`formats.robot_clip`).
         skeleton: the humanoid; the bodies of the clips are reordered to match it. By default the
             one with 28 degrees of freedom.
 
@@ -166,8 +173,11 @@ def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, 
 def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, Skeleton]:
     """Read one clip by the suffix of its file, for the humanoid that has its bodies.
 
-    A format without names of bodies is read for the first.
+    A format without names of bodies, and a robot's file of joint coordinates, is read for the
+    first.
     """
+    if looks_like_joint_clip(path):
+        return _clip_of_joints(path, skeletons[0]), skeletons[0]
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
         ".npy": load_poselib_npy,
@@ -178,7 +188,7 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
     if path.suffix not in readers:
         hint = f"; convert it first: {_CONVERT}" if path.suffix == ".bvh" else ""
         raise MotionFileError(
-            f"{path}: a clip ends in {', '.join(readers)} and a data set in .yaml, "
+            f"{path}: a clip ends in {', '.join((*readers, *PICKLES))} and a data set in .yaml, "
             f"found '{path.suffix}'{hint}"
         )
     with reading(path, "motion clip"):
@@ -186,6 +196,13 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
         fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
         skeleton = fitting[0] if fitting else skeletons[0]
         return fit_to_skeleton(clip, skeleton), skeleton
+
+
+def _clip_of_joints(path: Path, skeleton: Skeleton) -> MotionClip:
+    """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
+    joints = read_joint_clip(path).fitted_to(skeleton.dof_names)
+    qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
+    return clip_from_qpos(str(path), joints.fps, skeleton, qpos)
 
 
 def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:

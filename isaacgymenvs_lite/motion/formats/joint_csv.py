@@ -25,27 +25,22 @@ from isaacgymenvs_lite.motion.formats.files import (
     written_clip,
 )
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import (
-    clip_from_qpos,
-    dofs_of_clip,
-    qpos_from_dofs,
-    rotations_from_dofs,
-)
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, rotations_from_dofs
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
-_TIME = "time"
-_POSITION = ("root_x", "root_y", "root_z")
-_ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
+TIME = "time"
+POSITION = ("root_x", "root_y", "root_z")
+ROTATION = ("root_qx", "root_qy", "root_qz", "root_qw")
 # Factors to the unit of the clip; the first of each kind is the one that is written.
-_TIME_UNITS = {"s": 1.0, "ms": 1e-3}
-_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
-_COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
+TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
 # How much a time step may differ from the others; times are often rounded to milliseconds.
 _STEP_TOLERANCE = 0.1
 # The humanoid with sword and shield has 39 columns.
-_MAX_COLUMNS, _MAX_COLUMN_LENGTH = 200, 200
+MAX_COLUMNS, MAX_COLUMN_LENGTH = 200, 200
 _MAX_LINES = 200_000
 
 
@@ -96,38 +91,34 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
 
 
 def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    lines, fps = _lines(Path(path))
-    if len(lines[0]) > _MAX_COLUMNS or max(map(len, lines[0])) > _MAX_COLUMN_LENGTH:
+    lines, fps = read_lines(Path(path))
+    if len(lines[0]) > MAX_COLUMNS or max(map(len, lines[0])) > MAX_COLUMN_LENGTH:
         raise MotionFileError(
             f"{path}: the header has {len(lines[0])} columns with names of up to "
-            f"{max(map(len, lines[0]))} characters, expected at most {_MAX_COLUMNS} and "
-            f"{_MAX_COLUMN_LENGTH}"
+            f"{max(map(len, lines[0]))} characters, expected at most {MAX_COLUMNS} and "
+            f"{MAX_COLUMN_LENGTH}"
         )
-    header = [_COLUMN.fullmatch(text) for text in lines[0]]
+    header = [COLUMN.fullmatch(text) for text in lines[0]]
     if not all(header):
         raise MotionFileError(f"{path}: the header has a column that is not like 'name [unit]'")
     names = [match["name"] for match in header if match]
     skeleton = _skeleton_of(names, skeletons)
     factors = _factors(names, [match["unit"] for match in header if match], skeleton, path)
-    table = _numbers(lines[1:], len(names), path) * factors
+    table = read_numbers(lines[1:], len(names), path) * factors
     column = {name: table[:, i] for i, name in enumerate(names)}
-    if _TIME in column:
-        fps = _frame_rate(column[_TIME], path)
+    if TIME in column:
+        fps = frame_rate(column[TIME], path)
     if fps is None:
         raise MotionFileError(
             f"{path}: has no column 'time [s]'; add one, or the first line '# fps: 30'"
         )
-    root_rotation = np.stack([column[name] for name in _ROTATION], axis=-1)
+    root_rotation = np.stack([column[name] for name in ROTATION], axis=-1)
     dofs = np.stack([column[name] for name in skeleton.dof_names], axis=-1)
     if np.abs(dofs).max() > MAX_JOINT_RAD:
         raise MotionFileError(
             f"{path}: a joint angle is {np.abs(dofs).max():.3g} rad, expected at most "
             f"{MAX_JOINT_RAD:g}"
         )
-    root = np.stack([column[name] for name in _POSITION], axis=-1)
-    if not skeleton.has_simple_joints:
-        poses = qpos_from_dofs(skeleton, root, root_rotation, dofs)
-        return clip_from_qpos(str(path), fps, skeleton, poses)
     return MotionClip.from_poses(
         str(path),
         fps,
@@ -135,21 +126,21 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
         skeleton.parent_indices,
         skeleton.local_translation,
         rotations_from_dofs(skeleton, root_rotation, dofs),
-        root,
+        np.stack([column[name] for name in POSITION], axis=-1),
     )
 
 
 def _columns(skeleton: Skeleton) -> dict[str, dict[str, float]]:
     """Return the names of all columns and the units each may have; none for quaternions."""
     return {
-        _TIME: _TIME_UNITS,
-        **dict.fromkeys(_POSITION, _LENGTH_UNITS),
-        **{name: {} for name in _ROTATION},
-        **dict.fromkeys(skeleton.dof_names, _ANGLE_UNITS),
+        TIME: TIME_UNITS,
+        **dict.fromkeys(POSITION, LENGTH_UNITS),
+        **{name: {} for name in ROTATION},
+        **dict.fromkeys(skeleton.dof_names, ANGLE_UNITS),
     }
 
 
-def _lines(path: Path) -> tuple[list[list[str]], float | None]:
+def read_lines(path: Path) -> tuple[list[list[str]], float | None]:
     """Return the cells of the header and of the rows, and the rate of the line `# fps:`."""
     comments, kept = [], []
     try:
@@ -160,7 +151,7 @@ def _lines(path: Path) -> tuple[list[list[str]], float | None]:
                     f"{path}: has more than {_MAX_LINES:,} lines; cut it into several clips"
                 )
             if line.startswith("#"):
-                comments.append(line[:_MAX_COLUMN_LENGTH].rstrip("\n"))
+                comments.append(line[:MAX_COLUMN_LENGTH].rstrip("\n"))
             elif line.strip():
                 kept.append(line)
         lines = list(csv.reader(kept))
@@ -199,7 +190,7 @@ def _factors(
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
         raise MotionFileError(f"{path}: the header names {', '.join(double)} twice")
-    missing = [name for name in known if name not in names and name != _TIME]
+    missing = [name for name in known if name not in names and name != TIME]
     if missing:
         raise MotionFileError(
             f"{path}: the header lacks {', '.join(missing)}; a clip of the humanoid with "
@@ -218,12 +209,12 @@ def _factors(
     return np.array(factors)
 
 
-def _numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
+def read_numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
     """Return the rows (T, width) as numbers."""
     for i, row in enumerate(rows):
         if len(row) != width:
             raise MotionFileError(
-                f"{path}: row {i + 1} has {len(row)} values, expected {width} as in the header"
+                f"{path}: row {i + 1} has {len(row)} values, expected {width} as in the first line"
             )
     try:
         table = np.array(rows, dtype=np.float64)
@@ -235,7 +226,7 @@ def _numbers(rows: list[list[str]], width: int, path: str | Path) -> FloatArray:
     return table
 
 
-def _frame_rate(times: FloatArray, path: str | Path) -> float:
+def frame_rate(times: FloatArray, path: str | Path) -> float:
     """Return the frames per second of times (T) in s at equal steps."""
     steps = np.diff(times)
     if len(steps) == 0:

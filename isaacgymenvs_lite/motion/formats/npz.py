@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -85,17 +86,17 @@ def load_npz(path: str | Path) -> MotionClip:
             that is not valid.
     """
     with reading(path, _EXPECTED):
-        return _clip(_read_arrays(Path(path)), path)
+        return _clip(read_arrays(path, _KNOWN_KEYS), path)
 
 
 def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     _check_keys(arrays, path)
     for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS):
         if key in arrays:
-            _check_kind(arrays[key], key, "f", path)
-    _check_kind(arrays["body_names"], "body_names", "U", path)
-    _check_kind(arrays["parent_indices"], "parent_indices", "iu", path)
-    _check_kind(arrays["fps"], "fps", "fiu", path)
+            check_kind(arrays[key], key, "f", path)
+    check_kind(arrays["body_names"], "body_names", "U", path)
+    check_kind(arrays["parent_indices"], "parent_indices", "iu", path)
+    check_kind(arrays["fps"], "fps", "fiu", path)
     if arrays["fps"].size != 1:
         raise MotionFileError(f"{path}: fps has shape {arrays['fps'].shape}, expected one number")
     names = tuple(str(name) for name in arrays["body_names"].ravel())
@@ -111,20 +112,34 @@ def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     return clip
 
 
-def _read_arrays(path: Path) -> dict[str, npt.NDArray]:
-    """Return the arrays of a clip; other members of the archive are not unpacked."""
+def read_arrays(path: str | Path, keys: Collection[str]) -> dict[str, npt.NDArray]:
+    """Return those arrays of an archive that `keys` names; other members are not unpacked.
+
+    Works within `reading`: a damaged archive raises anything, one that is too large a
+    MotionFileError.
+    """
+    with _opened(Path(path)) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        members = {key: members[key] for key in keys if key in members}
+        if sum(member.file_size for member in members.values()) > MAX_BINARY_BYTES:
+            size = MAX_BINARY_BYTES // 2**20
+            raise MotionFileError(f"{path}: its arrays promise more than {size} MiB")
+        return {key: _read_array(archive, member) for key, member in members.items()}
+
+
+def array_names(path: str | Path) -> set[str]:
+    """Return the names of the arrays of an archive without reading them; see `read_arrays`."""
+    with _opened(Path(path)) as archive:
+        return {name.removesuffix(".npy") for name in archive.namelist()}
+
+
+def _opened(path: Path) -> zipfile.ZipFile:
     content = read_bytes(path, MAX_BINARY_BYTES)
     if content.startswith(np.lib.format.MAGIC_PREFIX):
         raise MotionFileError(f"{path}: holds a single array (.npy), expected an .npz archive")
     if content.count(_MEMBER_SIGNATURE) > _MAX_MEMBERS:
         raise ValueError(f"an archive of more than {_MAX_MEMBERS:,} members")
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-        members = {key: members[key] for key in _KNOWN_KEYS if key in members}
-        if sum(member.file_size for member in members.values()) > MAX_BINARY_BYTES:
-            size = MAX_BINARY_BYTES // 2**20
-            raise MotionFileError(f"{path}: its arrays promise more than {size} MiB")
-        return {key: _read_array(archive, member) for key, member in members.items()}
+    return zipfile.ZipFile(io.BytesIO(content))
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray:
@@ -165,7 +180,8 @@ def _check_keys(arrays: dict[str, npt.NDArray], path: str | Path) -> None:
         )
 
 
-def _check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> None:
+def check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> None:
+    """Raise a MotionFileError for an array of other than the expected numpy kinds."""
     words = {"f": "floats", "U": "strings", "iu": "integers", "fiu": "numbers"}
     if array.dtype.kind not in kinds:
         raise MotionFileError(f"{path}: {key} holds {array.dtype}, expected {words[kinds]}")

@@ -1,4 +1,4 @@
-"""Reads the pickled dictionary of a poselib `.npy` file without running anything from the file.
+"""Reads pickled dictionaries of clips (`.npy`, `.pkl`) without running anything from the file.
 
 A pickle is a program that may call any function it can name: `numpy.load(allow_pickle=True)` runs
 any code in the file. Here the names that occur in real clips are replaced by inert classes of this
@@ -32,6 +32,7 @@ T = TypeVar("T")
 _PLAIN_DTYPE = re.compile(r"(f[248]|[iu][1248]|b1|U\d{1,4})")
 _OBJECT_DTYPE = "O8"
 _EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
+_MIMICKIT_CLASSES = (("anim.motion", "Motion"), ("anim.motion", "LoopMode"))
 _MAX_SHARING = 4
 _MAX_VALUES = 1_000_000
 _MAX_DEPTH = 64
@@ -154,6 +155,11 @@ class _RestrictedUnpickler(LimitedUnpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         found = self._names.get((module, name))
+        if found is None and (module, name) in _MIMICKIT_CLASSES:
+            raise MotionFileError(
+                f"{self._path}: is a pickled object of MimicKit's class {name}, as its first "
+                "versions wrote it; save it again as a dictionary of fps, loop_mode and frames"
+            )
         if found is None:
             raise MotionFileError(
                 f"{self._path}: refused, nothing was run: the file imports "
@@ -187,6 +193,26 @@ def load_object_npy(path: str | Path) -> Any:
         if not isinstance(array, _PickledArray):
             raise ValueError("no numpy array")
         return _Resolver(len(stream.getbuffer())).resolve(array.single_object())
+
+
+def load_pickle(path: str | Path, expected: str) -> Any:
+    """Return the content of a pickle file of plain values and numpy arrays.
+
+    Args:
+        path: of the file.
+        expected: what the file should be, for the messages.
+
+    Raises:
+        MotionFileError: as `load_object_npy`.
+    """
+    path = Path(path)
+    with reading(path, expected):
+        content = read_bytes(path, MAX_BINARY_BYTES)
+        if not content:
+            raise MotionFileError(f"{path}: the file is empty, expected a {expected}")
+        return _Resolver(len(content)).resolve(
+            _RestrictedUnpickler(io.BytesIO(content), path).load()
+        )
 
 
 def _skip_header(stream: io.BytesIO, path: Path) -> None:

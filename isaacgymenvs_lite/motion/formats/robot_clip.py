@@ -1,0 +1,90 @@
+"""Reads the clip file of a robot, whichever of the known forms it has."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.formats.files import reading
+from isaacgymenvs_lite.motion.formats.joint_csv import COLUMN, POSITION, ROTATION, TIME, read_lines
+from isaacgymenvs_lite.motion.formats.robot_csv import is_number, load_robot_csv
+from isaacgymenvs_lite.motion.formats.robot_npz import is_robot_npz, load_robot_npz
+from isaacgymenvs_lite.motion.formats.robot_pickle import load_robot_pickle
+from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, skeleton_for_num_dofs
+
+_log = logging.getLogger(__name__)
+PICKLES = (".pkl", ".pickle")
+_SUFFIXES = (".csv", ".npz", *PICKLES)
+
+
+def looks_like_joint_clip(path: str | Path) -> bool:
+    """Return whether a file is read by `read_joint_clip` rather than as a clip of a humanoid.
+
+    A table with our header is one unless its joints are mostly a shipped humanoid's. A damaged
+    file is none; its own reader says what is wrong with it.
+    """
+    path = Path(path)
+    try:
+        if path.suffix == ".npz":
+            return is_robot_npz(path)
+        if path.suffix != ".csv":
+            return path.suffix in PICKLES
+        with reading(path, "table of joint angles"):
+            header = read_lines(path)[0][0]
+    except MotionFileError:
+        return False
+    if not header or is_number(header[0]):
+        return bool(header)
+    matches = [COLUMN.fullmatch(text[:100]) for text in header]
+    names = {match["name"] for match in matches if match}
+    joints = names - {TIME, *POSITION, *ROTATION}
+    of_humanoids = {
+        name for number in SHIPPED_NUM_DOFS for name in skeleton_for_num_dofs(number).dof_names
+    }
+    return len(joints & of_humanoids) < len(joints) / 2
+
+
+def read_joint_clip(
+    path: str | Path,
+    fps: float | None = None,
+    joint_names: Sequence[str] | None = None,
+    quat_order: Literal["xyzw", "wxyz"] = "xyzw",
+) -> JointClip:
+    """Read a robot's clip by the content of its file; what looks odd is logged as a warning.
+
+    Args:
+        path: `.csv`, `.npz` or `.pkl`, see docs/motion_formats.md.
+        fps: frames per second of a table that has no rate (by default 30, BONES-SEED 120).
+        joint_names: of the file's columns, in place of those that it has or implies.
+        quat_order: "wxyz" for a file whose quaternions are not in the order of its format.
+
+    Raises:
+        MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
+    """
+    path = Path(path)
+    if path.suffix not in _SUFFIXES:
+        raise MotionFileError(
+            f"{path}: a robot's clip ends in {', '.join(_SUFFIXES)}, found '{path.suffix}'"
+        )
+    if quat_order not in ("xyzw", "wxyz"):
+        raise MotionFileError(f"quat_order is {quat_order!r}; choices: xyzw, wxyz")
+    with reading(path, "clip of a robot"):
+        if path.suffix == ".csv":
+            clip = load_robot_csv(path, fps)
+        elif path.suffix == ".npz":
+            clip = load_robot_npz(path, joint_names)
+        else:
+            clip = load_robot_pickle(path)
+        if joint_names is not None:
+            clip = dataclasses.replace(clip, joint_names=tuple(joint_names))
+        clip.validate()
+        if quat_order == "wxyz":
+            clip = clip.with_quaternions_from_wxyz()
+        for oddity in clip.oddities():
+            _log.warning("%s: %s", path, oddity)
+    return clip

@@ -1,0 +1,257 @@
+"""A clip of a robot as it comes from a file: root poses and joint coordinates, without a skeleton.
+
+Files of robots' clips hold no bodies. `JointClip.fitted_to` puts the joints into the order of a
+robot; formats.robot_clip reads the files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.clip import (
+    MAX_FPS,
+    MAX_JOINT_RAD,
+    MAX_PLACE_M,
+    MAX_POSES,
+    MIN_FPS,
+)
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.utils import rotations
+
+_log = logging.getLogger(__name__)
+
+_MAX_JOINTS = 500
+_MAX_SPEED_M_S, _MAX_SPEED_RAD_S = 1_000.0, 100_000.0
+_UNIT_TOLERANCE = 1e-3
+# What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
+_ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
+_ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
+# A root is upright where its z axis is within 60 degrees of the world's.
+_UPRIGHT_COSINE = 0.5
+_LISTED = 8
+_HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
+_SUFFIX = re.compile(r"(_joint|_dof)+$")
+
+
+@dataclass(frozen=True, eq=False)
+class JointClip:
+    """T >= 2 frames of a robot with D joint coordinates; z up, quaternions xyzw.
+
+    Attributes:
+        name: the source of the clip, its path.
+        fps: frames per second.
+        root_pos: (T, 3) m, world position of the root body.
+        root_rot: (T, 4) xyzw, rotation of the root body to the world.
+        dof_pos: (T, D) rad, angles of hinges, and rotation vectors of ball joints.
+        joint_names: D names, or None where the file has none.
+    """
+
+    name: str
+    fps: float
+    root_pos: FloatArray
+    root_rot: FloatArray
+    dof_pos: FloatArray
+    joint_names: tuple[str, ...] | None = None
+
+    @property
+    def num_frames(self) -> int:
+        """The number of frames T."""
+        return len(self.dof_pos)
+
+    @property
+    def num_dofs(self) -> int:
+        """The number of joint coordinates D."""
+        return int(np.shape(self.dof_pos)[1])
+
+    def validate(self) -> None:
+        """Check that the clip can be used.
+
+        Raises:
+            MotionFileError: arrays that do not fit together, fewer than two frames, too many
+                numbers, NaN or infinity, quaternions that are not of unit length (1e-3), names
+                that are not unique; a frame rate, place, angle or speed that no motion has.
+        """
+        self._check_shapes()
+        if not MIN_FPS <= self.fps <= MAX_FPS:
+            raise MotionFileError(
+                f"{self.name}: fps is {self.fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}"
+            )
+        for key in ("root_pos", "root_rot", "dof_pos"):
+            finite = np.isfinite(getattr(self, key))
+            if not finite.all():
+                where = tuple(int(i) for i in np.argwhere(~finite)[0])
+                raise MotionFileError(
+                    f"{self.name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN "
+                    f"or infinite, the first at index {where}"
+                )
+        self._check_sizes()
+        deviation = np.abs(np.linalg.norm(self.root_rot, axis=-1) - 1.0)
+        if deviation.max() > _UNIT_TOLERANCE:
+            raise MotionFileError(
+                f"{self.name}: root_rot of frame {int(deviation.argmax())} is no unit quaternion "
+                f"(length off by {deviation.max():.3g}, allowed {_UNIT_TOLERANCE:g})"
+            )
+
+    def _check_shapes(self) -> None:
+        if np.ndim(self.dof_pos) != 2:
+            raise MotionFileError(
+                f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, "
+                "expected (frames, joints)"
+            )
+        frames, dofs = self.num_frames, self.num_dofs
+        if not 1 <= dofs <= _MAX_JOINTS or frames * dofs > MAX_POSES:
+            raise MotionFileError(
+                f"{self.name}: has {frames} frames of {dofs} joints, expected 1 to {_MAX_JOINTS} "
+                f"joints and at most {MAX_POSES:,} angles; cut it into several clips"
+            )
+        if frames < 2:
+            raise MotionFileError(f"{self.name}: holds {frames} frame(s), expected at least 2")
+        for key, width in (("root_pos", 3), ("root_rot", 4)):
+            found = np.shape(getattr(self, key))
+            if found != (frames, width):
+                raise MotionFileError(
+                    f"{self.name}: {key} has shape {found}, expected {(frames, width)} for "
+                    f"{frames} frames of dof_pos"
+                )
+        names = self.joint_names
+        if names is not None and (len(names) != dofs or len(set(names)) != dofs):
+            raise MotionFileError(
+                f"{self.name}: has {len(names)} names of joints ({len(set(names))} different "
+                f"ones), expected one for each of {dofs} columns"
+            )
+
+    def _check_sizes(self) -> None:
+        limits = (
+            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
+            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
+            ("the root's speed", self._root_speed().max(), _MAX_SPEED_M_S, "m/s"),
+            ("a joint's speed", self._joint_speed().max(), _MAX_SPEED_RAD_S, "rad/s"),
+        )
+        for what, largest, limit, unit in limits:
+            if largest > limit:
+                raise MotionFileError(
+                    f"{self.name}: {what} has {largest:.4g} {unit}, expected at most {limit:g} "
+                    f"{unit}; is its unit another one?"
+                )
+
+    def _root_speed(self) -> FloatArray:
+        """Return the root's speed (T-1) in m/s."""
+        return np.linalg.norm(np.diff(self.root_pos.astype(np.float64), axis=0), axis=-1) * self.fps
+
+    def _joint_speed(self) -> FloatArray:
+        """Return the joints' speeds (T-1, D) in rad/s."""
+        return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
+
+    def oddities(self) -> list[str]:
+        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion."""
+        found = [*self._tilt()]
+        root, joints = float(self._root_speed().max()), self._joint_speed()
+        if root > _ODD_ROOT_SPEED_M_S:
+            found.append(
+                f"the root moves at {root:.3g} m/s at {self.fps:g} fps; check fps and units"
+            )
+        if joints.max() > _ODD_JOINT_SPEED_RAD_S:
+            joint = int(joints.max(axis=0).argmax())
+            label = self.joint_names[joint] if self.joint_names else f"joint {joint}"
+            found.append(
+                f"{label} turns at {joints.max():.3g} rad/s at {self.fps:g} fps; "
+                "check fps and units"
+            )
+        if np.abs(self.dof_pos).max() > _ODD_JOINT_RAD:
+            found.append(
+                f"a joint is at {np.abs(self.dof_pos).max():.3g} rad; is the unit degrees?"
+            )
+        if np.abs(self.root_pos[:, 2]).max() > _ODD_HEIGHT_M:
+            found.append(
+                f"the root is {np.abs(self.root_pos[:, 2]).max():.3g} m high; is the unit cm?"
+            )
+        return found
+
+    def _tilt(self) -> list[str]:
+        lying = 1.0 - _upright_share(self.root_rot)
+        if lying <= 0.5:
+            return []
+        text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
+        if _upright_share(_from_wxyz(self.root_rot)) > 0.5:
+            return [f"{text}, but not if its quaternions are wxyz: read it with quat_order='wxyz'"]
+        return [text]
+
+    def with_quaternions_from_wxyz(self) -> JointClip:
+        """Return the clip with the numbers of `root_rot` read as wxyz."""
+        return dataclasses.replace(self, root_rot=_from_wxyz(self.root_rot))
+
+    def fitted_to(self, joint_names: Sequence[str], by_order: bool = False) -> JointClip:
+        """Return the clip with the joints of a robot in its order.
+
+        Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
+        side. Joints of hands that only the file has are dropped; those that only the robot has
+        stay at 0 rad. Both are logged. Without names the order and the number of joints count.
+
+        Args:
+            joint_names: of the robot's joint coordinates, in its order.
+            by_order: ignore the names of the file.
+
+        Raises:
+            MotionFileError: other joints are missing or extra, or the number differs.
+        """
+        names = tuple(joint_names)
+        if self.joint_names is None or by_order:
+            if self.num_dofs != len(names):
+                raise MotionFileError(
+                    f"{self.name}: has {self.num_dofs} joints without names, the robot has "
+                    f"{len(names)} ({_listed(names)}); give a clip of this robot"
+                )
+            return dataclasses.replace(self, joint_names=names)
+        ours = {name: i for i, name in enumerate(_comparable(self.joint_names, names))}
+        theirs = _comparable(names, self.joint_names)
+        missing = [name for name in theirs if name not in ours]
+        extra = [name for name in ours if name not in set(theirs)]
+        if not all(map(_is_of_hand, (*missing, *extra))):
+            raise MotionFileError(
+                f"{self.name}: its joints are not the robot's; only the robot has "
+                f"{_listed(missing)}; only the file has {_listed(extra)}"
+                + ("; by_order=True ignores names" if self.num_dofs == len(names) else "")
+            )
+        for what, joints in (("drops", extra), ("leaves at 0 rad", missing)):
+            if joints:
+                _log.info("%s: %s the joints of hands %s", self.name, what, _listed(joints))
+        dof_pos = np.zeros((self.num_frames, len(names)), dtype=self.dof_pos.dtype)
+        for column, name in enumerate(theirs):
+            if name in ours:
+                dof_pos[:, column] = self.dof_pos[:, ours[name]]
+        return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
+
+
+def _upright_share(root_rot: FloatArray) -> float:
+    """Return the share of rotations (T, 4) that keep z within 60 degrees of the world's."""
+    x, y = root_rot[:, 0], root_rot[:, 1]
+    return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT_COSINE).mean())
+
+
+def _from_wxyz(quaternions: FloatArray) -> FloatArray:
+    return rotations.xyzw_from_wxyz(torch.from_numpy(np.ascontiguousarray(quaternions))).numpy()
+
+
+def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return the names without endings, unless two of one side would become the same."""
+    short = [_SUFFIX.sub("", name) for name in names]
+    other_short = {_SUFFIX.sub("", name) for name in others}
+    unique = len(set(short)) == len(names) and len(other_short) == len(others)
+    return short if unique else list(names)
+
+
+def _is_of_hand(name: str) -> bool:
+    return not _HAND_WORDS.isdisjoint(name.lower().split("_"))
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:_LISTED]) or "none"
+    return shown + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
