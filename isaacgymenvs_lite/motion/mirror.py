@@ -65,7 +65,10 @@ def mirror_clip(clip: MotionClip, name: str, skeleton: Skeleton | None = None) -
                 f"{clip.name}: has joint coordinates (dof_pos); pass the skeleton of the clip"
             )
         columns, signs = _dof_partners(skeleton, order)
-        changed["dof_pos"] = clip.dof_pos[:, columns] * signs.astype(clip.dof_pos.dtype)
+        # Hinges are mirrored about their angles at rest.
+        at_rest = np.repeat(skeleton.joint_refs, skeleton.dof_sizes)
+        image = at_rest + signs * (clip.dof_pos - at_rest)[:, columns]
+        changed["dof_pos"] = image.astype(clip.dof_pos.dtype)
     if np.ndim(clip.local_translation) == 3:
         offsets = clip.local_translation[:, order]
         changed["local_translation"] = offsets * _LINEAR.astype(offsets.dtype)

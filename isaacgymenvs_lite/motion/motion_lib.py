@@ -111,7 +111,7 @@ class MotionLib:
             self.skeleton, with_angles=has_dofs or not self.skeleton.has_simple_joints
         )
         self._build_frame_tables(key_ids)
-        self._dof_columns = torch.tensor(self._joints.columns).to(self.device)
+        self._dof_columns = torch.tensor(self._joints.columns, dtype=torch.long, device=self.device)
 
     def num_motions(self) -> int:
         """Return the number of clips."""

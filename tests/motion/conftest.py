@@ -8,12 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
+import torch
 
 from isaacgymenvs_lite.motion import convert
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.utils import rotations
 
 
 @pytest.fixture
@@ -39,6 +42,53 @@ def tiny() -> Skeleton:
         foot_body_ids=(),
         foot_corners=np.zeros((0, 3)),
     )
+
+
+# Rest rotations, an oblique hinge and one that is 0.3 rad at rest, three hinges on one body, joints
+# beside the origins of their bodies, hinges before a ball joint, and an object after the robot.
+ROBOT = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="rail"><geom size="0.1"/></body>
+  <body name="base" pos="0 0 1" quat="0.9 0.1 0.3 0.2"><freejoint/><geom size="0.1"/>
+    <body name="left_arm" pos="0.1 0.4 0.2" quat="0.8 0.1 -0.4 0.3"><geom size="0.1"/>
+      <joint name="left_turn" axis="1 2 -0.5" range="-6 6"/>
+      <body name="left_hand" pos="0 0.3 0.1" euler="0.3 0.5 -0.2"><geom size="0.1"/>
+        <joint name="left_roll" axis="1 0 0" pos="0.05 0 -0.1"/>
+        <joint name="left_pitch" axis="0 1 0" ref="0.3"/>
+        <joint name="left_yaw" axis="0 0.6 0.8" pos="0 0.1 0"/></body></body>
+    <body name="spine" pos="-0.2 0 0.3"><geom size="0.1"/>
+      <joint name="bend" axis="0 0 -1" pos="0 0 -0.2" range="-1 2"/>
+      <joint name="lean" axis="0.5 1 0"/><joint name="neck" type="ball" pos="0 0.02 0.1"/>
+      <body name="skull" pos="0 0 0.2" euler="0.1 0 0"><geom size="0.05"/>
+        <body name="jaw" pos="0.1 0 0"><geom size="0.02"/><joint name="jaw" type="ball"/></body>
+      </body></body></body>
+  <body name="box" pos="3 0 0"><freejoint/><geom size="0.1"/></body>
+</worldbody></mujoco>
+"""
+FPS = 30.0
+
+
+@pytest.fixture
+def robot() -> Skeleton:
+    """A robot with every kind of joint that the shipped humanoids lack; 6 hinges, 2 balls."""
+    return Skeleton.from_model(mujoco.MjModel.from_xml_string(ROBOT))
+
+
+@pytest.fixture
+def moving() -> Callable[..., np.ndarray]:
+    """Return `moving(skeleton)`, smooth motions (40, nq) of all joints; hinges reach 3.5 rad."""
+
+    def move(skeleton: Skeleton, num_frames: int = 40) -> np.ndarray:
+        random = np.random.default_rng(7)
+        times_s = np.arange(num_frames)[:, None] / FPS
+        places = np.concatenate((times_s, 0.1 * np.sin(4.0 * times_s), 1.0 + 0.0 * times_s), axis=1)
+        parts = [places, _wxyz(np.sin(2.0 * times_s) * random.normal(size=3))]
+        for size in skeleton.dof_sizes:
+            wave = np.sin(random.uniform(2.0, 4.0) * times_s + random.uniform(0.0, 3.0))
+            parts.append(3.5 * wave if size == 1 else _wxyz(wave * random.normal(size=3)))
+        return np.concatenate(parts, axis=1)
+
+    return move
 
 
 @pytest.fixture
@@ -170,3 +220,9 @@ def _about(axis: str, angles_rad: Any) -> np.ndarray:
     quaternions[:, "xyz".index(axis)] = np.sin(half)
     quaternions[:, 3] = np.cos(half)
     return quaternions
+
+
+def _wxyz(vectors: np.ndarray) -> np.ndarray:
+    """Return the quaternions (T, 4) wxyz of rotation vectors (T, 3)."""
+    turns = rotations.exp_map_to_quat(torch.from_numpy(vectors), keep_long=True)
+    return rotations.wxyz_from_xyzw(turns).numpy()

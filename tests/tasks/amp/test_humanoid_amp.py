@@ -5,6 +5,7 @@ See `walk_clip` in tests/conftest.py: 1.5 s, root height 0.88 + 0.05 t.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import gymnasium
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP, build_amp_observations
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
 
@@ -79,6 +81,16 @@ def test_amp_observation_space(make_humanoid, steps: int, size: int) -> None:
     assert task.num_amp_obs == size
     task.reset()
     assert _zero_step(task)[-1]["amp_obs"].shape == (2, size)
+
+
+def test_a_subclass_names_the_skeleton_of_its_motions(make_humanoid) -> None:
+    class Renamed(HumanoidAMP):
+        def reference_skeleton(self) -> Skeleton:
+            names = [f"my_{name}" for name in skeleton_for_num_dofs(28).body_names]
+            return dataclasses.replace(skeleton_for_num_dofs(28), body_names=tuple(names))
+
+    with pytest.raises(MotionFileError, match="its skeleton lacks my_pelvis"):
+        make_humanoid(2, cls=Renamed)
 
 
 # --- starts of episodes -----------------------------------------------------------------------

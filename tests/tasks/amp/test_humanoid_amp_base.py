@@ -153,6 +153,25 @@ def test_torque_mode_turns_joints(make) -> None:
 # --- observations -----------------------------------------------------------------------------
 
 
+def test_a_subclass_may_start_in_another_pose(make_humanoid) -> None:
+    class Bent(HumanoidAMPBase):
+        num_dofs_of_assets = ()  # any number
+
+        def default_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+            root_state, dof_pos = super().default_pose()
+            root_state[2] = 1.2
+            dof_pos[KNEES] = 0.4
+            return root_state, dof_pos
+
+    task = make_humanoid(2, cls=Bent)
+    task.reset()
+    expected = torch.zeros(2, 28)
+    expected[:, KNEES] = 0.4
+    torch.testing.assert_close(task.simulation.dof_pos, expected, rtol=0.0, atol=ATOL)
+    torch.testing.assert_close(task.simulation.root_states[:, 2], torch.full((2,), 1.2))
+    torch.testing.assert_close(task.simulation.dof_vel, torch.zeros(2, 28))
+
+
 def test_observation_of_the_default_pose(make) -> None:
     task = make(2, stateInit="Default")
     observed = task.reset()["obs"]

@@ -8,11 +8,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     compute_humanoid_reset,
     compute_humanoid_reward,
     dof_to_obs,
+    num_humanoid_obs,
     pd_action_offset_scale,
 )
 
@@ -351,3 +353,23 @@ def test_limits_are_not_written_to() -> None:
     pd_action_offset_scale(lower, upper, (0, 3, 4))
     assert torch.equal(lower, torch.full((4,), -1.0))
     assert torch.equal(upper, torch.full((4,), 1.0))
+
+
+def test_joints_of_any_robot_are_encoded_by_their_layout() -> None:
+    """A hinge, a ball joint and a hinge, and hinges only; 5 DOFs belong to no shipped humanoid."""
+    dof_pos = torch.tensor([[0.3, 0.0, 0.0, 0.5, -4.0]])
+    mixed = dof_to_obs(dof_pos, dof_offsets=(0, 1, 4, 5))
+    cos, sin = math.cos(0.5), math.sin(0.5)
+    turned = [cos, sin, 0.0, 0.0, 0.0, 1.0]  # the x and the z axis, turned about z
+    _close(mixed[0], torch.tensor([0.3, *turned, -4.0]))
+    hinges = (0, 1, 2, 3, 4, 5)
+    _close(dof_to_obs(dof_pos, dof_offsets=hinges), dof_pos)
+    assert dof_to_obs(dof_pos, True, hinges).shape == (1, 30)
+    assert num_humanoid_obs(hinges, 2) == 13 + 5 + 5 + 6
+    root, keys = torch.zeros(1, 13), torch.zeros(1, 2, 3)
+    root[:, 6] = 1.0
+    obs = compute_humanoid_observations(root, dof_pos, 2.0 * dof_pos, keys, True, False, hinges)
+    _close(obs[0, 13:23], torch.cat((dof_pos, 2.0 * dof_pos), dim=1)[0])
+    assert obs.shape == (1, 29)
+    with pytest.raises(ConfigError, match="no humanoid with 5 degrees of freedom is shipped"):
+        dof_to_obs(dof_pos)
