@@ -26,7 +26,7 @@ from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 _AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
 # Bodies whose attitude is the joint's; the attitude of others follows from the places of their
 # joints.
-_WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
+WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
     if isinstance(entry, str):
         entry = {"joint": entry}
     settings = read_section(_BodySettings, entry, where=where, complete=True)
-    if settings.x is None and settings.z is None and body not in _WITH_ATTITUDE:
+    if settings.x is None and settings.z is None and body not in WITH_ATTITUDE:
         return BodySource(settings.joint, None, False)
     if settings.x is None or settings.z is None:
         raise ConfigError(

@@ -14,15 +14,22 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
-from isaacgymenvs_lite.motion.retargeting.solve import solve_poses
+from isaacgymenvs_lite.motion.retargeting.report import (
+    KEY_BODIES,
+    RetargetReport,
+    deepest,
+    sliding_speeds,
+    summed_up,
+)
+from isaacgymenvs_lite.motion.retargeting.solve import humanoid_problem, solve_poses
+from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh
 from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
-KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
-_ON_GROUND_M = 0.01  # a corner of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
 # A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
@@ -55,10 +62,11 @@ def retarget_bvh(
     _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)
-    targets = make_targets(source, mapping, skeleton)
+    targets = make_targets(source_from_bvh(source, mapping), humanoid_figure(skeleton))
     model_path = paths.assets_dir() / str(shipped_humanoid_with(skeleton.body_names))
     model = mujoco.MjModel.from_xml_path(str(model_path))
-    root, local = poses_from_qpos(skeleton, solve_poses(model, skeleton, targets))
+    problem = humanoid_problem(model, skeleton, targets, source.fps)
+    root, local = poses_from_qpos(skeleton, solve_poses(problem))
     clip = MotionClip.from_poses(
         str(path),
         source.fps,
@@ -68,10 +76,7 @@ def retarget_bvh(
         local.astype(np.float32),
         root.astype(np.float32),
     )
-    _log.info("scaled by %.3f, the length of the legs", targets.scale)
-    for line in (*describe_errors(clip, targets), describe_feet(clip, skeleton)):
-        _log.info(line)
-    _log.info("a joint is at its limit in %.0f %% of the frames", _limited(clip, skeleton) * 100.0)
+    _log_report(humanoid_report(clip, targets, skeleton))
     return clip
 
 
@@ -95,38 +100,26 @@ def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
     return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
 
 
-def key_body_errors(clip: MotionClip, targets: Targets) -> dict[str, FloatArray]:
-    """Return the distances (T,) in m of the key bodies from their targets."""
-    distances = np.linalg.norm(clip.global_poses()[0] - targets.positions, axis=-1)
-    return {body: distances[:, clip.body_names.index(body)] for body in KEY_BODIES}
-
-
-def describe_errors(clip: MotionClip, targets: Targets) -> list[str]:
-    """Return the errors of the key bodies in m, one line each."""
-    return [
-        f"{body}: {error.mean():.4f} m from the scaled source on average, {error.max():.4f} at most"
-        for body, error in key_body_errors(clip, targets).items()
-    ]
-
-
-def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
-    """Return one line: the depth of the feet in the ground and their sliding speed on it."""
-    corners = skeleton.sole_corners(*clip.global_poses())
-    depth = max(0.0, -float(corners[..., 2].min()))
-    speed = np.linalg.norm(np.diff(corners[..., :2], axis=0), axis=-1) * clip.fps
-    low = corners[..., 2] < _ON_GROUND_M
-    sliding = speed[low[1:] & low[:-1]]
-    if not sliding.size:
-        return f"feet: {depth:.4f} m below the ground at most; they never rest on it"
-    return (
-        f"feet: {depth:.4f} m below the ground at most; where they touch it they slide at "
-        f"{np.median(sliding):.3f} m/s (median)"
-    )
-
-
-def _limited(clip: MotionClip, skeleton: Skeleton) -> float:
-    """Return the share of the frames in which a joint has reached a limit."""
+def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
+    """Return what remains between a clip of a humanoid and its targets."""
+    positions, turns = clip.global_poses()
+    errors = np.linalg.norm(positions - targets.positions, axis=-1)
+    corners = skeleton.sole_corners(positions, turns)
     dofs = dofs_from_rotations(skeleton, clip.local_rotation)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
-    return float(near.any(axis=1).mean())
+    return RetargetReport(
+        scale=targets.scale,
+        errors_m={
+            body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES
+        },
+        deepest_m=deepest(corners),
+        slide_m_s=sliding_speeds(corners, clip.fps),
+        limited_share=float(near.any(axis=1).mean()),
+        fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
+    )
+
+
+def _log_report(report: RetargetReport) -> None:
+    for line in report.lines():
+        _log.info("%s", line)

@@ -1,0 +1,93 @@
+"""Which points of a foot touch the ground, and where the foot must be so that they rest there."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.retargeting.figure import Sole
+
+Flags = npt.NDArray[np.bool_]
+
+# A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
+# source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
+_LOW_M, _SLOW_M_S = 0.02, 0.5
+# Contacts shorter than this are noise, and so are gaps in them.
+_SHORTEST_S = 0.05
+
+
+def pin_feet(
+    sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
+) -> tuple[Flags, FloatArray]:
+    """Return how a foot must move so that points in contact rest on the ground.
+
+    Between contacts the correction passes smoothly from the last one's to the next one's.
+
+    Args:
+        sole: its points.
+        feet: (T, 3) m, the foot over the ground z = 0.
+        turns: (T, 4) xyzw, its attitude.
+        fps: frames per second.
+
+    Returns:
+        Which points are in contact (T, K), and the correction (T, 3) m of the place.
+    """
+    points = sole.places(feet, turns)
+    contact = find_contacts(points, fps)
+    touching = contact.any(axis=1)
+    moved = np.zeros_like(feet)
+    for start, end in spans(touching):
+        moved[start:end, :2] = _unslid(points[start:end, :, :2], contact[start:end])
+        moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
+    _bridge(moved, touching)
+    moved[:, 2] = np.maximum(moved[:, 2], -points[..., 2].min(axis=1))
+    return contact, moved
+
+
+def find_contacts(points: FloatArray, fps: float) -> Flags:
+    """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
+    contact = (points[..., 2] < _LOW_M) & (speed < _SLOW_M_S)
+    fewest = round(_SHORTEST_S * fps)
+    for column in contact.T:
+        for start, end in spans(~column):
+            if end - start < fewest and start > 0 and end < len(column):
+                column[start:end] = True
+        for start, end in spans(column):
+            if end - start < fewest:
+                column[start:end] = False
+    return contact
+
+
+def spans(flags: Flags) -> list[tuple[int, int]]:
+    """Return (start, end) of every run of True in (T,), the end excluded."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def _unslid(points: FloatArray, contact: Flags) -> FloatArray:
+    """Return the shift (T, 2) that removes the mean sliding of the points (T, K, 2) in contact.
+
+    Its mean is zero: the foot stays where the source has it.
+    """
+    steps = np.diff(points, axis=0)
+    both = (contact[1:] & contact[:-1])[..., None]
+    sliding = (steps * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+    shift = np.concatenate((np.zeros((1, 2)), -np.cumsum(sliding, axis=0)))
+    return shift - shift.mean(axis=0)
+
+
+def _bridge(values: FloatArray, known: Flags) -> None:
+    """Fill the rows of (T, D) that are not known with smooth ways between the known ones."""
+    for start, end in spans(~known):
+        before = values[start - 1] if start else None
+        after = values[end] if end < len(values) else None
+        if before is None or after is None:
+            values[start:end] = 0.0 if before is None and after is None else (
+                after if before is None else before
+            )
+            continue
+        share = np.arange(1, end - start + 1) / (end - start + 1)
+        share = (share * share * (3.0 - 2.0 * share))[:, None]
+        values[start:end] = before * (1.0 - share) + after * share
