@@ -45,6 +45,23 @@ def pin_feet(
     return contact, moved
 
 
+def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
+    """Return how the root must rise (T,) m so that the lowest point in contact is on the ground.
+
+    Between contacts it passes smoothly from one to the next; no point stays below the ground.
+
+    Args:
+        points: (T, ..., 3) m, of all soles.
+        contact: (T, ...), which of them are in contact.
+    """
+    heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
+    touching = np.isfinite(heights)
+    rise = np.where(touching, -heights, 0.0)[:, None]
+    _bridge(rise, touching)
+    lowest = points[..., 2].reshape(len(points), -1).min(axis=1)
+    return np.maximum(rise[:, 0], -lowest)
+
+
 def find_contacts(points: FloatArray, fps: float) -> Flags:
     """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
@@ -14,6 +16,7 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.report import (
@@ -23,14 +26,16 @@ from isaacgymenvs_lite.motion.retargeting.report import (
     sliding_speeds,
     summed_up,
 )
-from isaacgymenvs_lite.motion.retargeting.solve import humanoid_problem, solve_poses
-from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh
+from isaacgymenvs_lite.motion.retargeting.robot import Robot, body_poses, robot_problem
+from isaacgymenvs_lite.motion.retargeting.solve import IkProblem, humanoid_problem, solve_poses
+from isaacgymenvs_lite.motion.retargeting.source import FEET, SourceMotion, source_from_bvh
 from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
 _AT_LIMIT_RAD = np.radians(0.1)
+_ENDS = ("lower", "upper")
 # A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
@@ -78,6 +83,72 @@ def retarget_bvh(
     )
     _log_report(humanoid_report(clip, targets, skeleton))
     return clip
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A retargeted motion of a robot.
+
+    Attributes:
+        fps: frames per second.
+        qpos: (T, nq), in MuJoCo's order: root position in m and quaternion wxyz, then the joints.
+        report: how near it is to the source.
+    """
+
+    fps: float
+    qpos: npt.NDArray[np.float64]
+    report: RetargetReport
+
+
+def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
+    """Retarget a motion to a robot, and log what remains.
+
+    Args:
+        source: of a BVH file or of a clip of a shipped humanoid, see `source_from_clip`.
+        robot: see `robot_from_model`.
+
+    Raises:
+        MissingPackageError: mink is not installed.
+    """
+    targets = make_targets(source, robot.figure)
+    problem = robot_problem(robot, targets, source.fps)
+    qpos = solve_poses(problem)
+    most = max(len(robot.figure.soles[foot].radii) for foot in FEET)
+    contact = np.stack(
+        [
+            np.pad(flags, ((0, 0), (0, most - flags.shape[1])), "edge")
+            for flags in (targets.contacts[foot] for foot in FEET)
+        ],
+        axis=1,
+    )
+    qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
+    report = _robot_report(robot, problem, qpos, contact, targets.scale)
+    _log_report(report)
+    return RobotMotion(source.fps, qpos, report)
+
+
+def _robot_report(
+    robot: Robot, problem: IkProblem, qpos: FloatArray, contact: Flags, scale: float
+) -> RetargetReport:
+    mapped = {name: robot.mapping.bodies[name].body for name in KEY_BODIES if name in robot.frames}
+    places, _ = body_poses(robot.model, qpos, list(mapped.values()))
+    points = robot.soles(qpos)
+    hinges = problem.limits.hinges
+    angles = qpos[:, [hinge.qpos for hinge in hinges]]
+    lower, upper = (np.array([getattr(hinge, end)[0] for hinge in hinges]) for end in _ENDS)
+    near = np.minimum(angles - lower, upper - angles) < _AT_LIMIT_RAD
+    return RetargetReport(
+        scale=scale,
+        errors_m={
+            name: summed_up(np.linalg.norm(places[:, i] - problem.goals[body][:, 4:], axis=-1))
+            for i, (name, body) in enumerate(mapped.items())
+            if body in problem.goals
+        },
+        deepest_m=deepest(points),
+        slide_m_s=sliding_speeds(points, problem.fps, contact),
+        limited_share=float(near.any(axis=1).mean()),
+        fastest_rad_s=float(np.abs(np.diff(angles, axis=0)).max(initial=0.0)) * problem.fps,
+    )
 
 
 def _warn_of_rest_pose(source: MotionClip) -> None:
