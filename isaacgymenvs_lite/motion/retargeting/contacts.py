@@ -13,6 +13,9 @@ Flags = npt.NDArray[np.bool_]
 # A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
 # source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
 _LOW_M, _SLOW_M_S = 0.02, 0.5
+# A foot that swings is at least this high in the middle of its way, for a foot of 1 m: less would
+# scrape. Near its ends it rises and sinks in this share of the way.
+_CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
 # Contacts shorter than this are noise, and so are gaps in them.
 _SHORTEST_S = 0.05
 
@@ -41,8 +44,34 @@ def pin_feet(
         moved[start:end, :2] = _unslid(points[start:end, :, :2], contact[start:end])
         moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
     _bridge(moved, touching)
-    moved[:, 2] = np.maximum(moved[:, 2], -points[..., 2].min(axis=1))
+    lowest = points[..., 2].min(axis=1)
+    length = float(np.ptp(sole.points, axis=0).max())
+    least = _CLEARANCE * length * swing_profile(touching) - lowest
+    moved[:, 2] = _smooth_maximum(moved[:, 2], least, _BLEND * length, ~touching)
     return contact, moved
+
+
+def swing_profile(touching: Flags) -> FloatArray:
+    """Return 0 (T,) in contact, 1 in the middle of each swing, with smooth ways between.
+
+    At the ends of the motion a swing is cut off; there it stays as high as it has become.
+    """
+    profile = np.zeros(len(touching))
+    for start, end in spans(~touching):
+        share = np.arange(1, end - start + 1) / (end - start + 1)
+        rise = np.ones_like(share) if start == 0 else np.minimum(share / _RISE_SHARE, 1.0)
+        if end < len(touching):
+            rise = np.minimum(rise, (1.0 - share) / _RISE_SHARE)
+        rise = np.clip(rise, 0.0, 1.0)
+        profile[start:end] = rise * rise * (3.0 - 2.0 * rise)
+    return profile
+
+
+def _smooth_maximum(one: FloatArray, other: FloatArray, width: float, where: Flags) -> FloatArray:
+    """Return the larger of two (T,), rounded where they cross by up to a quarter of `width`."""
+    apart = np.abs(one - other)
+    round_off = np.maximum(width - apart, 0.0) ** 2 / (4.0 * width)
+    return np.maximum(one, other) + np.where(where, round_off, 0.0)
 
 
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:

@@ -140,7 +140,7 @@ def _robot_report(
     return RetargetReport(
         scale=scale,
         errors_m={
-            name: summed_up(np.linalg.norm(places[:, i] - problem.goals[body][:, 4:], axis=-1))
+            name: summed_up(np.linalg.norm(places[:, i] - problem.goals[body][problem.lead_in :, 4:], axis=-1))
             for i, (name, body) in enumerate(mapped.items())
             if body in problem.goals
         },

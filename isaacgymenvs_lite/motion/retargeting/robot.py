@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.motion.editing import interpolate_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, round_bodies
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
@@ -29,6 +30,7 @@ from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
 _ROOT = 7
+_LEAD_IN = 30  # frames from the start pose to the first of the motion
 _ANGLES = 91  # at which a hinge is tried
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
@@ -122,15 +124,33 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
         own = torch.from_numpy(rotated_in_body(turns.numpy(), robot.frames[name]))
         goal[:, :4] = rotations.wxyz_from_xyzw(own).numpy()
         goals[entry.body], weights[entry.body] = goal, (entry.position, rotation)
+    first_pose = _first_pose(robot, goals)
+    places, turns = body_poses(robot.model, first_pose[None], list(goals))
+    for i, body in enumerate(goals):
+        goals[body] = _led_in(places[0, i], turns[0, i], goals[body])
     return IkProblem(
         model=robot.model,
         fps=fps,
         goals=goals,
         weights=weights,
-        first_pose=_first_pose(robot, goals),
+        first_pose=first_pose,
         posture=robot.start,
         limits=_limits(robot),
+        lead_in=_LEAD_IN,
     )
+
+
+def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray:
+    """Return goals (N + T, 7) that begin with a way from a body's pose to the first of (T, 7).
+
+    From afar the search may turn an arm the long way round, to its limits.
+    """
+    share = np.arange(_LEAD_IN) / _LEAD_IN
+    first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
+    turns = interpolate_rotations(turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0), share)
+    places = place + share[:, None] * (goal[0, 4:] - place)
+    wxyz = rotations.wxyz_from_xyzw(torch.from_numpy(turns)).numpy()
+    return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
 
 
 def body_poses(

@@ -100,6 +100,7 @@ class IkProblem:
         first_pose: (nq,), where the search of the first frame starts.
         posture: (nq,), the pose for what the goals leave open.
         limits: of the joints.
+        lead_in: so many goals at the start only guide the search; their poses are left out.
     """
 
     model: mujoco.MjModel
@@ -109,6 +110,7 @@ class IkProblem:
     first_pose: FloatArray
     posture: FloatArray
     limits: JointLimits
+    lead_in: int = 0
 
 
 def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
@@ -148,7 +150,7 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
             if np.abs(step).max() < _CONVERGED_RAD:
                 break
         solved[frame] = configuration.q
-    return solved
+    return solved[problem.lead_in :]
 
 
 def _joint_costs(model: mujoco.MjModel, cost: float) -> FloatArray:
