@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.figure import Sole
+from isaacgymenvs_lite.utils import rotations
 
 Flags = npt.NDArray[np.bool_]
 
@@ -16,14 +18,15 @@ _LOW_M, _SLOW_M_S = 0.02, 0.5
 # A foot that swings is at least this high in the middle of its way, for a foot of 1 m: less would
 # scrape. Near its ends it rises and sinks in this share of the way.
 _CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
+_MOST_TWIST_RAD = np.radians(20.0)
 # Contacts shorter than this are noise, and so are gaps in them.
 _SHORTEST_S = 0.05
 
 
 def pin_feet(
     sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
-) -> tuple[Flags, FloatArray]:
-    """Return how a foot must move so that points in contact rest on the ground.
+) -> tuple[Flags, FloatArray, FloatArray]:
+    """Return places and attitudes of a foot whose points in contact rest on the ground.
 
     Between contacts the correction passes smoothly from the last one's to the next one's.
 
@@ -34,11 +37,12 @@ def pin_feet(
         fps: frames per second.
 
     Returns:
-        Which points are in contact (T, K), and the correction (T, 3) m of the place.
+        Which points are in contact (T, K), and the places (T, 3) and attitudes (T, 4) of the foot.
     """
-    points = sole.places(feet, turns)
-    contact = find_contacts(points, fps)
+    contact = find_contacts(sole.places(feet, turns), fps)
     touching = contact.any(axis=1)
+    turns = _untwisted(sole, feet, turns, contact)
+    points = sole.places(feet, turns)
     moved = np.zeros_like(feet)
     for start, end in spans(touching):
         moved[start:end, :2] = _unslid(points[start:end, :, :2], contact[start:end])
@@ -48,7 +52,40 @@ def pin_feet(
     length = float(np.ptp(sole.points, axis=0).max())
     least = _CLEARANCE * length * swing_profile(touching) - lowest
     moved[:, 2] = _smooth_maximum(moved[:, 2], least, _BLEND * length, ~touching)
-    return contact, moved
+    return contact, feet + moved, turns
+
+
+def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) -> FloatArray:
+    """Return the attitudes (T, 4) without rotation about z between points in contact.
+
+    A foot that turns far on the ground, as dancers' do, keeps its turn.
+    """
+    points = sole.places(feet, turns)[..., :2]
+    touching = contact.any(axis=1)
+    twist = np.zeros((len(feet), 1))
+    for start, end in spans(touching):
+        steps = [
+            _twist(points[i - 1][both], points[i][both])
+            for i in range(start + 1, end)
+            for both in (contact[i - 1] & contact[i],)
+        ]
+        total = np.concatenate(([0.0], -np.cumsum(steps)))
+        if np.ptp(total) < _MOST_TWIST_RAD:
+            twist[start:end, 0] = total - total.mean()
+    _bridge(twist, touching)
+    angles = torch.from_numpy(twist[:, 0])
+    up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64).expand(len(feet), 3)
+    about_z = rotations.quat_from_angle_axis(angles, up)
+    return rotations.quat_mul(about_z, torch.from_numpy(turns)).numpy()
+
+
+def _twist(before: FloatArray, after: FloatArray) -> float:
+    """Return the rotation in rad that fits two sets of points (K, 2) best; 0 of a single one."""
+    if len(before) < 2:
+        return 0.0
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    return float(np.arctan2(cross, float((a * b).sum())))
 
 
 def swing_profile(touching: Flags) -> FloatArray:

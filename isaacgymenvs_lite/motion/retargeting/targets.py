@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.contacts import pin_feet
+from isaacgymenvs_lite.motion.retargeting.contacts import Flags, pin_feet
 from isaacgymenvs_lite.motion.retargeting.figure import Figure
 from isaacgymenvs_lite.motion.retargeting.source import (
     FEET,
@@ -50,7 +50,7 @@ class Targets:
     positions: FloatArray
     turns: dict[str, FloatArray]
     scale: float
-    contacts: dict[str, FloatArray]
+    contacts: dict[str, Flags]
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
@@ -71,14 +71,13 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     ground = float(np.quantile(np.min([*soles.values(), *lowest], axis=0), _BELOW_GROUND_SHARE))
     positions = np.stack([target[body] for body in figure.body_names], axis=1)
     positions[..., 2] -= ground
-    contacts: dict[str, FloatArray] = {}
+    contacts: dict[str, Flags] = {}
     for foot in FEET:
         column = figure.body_names.index(foot)
         if figure.pins_feet:
-            contacts[foot], moved = pin_feet(
+            contacts[foot], positions[:, column], turns[foot] = pin_feet(
                 figure.soles[foot], positions[:, column], turns[foot], source.fps
             )
-            positions[:, column] += moved
         else:
             # Not below the ground, whatever the noise.
             positions[:, column, 2] += np.maximum(ground - soles[foot], 0.0)
