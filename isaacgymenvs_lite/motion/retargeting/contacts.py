@@ -10,7 +10,7 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.figure import Sole
 from isaacgymenvs_lite.utils import rotations
 
-Flags = npt.NDArray[np.bool_]
+Flags = npt.NDArray[np.bool_]  # True where a point touches the ground
 
 # A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
 # source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
@@ -40,7 +40,7 @@ def pin_feet(
         Which points are in contact (T, K), and the places (T, 3) and attitudes (T, 4) of the foot.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
-    touching = contact.any(axis=1)
+    touching = _any_point(contact)
     turns = _untwisted(sole, feet, turns, contact)
     points = sole.places(feet, turns)
     moved = np.zeros_like(feet)
@@ -49,7 +49,7 @@ def pin_feet(
         moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
     _bridge(moved, touching)
     lowest = points[..., 2].min(axis=1)
-    length = float(np.ptp(sole.points, axis=0).max())
+    length = sole.length_m
     least = _CLEARANCE * length * swing_profile(touching) - lowest
     moved[:, 2] = _smooth_maximum(moved[:, 2], least, _BLEND * length, ~touching)
     return contact, feet + moved, turns
@@ -61,7 +61,7 @@ def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) 
     A foot that turns far on the ground, as dancers' do, keeps its turn.
     """
     points = sole.places(feet, turns)[..., :2]
-    touching = contact.any(axis=1)
+    touching = _any_point(contact)
     twist = np.zeros((len(feet), 1))
     for start, end in spans(touching):
         steps = [
@@ -86,6 +86,10 @@ def _twist(before: FloatArray, after: FloatArray) -> float:
     a, b = before - before.mean(axis=0), after - after.mean(axis=0)
     cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
     return float(np.arctan2(cross, float((a * b).sum())))
+
+
+def _any_point(contact: Flags) -> Flags:
+    return np.asarray(contact.any(axis=1), dtype=np.bool_)
 
 
 def swing_profile(touching: Flags) -> FloatArray:
@@ -167,8 +171,8 @@ def _bridge(values: FloatArray, known: Flags) -> None:
         before = values[start - 1] if start else None
         after = values[end] if end < len(values) else None
         if before is None or after is None:
-            values[start:end] = 0.0 if before is None and after is None else (
-                after if before is None else before
+            values[start:end] = (
+                0.0 if before is None and after is None else (after if before is None else before)
             )
             continue
         share = np.arange(1, end - start + 1) / (end - start + 1)

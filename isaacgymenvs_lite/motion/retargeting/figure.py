@@ -27,6 +27,13 @@ class Sole:
     points: FloatArray
     radii: FloatArray
 
+    @property
+    def length_m(self) -> float:
+        """The largest extent along an axis, balls included."""
+        radii = self.radii[:, None]
+        extent = (self.points + radii).max(axis=0) - (self.points - radii).min(axis=0)
+        return max(float(extent.max()), 1e-3)
+
     def places(self, feet: FloatArray, turns: FloatArray) -> FloatArray:
         """Return the lowest places (T, K, 3) m of the balls, for feet (T, 3) turned by (T, 4)."""
         centres = np.stack([feet + rotate(turns, point) for point in self.points], axis=1)

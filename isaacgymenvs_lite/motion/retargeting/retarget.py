@@ -140,7 +140,9 @@ def _robot_report(
     return RetargetReport(
         scale=scale,
         errors_m={
-            name: summed_up(np.linalg.norm(places[:, i] - problem.goals[body][problem.lead_in :, 4:], axis=-1))
+            name: summed_up(
+                np.linalg.norm(places[:, i] - problem.goals[body][problem.lead_in :, 4:], axis=-1)
+            )
             for i, (name, body) in enumerate(mapped.items())
             if body in problem.goals
         },
@@ -181,9 +183,7 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
     return RetargetReport(
         scale=targets.scale,
-        errors_m={
-            body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES
-        },
+        errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
         deepest_m=deepest(corners),
         slide_m_s=sliding_speeds(corners, clip.fps),
         limited_share=float(near.any(axis=1).mean()),

@@ -156,7 +156,7 @@ def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray
 def body_poses(
     model: mujoco.MjModel, qpos: FloatArray, bodies: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies in poses (T, nq)."""
+    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies, qpos (T, nq)."""
     ids = [model.body(name).id for name in bodies]
     data = mujoco.MjData(model)
     places, turns = np.zeros((len(qpos), len(ids), 3)), np.zeros((len(qpos), len(ids), 4))
@@ -207,7 +207,7 @@ def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
 
 
 def _facing(places: dict[str, FloatArray]) -> FloatArray:
-    """Return the rotation (4,) xyzw about z of the standing robot, whose left is from hip to hip."""
+    """Return the rotation (4,) xyzw about z of a standing robot; its left is from hip to hip."""
     left = places["left_thigh"] - places["right_thigh"]
     half = 0.5 * math.atan2(-left[0], left[1])
     return np.array((0.0, 0.0, math.sin(half), math.cos(half)))
@@ -259,7 +259,9 @@ def _bends(
             if not all(name in mapping.bodies for name in limb):
                 continue
             top, *_, end = (model.body(mapping.bodies[name].body).id for name in limb)
-            tried = [_distances(model, start, joint, top, end) for joint in _between(model, top, end)]
+            tried = [
+                _distances(model, start, joint, top, end) for joint in _between(model, top, end)
+            ]
             if not tried:
                 continue
             joint, angles, distances = max(tried, key=lambda entry: np.ptp(entry[2]))
@@ -325,7 +327,9 @@ def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
         if not low <= qpos[column] <= high or abs(qpos[column] - near) < FIRST_BEND_RAD:
             qpos[column] = near + math.copysign(min(FIRST_BEND_RAD, high - low), far - near)
     pelvis = robot.mapping.bodies["pelvis"].body
-    place, turn = (torch.from_numpy(value[0]) for value in body_poses(robot.model, qpos[None], [pelvis]))
+    place, turn = (
+        torch.from_numpy(value[0]) for value in body_poses(robot.model, qpos[None], [pelvis])
+    )
     goal = torch.from_numpy(goals[pelvis][:1])
     change = rotations.quat_mul(
         rotations.xyzw_from_wxyz(goal[:, :4]), rotations.quat_conjugate(turn)

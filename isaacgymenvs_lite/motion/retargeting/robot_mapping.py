@@ -151,13 +151,13 @@ def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
 # first pattern that fits any body counts. A joint's name serves as its body's second name.
 _WORDS = {
     "pelvis": ("pelvis", "hips", "waist_?base|base"),
-    "torso": ("torso|chest", "trunk", "waist|spine|abdomen"),
+    "torso": ("torso|chest|thorax", "trunk", "waist|spine|abdomen"),
     "head": ("head", "neck"),
-    "thigh": ("thigh|upper_?leg|up_?leg", "hip"),
+    "thigh": ("thigh|upper_?leg|up_?leg|femur", "hip"),
     "shin": ("shin|calf|lower_?leg|tibia", "knee"),
     "foot": ("foot", "ankle"),
-    "upper_arm": ("upper_?arm|up_?arm", "shoulder"),
-    "lower_arm": ("lower_?arm|fore_?arm", "elbow"),
+    "upper_arm": ("upper_?arm|up_?arm|humerus", "shoulder"),
+    "lower_arm": ("lower_?arm|fore_?arm|radius", "elbow"),
     "hand": ("palm", "hand", "wrist"),
 }
 _NOT = re.compile(r"thumb|index|middle|ring_?\d|finger|pinky|little|toe|rubber")
@@ -175,9 +175,7 @@ def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
     """
     names = {i: model.body(i).name for i in range(1, model.nbody)}
     found = {
-        name: body
-        for name in ROBOT_BODIES
-        if (body := _guess(model, names, name)) is not None
+        name: body for name in ROBOT_BODIES if (body := _guess(model, names, name)) is not None
     }
     if "pelvis" not in found:
         found["pelvis"] = 1  # the root
@@ -219,7 +217,13 @@ def _fits(of: Callable[[int], str], body: int, pattern: str, side: str) -> bool:
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False
-    sides = {s for s, p in _SIDES.items() if re.search(p, lower) or re.search(p, text)}
+    sides = {
+        name
+        for name, of_side in _SIDES.items()
+        if re.search(of_side, lower)
+        or re.search(of_side, text)
+        or re.match(f"{name[0]}({pattern})", lower)  # lfemur
+    }
     return sides == ({side} if side else set())
 
 
@@ -239,9 +243,7 @@ def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         first = data.xpos[bodies[0]]
-        below = max(
-            (float(np.linalg.norm(data.xpos[i] - first)) for i in bodies), default=0.0
-        )
+        below = max((float(np.linalg.norm(data.xpos[i] - first)) for i in bodies), default=0.0)
         near = [i for i in bodies if np.linalg.norm(data.xpos[i] - first) < 0.5 * below]
         return near[-1] if near else bodies[0]
     return bodies[-1] if part in ("foot", "hand", "torso") else bodies[0]

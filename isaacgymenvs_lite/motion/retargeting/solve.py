@@ -28,9 +28,9 @@ _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20
 _CONVERGED_RAD = 1e-3  # largest step (rad, m) of the last iteration
 _DAMPING = 1e-4
-# Weights of places (1/m) and attitudes (1/rad), by the humanoid's names without their side. The feet
-# come first, then hands and trunk, then knees and elbows, which decide to which side a limb bends.
-# An ankle at its limit tilts the foot rather than turn the leg out.
+# Weights of places (1/m) and attitudes (1/rad), by the humanoid's names without their side. The
+# feet come first, then hands and trunk, then knees and elbows, which decide to which side a limb
+# bends. An ankle at its limit tilts the foot rather than turn the leg out.
 WEIGHTS = {
     "pelvis": (10.0, 3.0),
     "torso": (0.0, 3.0),

@@ -90,9 +90,7 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
         dict(zip(clip.body_names, np.moveaxis(values, 1, 0), strict=True))
         for values in clip.global_poses()
     )
-    return SourceMotion(
-        clip.name, clip.fps, places, {body: turns[body] for body in WITH_ATTITUDE}
-    )
+    return SourceMotion(clip.name, clip.fps, places, {body: turns[body] for body in WITH_ATTITUDE})
 
 
 def leg_length(places: Mapping[str, FloatArray]) -> float:
