@@ -132,6 +132,15 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
     return np.maximum(rise[:, 0], -lowest)
 
 
+def mean_in_contact(values: FloatArray, contact: Flags) -> FloatArray:
+    """Return the mean (T, 3) of values (T, K, 3) of points in contact; smooth ways between."""
+    touching = _any_point(contact)
+    count = np.maximum(contact.sum(axis=1), 1)[:, None]
+    mean = (values * contact[..., None]).sum(axis=1) / count
+    _bridge(mean, touching)
+    return mean
+
+
 def find_contacts(points: FloatArray, fps: float) -> Flags:
     """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
-from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground
+from isaacgymenvs_lite.motion.retargeting.contacts import Flags, mean_in_contact, onto_ground
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.report import (
@@ -36,6 +37,8 @@ _log = logging.getLogger(__name__)
 
 _AT_LIMIT_RAD = np.radians(0.1)
 _ENDS = ("lower", "upper")
+# How often the feet's goals are corrected by what the soles miss.
+_CORRECTIONS = 2
 # A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
@@ -111,20 +114,47 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         MissingPackageError: mink is not installed.
     """
     targets = make_targets(source, robot.figure)
-    problem = robot_problem(robot, targets, source.fps)
+    first = problem = robot_problem(robot, targets, source.fps)
     qpos = solve_poses(problem)
-    most = max(len(robot.figure.soles[foot].radii) for foot in FEET)
-    contact = np.stack(
+    contact = robot.padded([targets.contacts[foot] for foot in FEET])
+    wanted = robot.padded(
         [
-            np.pad(flags, ((0, 0), (0, most - flags.shape[1])), "edge")
-            for flags in (targets.contacts[foot] for foot in FEET)
-        ],
-        axis=1,
+            robot.figure.soles[foot].places(
+                targets.positions[:, robot.figure.body_names.index(foot)], targets.turns[foot]
+            )
+            for foot in FEET
+        ]
     )
+    for _ in range(_CORRECTIONS):
+        problem = _with_corrected_feet(robot, problem, wanted - robot.soles(qpos), contact)
+        qpos = solve_poses(problem)
     qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
-    report = _robot_report(robot, problem, qpos, contact, targets.scale)
+    report = _robot_report(robot, first, qpos, contact, targets.scale)
     _log_report(report)
     return RobotMotion(source.fps, qpos, report)
+
+
+def _with_corrected_feet(
+    robot: Robot, problem: IkProblem, missed: FloatArray, contact: Flags
+) -> IkProblem:
+    """Return the problem with the feet moved by what their points in contact miss.
+
+    A robot without an ankle, or with one at its limit, cannot give its foot the source's attitude;
+    its sole is then elsewhere although the foot's origin is where it should be.
+
+    Args:
+        robot: it.
+        problem: that was solved.
+        missed: (T, 2, K, 3) m, of all points of the soles, right foot first.
+        contact: (T, 2, K), which of them are in contact.
+    """
+    goals = dict(problem.goals)
+    for side, foot in enumerate(FEET):
+        body = robot.mapping.bodies[foot].body
+        goal = goals[body].copy()
+        goal[problem.lead_in :, 4:] += mean_in_contact(missed[:, side], contact[:, side])
+        goals[body] = goal
+    return dataclasses.replace(problem, goals=goals)
 
 
 def _robot_report(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
@@ -59,21 +62,24 @@ class Robot:
     bends: tuple[tuple[int, float, float], ...]
 
     def soles(self, qpos: FloatArray) -> FloatArray:
-        """Return the lowest places (T, 2, K, 3) m of the soles' points in poses (T, nq).
-
-        Right foot first; a foot with fewer points than the other repeats its last one.
-        """
-        most = max(len(self.figure.soles[foot].radii) for foot in FEET)
+        """Return the lowest places (T, 2, K, 3) m of both soles' points, qpos (T, nq)."""
         places = []
         for foot in FEET:
             body = self.mapping.bodies[foot].body
             origins, turns = body_poses(self.model, qpos, [body])
             upright = rotations.quat_conjugate(torch.from_numpy(self.frames[foot])).numpy()
-            points = self.figure.soles[foot].places(
-                origins[:, 0], rotated_in_body(turns[:, 0], upright)
-            )
-            places.append(np.pad(points, ((0, 0), (0, most - points.shape[1]), (0, 0)), "edge"))
-        return np.stack(places, axis=1)
+            attitude = rotated_in_body(turns[:, 0], upright)
+            places.append(self.figure.soles[foot].places(origins[:, 0], attitude))
+        return self.padded(places)
+
+    def padded(self, of_feet: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        """Return values (T, K, ...) of the points of both soles as one array (T, 2, K, ...).
+
+        A foot with fewer points than the other repeats its last one.
+        """
+        most = max(values.shape[1] for values in of_feet)
+        rows = [[min(i, v.shape[1] - 1) for i in range(most)] for v in of_feet]
+        return np.stack([v[:, row] for v, row in zip(of_feet, rows, strict=True)], axis=1)
 
 
 def robot_from_model(model: mujoco.MjModel, mapping: RobotMapping) -> Robot:
