@@ -19,8 +19,8 @@ _LOW_M, _SLOW_M_S = 0.02, 0.5
 # scrape. Near its ends it rises and sinks in this share of the way.
 _CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
 _MOST_TWIST_RAD = np.radians(20.0)
-# Contacts shorter than this are noise, and so are gaps in them.
-_SHORTEST_S = 0.05
+# Contacts of this length are noise, and so are gaps in them.
+_NOISE_S = 0.05
 
 
 def pin_feet(
@@ -145,13 +145,13 @@ def find_contacts(points: FloatArray, fps: float) -> Flags:
     """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
     contact = (points[..., 2] < _LOW_M) & (speed < _SLOW_M_S)
-    fewest = round(_SHORTEST_S * fps)
+    longest = round(_NOISE_S * fps)
     for column in contact.T:
         for start, end in spans(~column):
-            if end - start < fewest and start > 0 and end < len(column):
+            if end - start <= longest and start > 0 and end < len(column):
                 column[start:end] = True
         for start, end in spans(column):
-            if end - start < fewest:
+            if end - start <= longest:
                 column[start:end] = False
     return contact
 

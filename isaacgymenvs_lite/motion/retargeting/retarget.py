@@ -128,10 +128,23 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
     for _ in range(_CORRECTIONS):
         problem = _with_corrected_feet(robot, problem, wanted - robot.soles(qpos), contact)
         qpos = solve_poses(problem)
+    _make_continuous(robot.model, qpos)
     qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
     report = _robot_report(robot, first, qpos, contact, targets.scale)
     _log_report(report)
     return RobotMotion(source.fps, qpos, report)
+
+
+def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
+    """Give quaternions of poses (T, nq) signs that do not jump, the first with w >= 0; in place."""
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind == mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        first = int(model.jnt_qposadr[joint]) + (3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0)
+        turns = qpos[:, first : first + 4]
+        jumps = np.sign((turns[1:] * turns[:-1]).sum(axis=1))
+        turns *= np.cumprod(np.concatenate(([1.0 if turns[0, 0] >= 0.0 else -1.0], jumps)))[:, None]
 
 
 def _with_corrected_feet(
