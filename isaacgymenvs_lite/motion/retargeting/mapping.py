@@ -26,7 +26,7 @@ from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 _AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
 # Bodies whose attitude is the joint's; the attitude of others follows from the places of their
 # joints.
-_WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
+WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,29 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
 
 
 def _read_mapping(mapping: str | Path) -> SkeletonMapping:
-    shipped = shipped_mappings()
+    path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
+    settings = read_section(_MappingSettings, content, where=str(path), complete=True)
+    return SkeletonMapping(
+        name=str(mapping),
+        to_z_up=_to_z_up(settings.up),
+        unit_m=settings.unit_m,
+        sources=_sources(settings.bodies, str(path)),
+    )
+
+
+def read_mapping_keys(
+    mapping: str | Path, shipped: Mapping[str, Path], expected: str
+) -> tuple[Path, dict[Any, Any]]:
+    """Return the file and the keys of a mapping file, or of the shipped one of that name.
+
+    Args:
+        mapping: file or name.
+        shipped: files by name.
+        expected: names of the keys, for the message where there are none.
+
+    Raises:
+        ConfigError: no such file or name, no YAML, or no keys in it.
+    """
     path = shipped.get(str(mapping)) or Path(mapping)
     if not path.is_file():
         raise ConfigError(
@@ -119,14 +141,9 @@ def _read_mapping(mapping: str | Path) -> SkeletonMapping:
     except ConfigError as error:
         raise ConfigError(f"{path}: is no readable YAML text ({error})") from error
     if not isinstance(content, dict):
-        raise ConfigError(f"{path}: expected the keys up, unit_m and bodies")
-    settings = read_section(_MappingSettings, content, where=str(path), complete=True)
-    return SkeletonMapping(
-        name=str(mapping),
-        to_z_up=_to_z_up(settings.up),
-        unit_m=settings.unit_m,
-        sources=_sources(settings.bodies, str(path)),
-    )
+        keys = "key" if expected == "bodies" else "keys"
+        raise ConfigError(f"{path}: expected the {keys} {expected}")
+    return path, content
 
 
 def _sources(bodies: Mapping[str, Any], where: str) -> dict[str, BodySource]:
@@ -144,7 +161,7 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
     if isinstance(entry, str):
         entry = {"joint": entry}
     settings = read_section(_BodySettings, entry, where=where, complete=True)
-    if settings.x is None and settings.z is None and body not in _WITH_ATTITUDE:
+    if settings.x is None and settings.z is None and body not in WITH_ATTITUDE:
         return BodySource(settings.joint, None, False)
     if settings.x is None or settings.z is None:
         raise ConfigError(

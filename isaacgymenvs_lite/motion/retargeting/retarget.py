@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
@@ -14,16 +17,28 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.contacts import Flags, mean_in_contact, onto_ground
+from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
-from isaacgymenvs_lite.motion.retargeting.solve import solve_poses
+from isaacgymenvs_lite.motion.retargeting.report import (
+    KEY_BODIES,
+    RetargetReport,
+    deepest,
+    sliding_speeds,
+    summed_up,
+)
+from isaacgymenvs_lite.motion.retargeting.robot import Robot, body_poses, robot_problem
+from isaacgymenvs_lite.motion.retargeting.solve import IkProblem, humanoid_problem, solve_poses
+from isaacgymenvs_lite.motion.retargeting.source import FEET, SourceMotion, source_from_bvh
 from isaacgymenvs_lite.motion.retargeting.targets import Targets, make_targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
-KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
-_ON_GROUND_M = 0.01  # a corner of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
+_ENDS = ("lower", "upper")
+# How often the feet's goals are corrected by what the soles miss.
+_CORRECTIONS = 2
 # A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
 
@@ -55,10 +70,11 @@ def retarget_bvh(
     _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)
-    targets = make_targets(source, mapping, skeleton)
+    targets = make_targets(source_from_bvh(source, mapping), humanoid_figure(skeleton))
     model_path = paths.assets_dir() / str(shipped_humanoid_with(skeleton.body_names))
     model = mujoco.MjModel.from_xml_path(str(model_path))
-    root, local = poses_from_qpos(skeleton, solve_poses(model, skeleton, targets))
+    problem = humanoid_problem(model, skeleton, targets, source.fps)
+    root, local = poses_from_qpos(skeleton, solve_poses(problem))
     clip = MotionClip.from_poses(
         str(path),
         source.fps,
@@ -68,11 +84,116 @@ def retarget_bvh(
         local.astype(np.float32),
         root.astype(np.float32),
     )
-    _log.info("scaled by %.3f, the length of the legs", targets.scale)
-    for line in (*describe_errors(clip, targets), describe_feet(clip, skeleton)):
-        _log.info(line)
-    _log.info("a joint is at its limit in %.0f %% of the frames", _limited(clip, skeleton) * 100.0)
+    _log_report(humanoid_report(clip, targets, skeleton))
     return clip
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A retargeted motion of a robot.
+
+    Attributes:
+        fps: frames per second.
+        qpos: (T, nq), in MuJoCo's order: root position in m and quaternion wxyz, then the joints.
+        report: how near it is to the source.
+    """
+
+    fps: float
+    qpos: npt.NDArray[np.float64]
+    report: RetargetReport
+
+
+def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
+    """Retarget a motion to a robot, and log what remains.
+
+    Args:
+        source: of a BVH file or of a clip of a shipped humanoid, see `source_from_clip`.
+        robot: see `robot_from_model`.
+
+    Raises:
+        MissingPackageError: mink is not installed.
+    """
+    targets = make_targets(source, robot.figure)
+    first = problem = robot_problem(robot, targets, source.fps)
+    qpos = solve_poses(problem)
+    contact = robot.padded([targets.contacts[foot] for foot in FEET])
+    wanted = robot.padded(
+        [
+            robot.figure.soles[foot].places(
+                targets.positions[:, robot.figure.body_names.index(foot)], targets.turns[foot]
+            )
+            for foot in FEET
+        ]
+    )
+    for _ in range(_CORRECTIONS):
+        problem = _with_corrected_feet(robot, problem, wanted - robot.soles(qpos), contact)
+        qpos = solve_poses(problem)
+    _make_continuous(robot.model, qpos)
+    qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
+    report = _robot_report(robot, first, qpos, contact, targets.scale)
+    _log_report(report)
+    return RobotMotion(source.fps, qpos, report)
+
+
+def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> None:
+    """Give quaternions of poses (T, nq) signs that do not jump, the first with w >= 0; in place."""
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind == mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        first = int(model.jnt_qposadr[joint]) + (3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0)
+        turns = qpos[:, first : first + 4]
+        jumps = np.sign((turns[1:] * turns[:-1]).sum(axis=1))
+        turns *= np.cumprod(np.concatenate(([1.0 if turns[0, 0] >= 0.0 else -1.0], jumps)))[:, None]
+
+
+def _with_corrected_feet(
+    robot: Robot, problem: IkProblem, missed: FloatArray, contact: Flags
+) -> IkProblem:
+    """Return the problem with the feet moved by what their points in contact miss.
+
+    A robot without an ankle, or with one at its limit, cannot give its foot the source's attitude;
+    its sole is then elsewhere although the foot's origin is where it should be.
+
+    Args:
+        robot: it.
+        problem: that was solved.
+        missed: (T, 2, K, 3) m, of all points of the soles, right foot first.
+        contact: (T, 2, K), which of them are in contact.
+    """
+    goals = dict(problem.goals)
+    for side, foot in enumerate(FEET):
+        body = robot.mapping.bodies[foot].body
+        goal = goals[body].copy()
+        goal[problem.lead_in :, 4:] += mean_in_contact(missed[:, side], contact[:, side])
+        goals[body] = goal
+    return dataclasses.replace(problem, goals=goals)
+
+
+def _robot_report(
+    robot: Robot, problem: IkProblem, qpos: FloatArray, contact: Flags, scale: float
+) -> RetargetReport:
+    mapped = {name: robot.mapping.bodies[name].body for name in KEY_BODIES if name in robot.frames}
+    places, _ = body_poses(robot.model, qpos, list(mapped.values()))
+    points = robot.soles(qpos)
+    hinges = problem.limits.hinges
+    angles = qpos[:, [hinge.qpos for hinge in hinges]]
+    lower, upper = (np.array([getattr(hinge, end)[0] for hinge in hinges]) for end in _ENDS)
+    near = np.minimum(angles - lower, upper - angles) < _AT_LIMIT_RAD
+    return RetargetReport(
+        scale=scale,
+        errors_m={
+            name: summed_up(
+                np.linalg.norm(places[:, i] - problem.goals[body][problem.lead_in :, 4:], axis=-1)
+            )
+            for i, (name, body) in enumerate(mapped.items())
+            if body in problem.goals
+        },
+        deepest_m=deepest(points),
+        slide_m_s=sliding_speeds(points, problem.fps, contact),
+        limited_share=float(near.any(axis=1).mean()),
+        fastest_rad_s=float(np.abs(np.diff(angles, axis=0)).max(initial=0.0)) * problem.fps,
+    )
 
 
 def _warn_of_rest_pose(source: MotionClip) -> None:
@@ -95,38 +216,24 @@ def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
     return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
 
 
-def key_body_errors(clip: MotionClip, targets: Targets) -> dict[str, FloatArray]:
-    """Return the distances (T,) in m of the key bodies from their targets."""
-    distances = np.linalg.norm(clip.global_poses()[0] - targets.positions, axis=-1)
-    return {body: distances[:, clip.body_names.index(body)] for body in KEY_BODIES}
-
-
-def describe_errors(clip: MotionClip, targets: Targets) -> list[str]:
-    """Return the errors of the key bodies in m, one line each."""
-    return [
-        f"{body}: {error.mean():.4f} m from the scaled source on average, {error.max():.4f} at most"
-        for body, error in key_body_errors(clip, targets).items()
-    ]
-
-
-def describe_feet(clip: MotionClip, skeleton: Skeleton) -> str:
-    """Return one line: the depth of the feet in the ground and their sliding speed on it."""
-    corners = skeleton.sole_corners(*clip.global_poses())
-    depth = max(0.0, -float(corners[..., 2].min()))
-    speed = np.linalg.norm(np.diff(corners[..., :2], axis=0), axis=-1) * clip.fps
-    low = corners[..., 2] < _ON_GROUND_M
-    sliding = speed[low[1:] & low[:-1]]
-    if not sliding.size:
-        return f"feet: {depth:.4f} m below the ground at most; they never rest on it"
-    return (
-        f"feet: {depth:.4f} m below the ground at most; where they touch it they slide at "
-        f"{np.median(sliding):.3f} m/s (median)"
-    )
-
-
-def _limited(clip: MotionClip, skeleton: Skeleton) -> float:
-    """Return the share of the frames in which a joint has reached a limit."""
+def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
+    """Return what remains between a clip of a humanoid and its targets."""
+    positions, turns = clip.global_poses()
+    errors = np.linalg.norm(positions - targets.positions, axis=-1)
+    corners = skeleton.sole_corners(positions, turns)
     dofs = dofs_of_clip(skeleton, clip)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
-    return float(near.any(axis=1).mean())
+    return RetargetReport(
+        scale=targets.scale,
+        errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
+        deepest_m=deepest(corners),
+        slide_m_s=sliding_speeds(corners, clip.fps),
+        limited_share=float(near.any(axis=1).mean()),
+        fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
+    )
+
+
+def _log_report(report: RetargetReport) -> None:
+    for line in report.lines():
+        _log.info("%s", line)

@@ -1,13 +1,16 @@
 """Inverse kinematics of a whole motion with mink: the poses nearest to the targets.
 
-mink itself limits hinges only; `DofLimits` also keeps the three components of a ball joint's
-rotation vector within their limits.
+An `IkProblem` holds what differs between figures: goals, weights, posture and limits. mink itself
+limits hinges only; `DofLimits` also keeps the three components of a ball joint's rotation vector
+within their limits, and how far a hinge moves from one frame to the next.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -25,10 +28,10 @@ _SOLVER = "daqp"  # the quadratic-programming solver that mink itself installs
 _FIRST_ITERATIONS, _ITERATIONS = 200, 20
 _CONVERGED_RAD = 1e-3  # largest step (rad, m) of the last iteration
 _DAMPING = 1e-4
-# Weights of places (1/m) and attitudes (1/rad). The feet come first, then hands and trunk, then
-# knees and elbows, which decide to which side a limb bends. An ankle at its limit tilts
-# the foot rather than turn the leg out.
-_WEIGHTS = {
+# Weights of places (1/m) and attitudes (1/rad), by the humanoid's names without their side. The
+# feet come first, then hands and trunk, then knees and elbows, which decide to which side a limb
+# bends. An ankle at its limit tilts the foot rather than turn the leg out.
+WEIGHTS = {
     "pelvis": (10.0, 3.0),
     "torso": (0.0, 3.0),
     "head": (0.0, 2.0),
@@ -37,18 +40,81 @@ _WEIGHTS = {
     "shin": (8.0, 0.0),
     "foot": (30.0, 3.0),
 }
-# Towards the zero pose and towards the frame before. They decide what the targets leave open, such
+# Towards the posture and towards the frame before. They decide what the targets leave open, such
 # as the twist of a straight arm, and what a joint does that has reached its limit.
 _POSTURE, _STEADINESS = 0.02, 0.2
 # The search starts with bent limbs, so that the gradient has the side to which they bend.
-_FIRST_BEND_RAD = 0.5
+FIRST_BEND_RAD = 0.5
 # Knees and elbows stay bent a little: bending a straight limb does not shorten it to first order,
 # so that the search would get stuck there.
-_LEAST_BEND_RAD = math.radians(2.0)
+LEAST_BEND_RAD = math.radians(2.0)
 
 
-def solve_poses(model: mujoco.MjModel, skeleton: Skeleton, targets: Targets) -> FloatArray:
-    """Return the poses (T, nq) nearest to the targets within the limits of the joints.
+@dataclass(frozen=True)
+class HingeLimit:
+    """Limits of a hinge: its places in qpos and qvel, lowest and highest angle (1,) rad."""
+
+    qpos: int
+    dof: int
+    lower: FloatArray
+    upper: FloatArray
+
+
+@dataclass(frozen=True)
+class BallLimit:
+    """Limits of a ball joint: its first places in qpos and qvel, and its rotation vector's range.
+
+    Attributes:
+        qpos: the first place in qpos.
+        dof: the first place in qvel.
+        lower: (3,) rad, of the components.
+        upper: (3,) rad.
+        longest: rad, of the vector's length, as MuJoCo limits a ball joint.
+    """
+
+    qpos: int
+    dof: int
+    lower: FloatArray
+    upper: FloatArray
+    longest: float = math.inf
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a model's joints; `fastest_rad_s` is of hinges, from frame to frame."""
+
+    hinges: tuple[HingeLimit, ...]
+    balls: tuple[BallLimit, ...] = ()
+    fastest_rad_s: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class IkProblem:
+    """A model with a free root as its first joint, and what its poses shall be near to.
+
+    Attributes:
+        model: the compiled model.
+        fps: frames per second.
+        goals: (T, 7) of each body that has one: quaternion wxyz and place in m, as mink takes them.
+        weights: of a goal's place (1/m) and attitude (1/rad).
+        first_pose: (nq,), where the search of the first frame starts.
+        posture: (nq,), the pose for what the goals leave open.
+        limits: of the joints.
+        lead_in: so many goals at the start only guide the search; their poses are left out.
+    """
+
+    model: mujoco.MjModel
+    fps: float
+    goals: Mapping[str, FloatArray]
+    weights: Mapping[str, tuple[float, float]]
+    first_pose: FloatArray
+    posture: FloatArray
+    limits: JointLimits
+    lead_in: int = 0
+
+
+def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
+    """Return the poses (T, nq) nearest to the goals within the limits of the joints.
 
     Each search starts from the pose of the frame before.
 
@@ -56,47 +122,35 @@ def solve_poses(model: mujoco.MjModel, skeleton: Skeleton, targets: Targets) -> 
         MissingPackageError: mink is not installed.
     """
     mink = import_package("mink", "retargeting")
+    model = problem.model
     configuration = mink.Configuration(model)
-    configuration.update(_first_pose(model, skeleton, targets))
+    configuration.update(problem.first_pose.copy())
     posture = mink.PostureTask(model, cost=_joint_costs(model, _POSTURE))
-    posture.set_target(model.qpos0)
+    posture.set_target(problem.posture)
     steadiness = mink.PostureTask(model, cost=_joint_costs(model, _STEADINESS))
-    limits = [DofLimits(mink, model, skeleton)]
-    with_attitude = _with_attitude(skeleton, targets)
+    limits = DofLimits(mink, model, problem.limits)
     frames = {
-        body: mink.FrameTask(body, "body", place, turn if body in with_attitude else 0.0)
-        for body in skeleton.body_names
-        if (weights := _weights_of(body))
-        for place, turn in (weights,)
+        body: mink.FrameTask(body, "body", place, turn)
+        for body, (place, turn) in problem.weights.items()
     }
-    goals = {body: _poses(skeleton, targets, body) for body in frames}
-    solved = np.zeros((len(targets.positions), model.nq))
+    solved = np.zeros((len(next(iter(problem.goals.values()))), model.nq))
     for frame in range(len(solved)):
         for body, task in frames.items():
-            task.set_target(mink.SE3(wxyz_xyz=goals[body][frame]))
+            task.set_target(mink.SE3(wxyz_xyz=problem.goals[body][frame]))
         tasks: list[Any] = [*frames.values(), posture]
         if frame:
             steadiness.set_target(solved[frame - 1])
             tasks.append(steadiness)
+            limits.start_frame(solved[frame - 1], 1.0 / problem.fps)
         for _ in range(_ITERATIONS if frame else _FIRST_ITERATIONS):
             step = mink.solve_ik(
-                configuration, tasks, 1.0, solver=_SOLVER, damping=_DAMPING, limits=limits
+                configuration, tasks, 1.0, solver=_SOLVER, damping=_DAMPING, limits=[limits]
             )
             configuration.integrate_inplace(step, 1.0)
             if np.abs(step).max() < _CONVERGED_RAD:
                 break
         solved[frame] = configuration.q
-    return solved
-
-
-def _weights_of(body: str) -> tuple[float, float] | None:
-    return _WEIGHTS.get(body) or _WEIGHTS.get(body.partition("_")[2])
-
-
-def _with_attitude(skeleton: Skeleton, targets: Targets) -> set[str]:
-    """Return the bodies with an attitude of their own: rigid hands only follow their forearms."""
-    jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
-    return jointed & set(targets.turns)
+    return solved[problem.lead_in :]
 
 
 def _joint_costs(model: mujoco.MjModel, cost: float) -> FloatArray:
@@ -105,24 +159,80 @@ def _joint_costs(model: mujoco.MjModel, cost: float) -> FloatArray:
     return costs
 
 
-def _first_pose(model: mujoco.MjModel, skeleton: Skeleton, targets: Targets) -> FloatArray:
+def weights_of(body: str) -> tuple[float, float] | None:
+    """Return the weights of a body with a name of the humanoid's; None: it has no goal."""
+    return WEIGHTS.get(body) or WEIGHTS.get(body.partition("_")[2])
+
+
+def humanoid_problem(
+    model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
+) -> IkProblem:
+    """Return the problem of a shipped humanoid, whose bodies are those of the targets."""
+    with_attitude = _with_attitude(skeleton, targets)
+    weights = {
+        body: (place, turn if body in with_attitude else 0.0)
+        for body in skeleton.body_names
+        if (pair := weights_of(body))
+        for place, turn in (pair,)
+    }
+    goals = {body: body_goals(skeleton.body_names, targets, body) for body in weights}
+    return IkProblem(
+        model=model,
+        fps=fps,
+        goals=goals,
+        weights=weights,
+        first_pose=_first_pose(model, skeleton, goals["pelvis"][0]),
+        posture=model.qpos0,
+        limits=humanoid_limits(model, skeleton),
+    )
+
+
+def _with_attitude(skeleton: Skeleton, targets: Targets) -> set[str]:
+    """Return the bodies with an attitude of their own: rigid hands only follow their forearms."""
+    jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
+    return jointed & set(targets.turns)
+
+
+def _first_pose(model: mujoco.MjModel, skeleton: Skeleton, pelvis: FloatArray) -> FloatArray:
     """Return the zero pose with bent knees and elbows at the place of the first pelvis."""
     qpos = model.qpos0.copy()
-    qpos[:7] = np.roll(_poses(skeleton, targets, "pelvis")[0], 3)
-    spans = zip(skeleton.qpos_addresses, itertools.pairwise(skeleton.dof_offsets), strict=False)
-    for place, (start, end) in spans:
-        if end - start == 1:
-            sign = 1.0 if skeleton.dof_limits[start, 1] > 0.0 else -1.0
-            qpos[place] = sign * _FIRST_BEND_RAD
+    qpos[:7] = np.roll(pelvis, 3)
+    for body in skeleton.hinge_body_ids:
+        joint = model.body(skeleton.body_names[body]).jntadr[0]
+        sign = 1.0 if model.jnt_range[joint, 1] > 0.0 else -1.0
+        qpos[model.jnt_qposadr[joint]] = sign * FIRST_BEND_RAD
     return qpos
 
 
-def _poses(skeleton: Skeleton, targets: Targets, body: str) -> FloatArray:
-    """Return quaternions wxyz and positions (T, 7) of a body, as mink takes them."""
-    places = targets.positions[:, skeleton.body_names.index(body)]
+def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
+    """Return quaternions wxyz and positions (T, 7) of a body, as mink takes them.
+
+    Args:
+        names: of the bodies of the targets, in order.
+        targets: of all bodies.
+        body: one of them.
+    """
+    places = targets.positions[:, names.index(body)]
     upright = np.tile((0.0, 0.0, 0.0, 1.0), (len(places), 1))
     turns = torch.from_numpy(targets.turns.get(body, upright))
     return np.concatenate((rotations.wxyz_from_xyzw(turns).numpy(), places), axis=1)
+
+
+def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
+    """Return the limits of a shipped humanoid's joints; knees and elbows stay bent a little."""
+    lower, upper = skeleton.dof_limits.T
+    balls, hinges = list[BallLimit](), list[HingeLimit]()
+    for body, (start, end) in zip(
+        skeleton.dof_body_ids, itertools.pairwise(skeleton.dof_offsets), strict=True
+    ):
+        joint = model.body(skeleton.body_names[body]).jntadr[0]
+        place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+        limits = (lower[start:end], upper[start:end])
+        if end - start == 3:
+            balls.append(BallLimit(*place, *limits))
+        else:
+            hinges.append(HingeLimit(*place, *_bent(*limits)))
+    return JointLimits(tuple(hinges), tuple(balls))
 
 
 class DofLimits:
@@ -130,38 +240,47 @@ class DofLimits:
 
     Args:
         mink: the module.
-        model: the compiled model of `skeleton`.
-        skeleton: its joints and their limits.
+        model: the compiled model.
+        limits: of its joints.
     """
 
-    def __init__(self, mink: Any, model: mujoco.MjModel, skeleton: Skeleton) -> None:
+    def __init__(self, mink: Any, model: mujoco.MjModel, limits: JointLimits) -> None:
         self._constraint = mink.Constraint
         self._nv = model.nv
-        lower, upper = skeleton.dof_limits.T
-        self._balls, self._hinges = [], []
-        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
-            place = (skeleton.qpos_addresses[group], skeleton.qvel_addresses[group])
-            limits = (lower[start:end], upper[start:end])
-            if end - start == 3:
-                self._balls.append((*place, *limits))
-            else:
-                self._hinges.append((*place, *_bent(*limits)))
+        self._limits = limits
+        self._last: FloatArray | None = None
+        self._reach = math.inf
+
+    def start_frame(self, last: FloatArray, time_s: float) -> None:
+        """Limit the way of hinges from the pose `last` (nq,), `time_s` before."""
+        self._last, self._reach = last, self._limits.fastest_rad_s * time_s
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> Any:
         """Return G and h of G step <= h for a step (nv) in the tangent space; `dt` is not used."""
         rows, bounds = [], []
-        for qpos, dof, lower, upper in self._hinges:
+        for hinge in self._limits.hinges:
             row = np.zeros((1, self._nv))
-            row[0, dof] = 1.0
-            value = configuration.q[qpos : qpos + 1]
+            row[0, hinge.dof] = 1.0
+            here = slice(hinge.qpos, hinge.qpos + 1)
+            value, lower, upper = configuration.q[here], hinge.lower, hinge.upper
+            if self._last is not None:
+                lower = np.maximum(lower, self._last[here] - self._reach)
+                upper = np.minimum(upper, self._last[here] + self._reach)
             rows += [row, -row]
             bounds += [upper - value, value - lower]
-        for qpos, dof, lower, upper in self._balls:
-            vector = nearest_vector(configuration.q[qpos : qpos + 4], lower, upper)
+        for ball in self._limits.balls:
+            quaternion = configuration.q[ball.qpos : ball.qpos + 4]
+            vector = nearest_vector(quaternion, ball.lower, ball.upper)
             row = np.zeros((3, self._nv))
-            row[:, dof : dof + 3] = vector_jacobian(vector)
+            row[:, ball.dof : ball.dof + 3] = vector_jacobian(vector)
             rows += [row, -row]
-            bounds += [upper - vector, vector - lower]
+            bounds += [ball.upper - vector, vector - ball.lower]
+            length = float(np.linalg.norm(vector))
+            if length > LEAST_BEND_RAD and math.isfinite(ball.longest):
+                rows.append(vector[None] / length @ row)
+                bounds.append(np.array([ball.longest - length]))
+        if not rows:
+            return self._constraint()
         return self._constraint(G=np.concatenate(rows), h=np.concatenate(bounds))
 
 
@@ -202,6 +321,6 @@ def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
 def _bent(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the limits of a hinge, the straight limb excluded where it is one of them."""
     return (
-        np.where(lower == 0.0, _LEAST_BEND_RAD, lower),
-        np.where(upper == 0.0, -_LEAST_BEND_RAD, upper),
+        np.where(lower == 0.0, LEAST_BEND_RAD, lower),
+        np.where(upper == 0.0, -LEAST_BEND_RAD, upper),
     )

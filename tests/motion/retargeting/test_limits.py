@@ -11,6 +11,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.retargeting.solve import (
     DofLimits,
     beyond,
+    humanoid_limits,
     nearest_vector,
     vector_jacobian,
 )
@@ -66,7 +67,8 @@ def test_every_dof_has_its_two_rows(num_dofs: int, humanoid, armed) -> None:
     name = {28: "amp_humanoid", 31: "amp_humanoid_sword_shield"}[num_dofs]
     model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf" / f"{name}.xml"))
     configuration = mink.Configuration(model)
-    constraint = DofLimits(mink, model, skeleton).compute_qp_inequalities(configuration, 1.0)
+    limits = DofLimits(mink, model, humanoid_limits(model, skeleton))
+    constraint = limits.compute_qp_inequalities(configuration, 1.0)
     assert constraint.G.shape == (2 * num_dofs, model.nv)
     assert not constraint.G[:, :6].any()  # the root is free
     # From the zero pose a step of 1 rad about one axis of a ball joint is 1 rad in its vector.

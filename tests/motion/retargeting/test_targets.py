@@ -10,13 +10,16 @@ import pytest
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
+from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh
 from isaacgymenvs_lite.motion.retargeting.targets import make_targets
 
 
 def targets_of(path: Path, rig: str, skeleton):
     mapping = load_mapping(rig)
-    return make_targets(load_bvh(path, mapping.to_z_up, mapping.unit_m), mapping, skeleton)
+    clip = load_bvh(path, mapping.to_z_up, mapping.unit_m)
+    return make_targets(source_from_bvh(clip, mapping), humanoid_figure(skeleton))
 
 
 @pytest.mark.parametrize("size", [0.5, 1.0, 2.0])

@@ -1,0 +1,189 @@
+"""Which points of a foot touch the ground, and where the foot must be so that they rest there."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.retargeting.figure import Sole
+from isaacgymenvs_lite.utils import rotations
+
+Flags = npt.NDArray[np.bool_]  # True where a point touches the ground
+
+# A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
+# source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
+_LOW_M, _SLOW_M_S = 0.02, 0.5
+# A foot that swings is at least this high in the middle of its way, for a foot of 1 m: less would
+# scrape. Near its ends it rises and sinks in this share of the way.
+_CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
+_MOST_TWIST_RAD = np.radians(20.0)
+# Contacts of this length are noise, and so are gaps in them.
+_NOISE_S = 0.05
+
+
+def pin_feet(
+    sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
+) -> tuple[Flags, FloatArray, FloatArray]:
+    """Return places and attitudes of a foot whose points in contact rest on the ground.
+
+    Between contacts the correction passes smoothly from the last one's to the next one's.
+
+    Args:
+        sole: its points.
+        feet: (T, 3) m, the foot over the ground z = 0.
+        turns: (T, 4) xyzw, its attitude.
+        fps: frames per second.
+
+    Returns:
+        Which points are in contact (T, K), and the places (T, 3) and attitudes (T, 4) of the foot.
+    """
+    contact = find_contacts(sole.places(feet, turns), fps)
+    touching = _any_point(contact)
+    turns = _untwisted(sole, feet, turns, contact)
+    points = sole.places(feet, turns)
+    moved = np.zeros_like(feet)
+    for start, end in spans(touching):
+        moved[start:end, :2] = _unslid(points[start:end, :, :2], contact[start:end])
+        moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
+    _bridge(moved, touching)
+    lowest = points[..., 2].min(axis=1)
+    length = sole.length_m
+    least = _CLEARANCE * length * swing_profile(touching) - lowest
+    moved[:, 2] = _smooth_maximum(moved[:, 2], least, _BLEND * length, ~touching)
+    return contact, feet + moved, turns
+
+
+def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) -> FloatArray:
+    """Return the attitudes (T, 4) without rotation about z between points in contact.
+
+    A foot that turns far on the ground, as dancers' do, keeps its turn.
+    """
+    points = sole.places(feet, turns)[..., :2]
+    touching = _any_point(contact)
+    twist = np.zeros((len(feet), 1))
+    for start, end in spans(touching):
+        steps = [
+            _twist(points[i - 1][both], points[i][both])
+            for i in range(start + 1, end)
+            for both in (contact[i - 1] & contact[i],)
+        ]
+        total = np.concatenate(([0.0], -np.cumsum(steps)))
+        if np.ptp(total) < _MOST_TWIST_RAD:
+            twist[start:end, 0] = total - total.mean()
+    _bridge(twist, touching)
+    angles = torch.from_numpy(twist[:, 0])
+    up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64).expand(len(feet), 3)
+    about_z = rotations.quat_from_angle_axis(angles, up)
+    return rotations.quat_mul(about_z, torch.from_numpy(turns)).numpy()
+
+
+def _twist(before: FloatArray, after: FloatArray) -> float:
+    """Return the rotation in rad that fits two sets of points (K, 2) best; 0 of a single one."""
+    if len(before) < 2:
+        return 0.0
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    return float(np.arctan2(cross, float((a * b).sum())))
+
+
+def _any_point(contact: Flags) -> Flags:
+    return np.asarray(contact.any(axis=1), dtype=np.bool_)
+
+
+def swing_profile(touching: Flags) -> FloatArray:
+    """Return 0 (T,) in contact, 1 in the middle of each swing, with smooth ways between.
+
+    At the ends of the motion a swing is cut off; there it stays as high as it has become.
+    """
+    profile = np.zeros(len(touching))
+    for start, end in spans(~touching):
+        share = np.arange(1, end - start + 1) / (end - start + 1)
+        rise = np.ones_like(share) if start == 0 else np.minimum(share / _RISE_SHARE, 1.0)
+        if end < len(touching):
+            rise = np.minimum(rise, (1.0 - share) / _RISE_SHARE)
+        rise = np.clip(rise, 0.0, 1.0)
+        profile[start:end] = rise * rise * (3.0 - 2.0 * rise)
+    return profile
+
+
+def _smooth_maximum(one: FloatArray, other: FloatArray, width: float, where: Flags) -> FloatArray:
+    """Return the larger of two (T,), rounded where they cross by up to a quarter of `width`."""
+    apart = np.abs(one - other)
+    round_off = np.maximum(width - apart, 0.0) ** 2 / (4.0 * width)
+    return np.maximum(one, other) + np.where(where, round_off, 0.0)
+
+
+def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
+    """Return how the root must rise (T,) m so that the lowest point in contact is on the ground.
+
+    Between contacts it passes smoothly from one to the next; no point stays below the ground.
+
+    Args:
+        points: (T, ..., 3) m, of all soles.
+        contact: (T, ...), which of them are in contact.
+    """
+    heights = np.where(contact, points[..., 2], np.inf).reshape(len(points), -1).min(axis=1)
+    touching = np.isfinite(heights)
+    rise = np.where(touching, -heights, 0.0)[:, None]
+    _bridge(rise, touching)
+    lowest = points[..., 2].reshape(len(points), -1).min(axis=1)
+    return np.maximum(rise[:, 0], -lowest)
+
+
+def mean_in_contact(values: FloatArray, contact: Flags) -> FloatArray:
+    """Return the mean (T, 3) of values (T, K, 3) of points in contact; smooth ways between."""
+    touching = _any_point(contact)
+    count = np.maximum(contact.sum(axis=1), 1)[:, None]
+    mean = (values * contact[..., None]).sum(axis=1) / count
+    _bridge(mean, touching)
+    return mean
+
+
+def find_contacts(points: FloatArray, fps: float) -> Flags:
+    """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
+    contact = (points[..., 2] < _LOW_M) & (speed < _SLOW_M_S)
+    longest = round(_NOISE_S * fps)
+    for column in contact.T:
+        for start, end in spans(~column):
+            if end - start <= longest and start > 0 and end < len(column):
+                column[start:end] = True
+        for start, end in spans(column):
+            if end - start <= longest:
+                column[start:end] = False
+    return contact
+
+
+def spans(flags: Flags) -> list[tuple[int, int]]:
+    """Return (start, end) of every run of True in (T,), the end excluded."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def _unslid(points: FloatArray, contact: Flags) -> FloatArray:
+    """Return the shift (T, 2) that removes the mean sliding of the points (T, K, 2) in contact.
+
+    Its mean is zero: the foot stays where the source has it.
+    """
+    steps = np.diff(points, axis=0)
+    both = (contact[1:] & contact[:-1])[..., None]
+    sliding = (steps * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+    shift = np.concatenate((np.zeros((1, 2)), -np.cumsum(sliding, axis=0)))
+    return shift - shift.mean(axis=0)
+
+
+def _bridge(values: FloatArray, known: Flags) -> None:
+    """Fill the rows of (T, D) that are not known with smooth ways between the known ones."""
+    for start, end in spans(~known):
+        before = values[start - 1] if start else None
+        after = values[end] if end < len(values) else None
+        if before is None or after is None:
+            values[start:end] = (
+                0.0 if before is None and after is None else (after if before is None else before)
+            )
+            continue
+        share = np.arange(1, end - start + 1) / (end - start + 1)
+        share = (share * share * (3.0 - 2.0 * share))[:, None]
+        values[start:end] = before * (1.0 - share) + after * share

@@ -1,0 +1,347 @@
+"""A robot as the target of retargeting: its figure, its soles, and its inverse kinematics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.motion.editing import interpolate_rotations
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, round_bodies
+from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
+from isaacgymenvs_lite.motion.retargeting.soles import find_sole
+from isaacgymenvs_lite.motion.retargeting.solve import (
+    FIRST_BEND_RAD,
+    LEAST_BEND_RAD,
+    BallLimit,
+    HingeLimit,
+    IkProblem,
+    JointLimits,
+    body_goals,
+)
+from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length, rotated_in_body
+from isaacgymenvs_lite.motion.retargeting.targets import Targets
+from isaacgymenvs_lite.utils import rotations
+
+_START_POSES = ("home", "stand", "standing")
+_ROOT = 7
+_LEAD_IN = 30  # frames from the start pose to the first of the motion
+_ANGLES = 91  # at which a hinge is tried
+_LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot and how it is moved; made by `robot_from_model`.
+
+    Attributes:
+        model: compiled, a free root as first joint, hinges and ball joints.
+        mapping: of its bodies to the humanoid's names.
+        start: (nq,), the pose in which it stands upright.
+        figure: its lengths and soles, upright and facing +x.
+        frames: (4,) xyzw, by the humanoid's names: the body's attitude in the upright figure.
+        hips: (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
+        bends: (joint, lowest, highest) rad of the hinges that bend limbs, without the straight
+            limb.
+    """
+
+    model: mujoco.MjModel
+    mapping: RobotMapping
+    start: FloatArray
+    figure: Figure
+    frames: dict[str, FloatArray]
+    hips: FloatArray
+    bends: tuple[tuple[int, float, float], ...]
+
+    def soles(self, qpos: FloatArray) -> FloatArray:
+        """Return the lowest places (T, 2, K, 3) m of both soles' points, qpos (T, nq)."""
+        places = []
+        for foot in FEET:
+            body = self.mapping.bodies[foot].body
+            origins, turns = body_poses(self.model, qpos, [body])
+            upright = rotations.quat_conjugate(torch.from_numpy(self.frames[foot])).numpy()
+            attitude = rotated_in_body(turns[:, 0], upright)
+            places.append(self.figure.soles[foot].places(origins[:, 0], attitude))
+        return self.padded(places)
+
+    def padded(self, of_feet: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        """Return values (T, K, ...) of the points of both soles as one array (T, 2, K, ...).
+
+        A foot with fewer points than the other repeats its last one.
+        """
+        most = max(values.shape[1] for values in of_feet)
+        rows = [[min(i, v.shape[1] - 1) for i in range(most)] for v in of_feet]
+        return np.stack([v[:, row] for v, row in zip(of_feet, rows, strict=True)], axis=1)
+
+
+def robot_from_model(model: mujoco.MjModel, mapping: RobotMapping) -> Robot:
+    """Return a robot that can be retargeted to.
+
+    Raises:
+        ConfigError: no free root, or another joint that is neither hinge nor ball; a body or start
+            pose of the mapping that the model lacks; legs of no length; a foot without geometry.
+    """
+    _check_joints(model)
+    _check_bodies(model, mapping)
+    start = _start_pose(model, mapping.start_pose)
+    names = [entry.body for entry in mapping.bodies.values()]
+    found, turned = body_poses(model, start[None], names)
+    places = dict(zip(mapping.bodies, found[0], strict=True))
+    facing = _facing(places)
+    upright = {body: _turned_back(facing, place) for body, place in places.items()}
+    hips = 0.5 * (upright["right_thigh"] + upright["left_thigh"])
+    pelvis = upright["pelvis"]
+    upright["pelvis"] = hips
+    attitudes = torch.from_numpy(turned[0])
+    back = rotations.quat_conjugate(torch.from_numpy(facing)).expand_as(attitudes)
+    frames = dict(zip(mapping.bodies, rotations.quat_mul(back, attitudes).numpy(), strict=True))
+    return Robot(
+        model=model,
+        mapping=mapping,
+        start=start,
+        figure=_figure(model, mapping, start, upright, facing),
+        frames=frames,
+        hips=hips - pelvis,
+        bends=tuple(_bends(model, mapping, start)),
+    )
+
+
+def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
+    """Return the problem whose solution are poses of the robot near the targets."""
+    names = robot.figure.body_names
+    goals, weights = {}, {}
+    for name, entry in robot.mapping.bodies.items():
+        rotation = entry.rotation if name in targets.turns else 0.0
+        if entry.position == rotation == 0.0:
+            continue
+        goal = body_goals(names, targets, name)
+        turns = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:, :4]))
+        if name == "pelvis":
+            hips = torch.from_numpy(robot.hips).expand(len(goal), 3)
+            goal[:, 4:] -= rotations.quat_apply(turns, hips).numpy()
+        own = torch.from_numpy(rotated_in_body(turns.numpy(), robot.frames[name]))
+        goal[:, :4] = rotations.wxyz_from_xyzw(own).numpy()
+        goals[entry.body], weights[entry.body] = goal, (entry.position, rotation)
+    first_pose = _first_pose(robot, goals)
+    places, turns = body_poses(robot.model, first_pose[None], list(goals))
+    for i, body in enumerate(goals):
+        goals[body] = _led_in(places[0, i], turns[0, i], goals[body])
+    return IkProblem(
+        model=robot.model,
+        fps=fps,
+        goals=goals,
+        weights=weights,
+        first_pose=first_pose,
+        posture=robot.start,
+        limits=_limits(robot),
+        lead_in=_LEAD_IN,
+    )
+
+
+def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray:
+    """Return goals (N + T, 7) that begin with a way from a body's pose to the first of (T, 7).
+
+    From afar the search may turn an arm the long way round, to its limits.
+    """
+    share = np.arange(_LEAD_IN) / _LEAD_IN
+    first = rotations.xyzw_from_wxyz(torch.from_numpy(goal[:1, :4])).numpy()
+    turns = interpolate_rotations(turn[None].repeat(_LEAD_IN, 0), first.repeat(_LEAD_IN, 0), share)
+    places = place + share[:, None] * (goal[0, 4:] - place)
+    wxyz = rotations.wxyz_from_xyzw(torch.from_numpy(turns)).numpy()
+    return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
+
+
+def body_poses(
+    model: mujoco.MjModel, qpos: FloatArray, bodies: list[str]
+) -> tuple[FloatArray, FloatArray]:
+    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies, qpos (T, nq)."""
+    ids = [model.body(name).id for name in bodies]
+    data = mujoco.MjData(model)
+    places, turns = np.zeros((len(qpos), len(ids), 3)), np.zeros((len(qpos), len(ids), 4))
+    for i, pose in enumerate(qpos):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        places[i], turns[i] = data.xpos[ids], data.xquat[ids]
+    return places, rotations.xyzw_from_wxyz(torch.from_numpy(turns)).numpy()
+
+
+def _check_joints(model: mujoco.MjModel) -> None:
+    kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
+    if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
+        raise ConfigError(
+            "the robot has no free joint at its first body, so that it cannot move through the "
+            "world; add <freejoint/> to its root"
+        )
+    for i, kind in enumerate(kinds[1:], start=1):
+        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL):
+            raise ConfigError(
+                f"joint '{model.joint(i).name}' of the robot is a {kind.name[6:].lower()} joint, "
+                "expected hinge or ball joints below the free root; fix or remove it"
+            )
+
+
+def _check_bodies(model: mujoco.MjModel, mapping: RobotMapping) -> None:
+    known = [model.body(i).name for i in range(1, model.nbody)]
+    used: dict[str, str] = {}
+    for name, entry in mapping.bodies.items():
+        where = f"mapping={mapping.name}: bodies.{name}"
+        if entry.body not in known:
+            raise ConfigError(f"{where}: {unknown('body of the robot', entry.body, known)}")
+        if entry.body in used:
+            raise ConfigError(
+                f"{where} is '{entry.body}', and so is {used[entry.body]}; a body can follow one"
+            )
+        used[entry.body] = name
+
+
+def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
+    keys = [model.key(i).name for i in range(model.nkey)]
+    if name and name not in keys:
+        raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
+    for choice in (name,) if name else _START_POSES:
+        if choice in keys:
+            return model.key(choice).qpos.copy()
+    return model.qpos0.copy()
+
+
+def _facing(places: dict[str, FloatArray]) -> FloatArray:
+    """Return the rotation (4,) xyzw about z of a standing robot; its left is from hip to hip."""
+    left = places["left_thigh"] - places["right_thigh"]
+    half = 0.5 * math.atan2(-left[0], left[1])
+    return np.array((0.0, 0.0, math.sin(half), math.cos(half)))
+
+
+def _turned_back(facing: FloatArray, vector: FloatArray) -> FloatArray:
+    turn = rotations.quat_conjugate(torch.from_numpy(facing))
+    return rotations.quat_apply(turn[None], torch.from_numpy(vector)[None])[0].numpy()
+
+
+def _figure(
+    model: mujoco.MjModel,
+    mapping: RobotMapping,
+    start: FloatArray,
+    upright: dict[str, FloatArray],
+    facing: FloatArray,
+) -> Figure:
+    names = tuple(upright)
+    parents = {name: mapping.parent(name) for name in names}
+    offsets = [upright[name] - upright[parents[name] or name] for name in names]
+    leg_m = leg_length({name: place[None] for name, place in upright.items()})
+    if leg_m < 1e-3:
+        raise ConfigError(f"mapping={mapping.name}: the robot's legs are {leg_m:g} m long")
+    soles = {}
+    for foot in FEET:
+        points, radii = find_sole(model, start, mapping.bodies[foot].body)
+        soles[foot] = Sole(np.stack([_turned_back(facing, p) for p in points]), radii)
+    return Figure(
+        names,
+        tuple(-1 if parents[name] is None else names.index(str(parents[name])) for name in names),
+        np.stack(offsets),
+        soles,
+        round_bodies(leg_m, names),
+        pins_feet=True,
+    )
+
+
+def _bends(
+    model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
+) -> list[tuple[int, float, float]]:
+    """Return the hinge that bends each limb, and its range on the larger side of the straight limb.
+
+    It is the one between both ends of the limb that changes their distance most.
+    """
+    bends = []
+    for side in SIDES:
+        for parts in _LIMBS:
+            limb = [f"{side}_{part}" for part in parts]
+            if not all(name in mapping.bodies for name in limb):
+                continue
+            top, *_, end = (model.body(mapping.bodies[name].body).id for name in limb)
+            tried = [
+                _distances(model, start, joint, top, end) for joint in _between(model, top, end)
+            ]
+            if not tried:
+                continue
+            joint, angles, distances = max(tried, key=lambda entry: np.ptp(entry[2]))
+            low, high = angles[0], angles[-1]
+            straight = angles[distances.argmax()]
+            if high - straight >= straight - low:
+                bends.append((joint, straight + LEAST_BEND_RAD, high))
+            else:
+                bends.append((joint, low, straight - LEAST_BEND_RAD))
+    return bends
+
+
+def _between(model: mujoco.MjModel, top: int, end: int) -> list[int]:
+    """Return the hinges below body `top` that move body `end`, its own left out."""
+    joints = []
+    body = int(model.body_parentid[end])
+    while body not in (0, top):
+        first = int(model.body_jntadr[body])
+        joints += [
+            joint
+            for joint in range(first, first + int(model.body_jntnum[body]))
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        ]
+        body = int(model.body_parentid[body])
+    return joints
+
+
+def _distances(
+    model: mujoco.MjModel, start: FloatArray, joint: int, top: int, end: int
+) -> tuple[int, FloatArray, FloatArray]:
+    """Return the joint, angles over its range, and the distances in m of two bodies at them."""
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
+    angles = np.linspace(low, high, _ANGLES)
+    poses = np.repeat(start[None], _ANGLES, axis=0)
+    poses[:, model.jnt_qposadr[joint]] = angles
+    places, _ = body_poses(model, poses, [model.body(top).name, model.body(end).name])
+    return joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+
+
+def _limits(robot: Robot) -> JointLimits:
+    model = robot.model
+    bends = {joint: (low, high) for joint, low, high in robot.bends}
+    hinges, balls = list[HingeLimit](), list[BallLimit]()
+    for joint in range(1, model.njnt):
+        place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+        limited = bool(model.jnt_limited[joint])
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
+            longest = float(model.jnt_range[joint, 1]) if limited else math.inf
+            balls.append(BallLimit(*place, np.full(3, -math.tau), np.full(3, math.tau), longest))
+            continue
+        low, high = model.jnt_range[joint] if limited else (-math.inf, math.inf)
+        low, high = bends.get(joint, (low, high))
+        hinges.append(HingeLimit(*place, np.array([low]), np.array([high])))
+    return JointLimits(tuple(hinges), tuple(balls), robot.mapping.fastest_rad_s)
+
+
+def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
+    """Return the start pose with bent limbs, its pelvis where the first frame has it."""
+    qpos = robot.start.copy()
+    for joint, low, high in robot.bends:
+        near, far = (low, high) if abs(low) < abs(high) else (high, low)
+        column = robot.model.jnt_qposadr[joint]
+        if not low <= qpos[column] <= high or abs(qpos[column] - near) < FIRST_BEND_RAD:
+            qpos[column] = near + math.copysign(min(FIRST_BEND_RAD, high - low), far - near)
+    pelvis = robot.mapping.bodies["pelvis"].body
+    place, turn = (
+        torch.from_numpy(value[0]) for value in body_poses(robot.model, qpos[None], [pelvis])
+    )
+    goal = torch.from_numpy(goals[pelvis][:1])
+    change = rotations.quat_mul(
+        rotations.xyzw_from_wxyz(goal[:, :4]), rotations.quat_conjugate(turn)
+    )
+    root = torch.from_numpy(qpos[None, :_ROOT])
+    root_turn = rotations.quat_mul(change, rotations.xyzw_from_wxyz(root[:, 3:]))
+    qpos[:3] = (goal[:, 4:] + rotations.quat_apply(change, root[:, :3] - place))[0]
+    qpos[3:_ROOT] = rotations.wxyz_from_xyzw(root_turn)[0]
+    return qpos
