@@ -89,9 +89,11 @@ def test_models_of_the_wheel_compile(wheel, tmp_path):
         "anymal_minimal": 12,
         "ball_balance": 3,
         "cartpole": 1,
+        "g1": 0,
         "humanoid": 21,
         "ingenuity": 6,
         "quadcopter": 12,
+        "quadruped": 0,
     }
 
 
