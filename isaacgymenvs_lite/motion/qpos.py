@@ -71,7 +71,7 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
             f" position, rotation and {len(skeleton.dof_body_ids)} joints of the robot"
         )
     offsets, turns = local_poses(skeleton, qpos)
-    root, dofs = qpos[:, :3], _dofs_from_qpos(skeleton, qpos)
+    root, dofs = qpos[:, :3], dofs_from_qpos(skeleton, qpos)
     names, parents = skeleton.body_names, skeleton.parent_indices
     return MotionClip.from_poses(name, fps, names, parents, offsets, turns, root, dofs)
 
@@ -277,7 +277,7 @@ def _set_along_axis(vectors: Tensor, axis: npt.NDArray[np.float64], lengths: Ten
         vectors[:, int(i)] = float(axis[i]) * lengths
 
 
-def _dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatArray:
+def dofs_from_qpos(skeleton: Skeleton, qpos: npt.NDArray[np.float64]) -> FloatArray:
     """Return the DOFs (T, num_dofs) rad of qpos (T, nq)."""
     columns = []
     for start, end in itertools.pairwise(skeleton.qpos_addresses):

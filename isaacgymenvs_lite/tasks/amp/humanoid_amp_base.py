@@ -87,6 +87,10 @@ class HumanoidAMPBase(MjcfTask):
         """Return the bodies whose positions are observed."""
         return KEY_BODY_NAMES
 
+    def contact_body_names(self) -> tuple[str, ...]:
+        """Return the bodies that may touch the floor."""
+        return self.env_cfg.contact_bodies
+
     def set_sizes(self) -> None:
         """Set the sizes of observations and actions, which depend on the model."""
         self.num_observations = num_humanoid_obs(
@@ -115,7 +119,7 @@ class HumanoidAMPBase(MjcfTask):
         self._check_asset()
         super().create_sim()
         self.dt = self.control_dt_s
-        self.contact_body_ids = self._body_ids("contactBodies", self.env_cfg.contact_bodies)
+        self.contact_body_ids = self._body_ids("contactBodies", self.contact_body_names())
         self.key_body_ids = self._body_ids("keyBodies", self.key_body_names())
         self.termination_heights_m = self._termination_heights()
         self._build_action_scaling()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -69,7 +70,7 @@ def compile_model(
     dynamic_friction: float,
     change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> mujoco.MjModel:
-    """Compile an MJCF with the task's time step, gravity and friction.
+    """Compile an MJCF with the task's time step, gravity and friction; see `compile_spec`.
 
     Args:
         path: the file.
@@ -80,19 +81,44 @@ def compile_model(
     Raises:
         ConfigError: MuJoCo refuses the file.
     """
-    try:
+    with explained(path):
         spec = mujoco.MjSpec.from_file(str(path))
         change(spec)
+    return compile_spec(spec, path, sim, dynamic_friction)
+
+
+def compile_spec(
+    spec: mujoco.MjSpec, path: Path, sim: SimConfig, dynamic_friction: float
+) -> mujoco.MjModel:
+    """Compile a specification with the task's time step, gravity and friction.
+
+    Args:
+        spec: what the file at `path` contains, perhaps changed.
+        path: for messages.
+        sim: `task.sim`.
+        dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
+
+    Raises:
+        ConfigError: MuJoCo refuses it.
+    """
+    with explained(path):
         model = spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error
     model.opt.timestep = sim.dt / sim.substeps
     model.opt.gravity[:] = sim.gravity
     # MuJoCo takes the larger coefficient of two touching geoms: set all to the plane's value.
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor") >= 0:
         model.geom_friction[:, 0] = dynamic_friction
     return model
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Turn an error of MuJoCo's about the file at `path` into a ConfigError."""
+    try:
+        yield
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"task.env.asset: MuJoCo cannot load {path}: {reason}") from error
 
 
 def hinge_limits(model: mujoco.MjModel, layout: ModelLayout) -> npt.NDArray[np.float64]:
