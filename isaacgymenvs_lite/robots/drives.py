@@ -28,6 +28,15 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
 @dataclass(frozen=True)
+class Motor:
+    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None."""
+
+    kp: float | None = None
+    kd: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True)
 class Drive:
     """Gains of a joint's drives: kp (Nm/rad), kd (Nm s/rad), effort (Nm), armature (kg m^2)."""
 
@@ -39,7 +48,11 @@ class Drive:
 
 
 def choose_drives(
-    model: mujoco.MjModel, height: float, patterns: Mapping[str, DriveSettings], where: str
+    model: mujoco.MjModel,
+    motors: Mapping[str, Motor],
+    height: float,
+    patterns: Mapping[str, DriveSettings],
+    where: str,
 ) -> list[Drive]:
     """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
 
@@ -47,7 +60,8 @@ def choose_drives(
     from the effort, which is that of the joint or its motor, or else follows from the weight.
 
     Args:
-        model: the robot, with the file's actuators.
+        model: the robot.
+        motors: what its file says, by joint.
         height: of the robot's base above the floor (m).
         patterns: names of joints to settings; the first that matches counts.
         where: key of the patterns, for messages.
@@ -63,7 +77,7 @@ def choose_drives(
     chosen = []
     for joint, name in zip(joints, names, strict=True):
         given = next((d for p, d in patterns.items() if fnmatchcase(name, p)), DriveSettings())
-        chosen.append(_drive(model, joint, height, given))
+        chosen.append(_drive(model, joint, motors.get(name, Motor()), height, given))
     return chosen
 
 
@@ -84,30 +98,33 @@ def _check_patterns(
         )
 
 
-def _drive(model: mujoco.MjModel, joint: int, height: float, given: DriveSettings) -> Drive:
+def _drive(
+    model: mujoco.MjModel, joint: int, motor: Motor, height: float, given: DriveSettings
+) -> Drive:
     dof = int(model.jnt_dofadr[joint])
     count = 3 if model.jnt_type[joint] == _BALL else 1
     inertia = float(np.max(model.dof_M0[dof : dof + count]))
     weight = float(model.body_subtreemass[0]) * 9.81
-    own_kp, own_kd, own_effort = _of_the_file(model, joint)
-    effort = given.effort or own_effort
+    effort = given.effort or motor.effort
     if effort is None:
         effort = min(_EFFORT_OF_WEIGHT * weight * height, _MAX_ACCELERATION * inertia)
     kp, kd = given.kp, given.kd
     if kp is None:
         stiffest = inertia * (2 * math.pi * _MAX_FREQUENCY_HZ) ** 2
-        kp = own_kp or min(_KP_OF_EFFORT * effort, max(_KP_OF_EFFORT * weight * height, stiffest))
-        kd = kd if kd is not None else own_kd
+        kp = motor.kp or min(_KP_OF_EFFORT * effort, max(_KP_OF_EFFORT * weight * height, stiffest))
+        kd = kd if kd is not None else motor.kd
     if kd is None:
         kd = _KD_OF_KP * kp
     armature = float(model.dof_armature[dof]) if given.armature is None else given.armature
     return Drive(model.joint(joint).name, kp, kd, effort, armature)
 
 
-def _of_the_file(
-    model: mujoco.MjModel, joint: int
-) -> tuple[float | None, float | None, float | None]:
-    """Return kp, kd and effort that a file's actuators and limits give a joint, None if not."""
+def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
+    """Return what a file's actuators and limits of joints say, by name of the joint."""
+    return {model.joint(joint).name: _motor(model, joint) for joint in range(model.njnt)}
+
+
+def _motor(model: mujoco.MjModel, joint: int) -> Motor:
     kp = kd = effort = None
     for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
         if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
@@ -125,7 +142,7 @@ def _of_the_file(
             effort = float(np.abs(model.actuator_forcerange[actuator]).max()) * gear
     if model.jnt_actfrclimited[joint]:
         effort = float(np.abs(model.jnt_actfrcrange[joint]).max())
-    return kp or None, kd, effort or None
+    return Motor(kp or None, kd, effort or None)
 
 
 def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:

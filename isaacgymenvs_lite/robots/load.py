@@ -17,16 +17,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from isaacgymenvs_lite.errors import ConfigError, one_line, printable
 from isaacgymenvs_lite.robots import structure
-from isaacgymenvs_lite.robots.drives import Drive, add_drives, choose_drives
+from isaacgymenvs_lite.robots.drives import Drive, add_drives, choose_drives, motors_of_file
 from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
 from isaacgymenvs_lite.robots.start_pose import choose_keyframe, joint_positions, start_pose
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
 
 @dataclass(frozen=True)
@@ -121,21 +123,21 @@ def prepare_robot(
     keys = _compile(spec)
     key = choose_keyframe(keys, settings.start_pose, f"{where}.startPose")
     positions = joint_positions(keys, key)
+    motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)
     if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
+    if settings.start_rotation is not None:
+        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
+        positions = {**positions, model.joint(0).name: root}
     qpos = start_pose(model, positions, settings.start_height)
     patterns = read_drives(settings.drives, f"{where}.drives")
-    drives = choose_drives(model, float(qpos[2]), patterns, f"{where}.drives")
+    drives = choose_drives(model, motors, float(qpos[2]), patterns, f"{where}.drives")
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     key_bodies = key_bodies or limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
-    if spec.actuators:
-        notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
@@ -154,10 +156,14 @@ def prepare_robot(
 
 
 def _make_robot(spec: mujoco.MjSpec) -> list[str]:
-    """Leave one robot with a free root, without slides and keyframes; return notes."""
-    for key in list(spec.keys):
-        spec.delete(key)
-    root, notes = structure.keep_one_robot(spec)
+    """Leave one robot with a free root, without slides, keyframes, actuators; return notes."""
+    notes = []
+    if spec.actuators:
+        notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
+    for thing in [*spec.keys, *spec.actuators]:
+        spec.delete(thing)
+    root, more = structure.keep_one_robot(spec)
+    notes += more
     notes += structure.free_root(spec, root)
     notes += structure.fix_slides(spec)
     return notes

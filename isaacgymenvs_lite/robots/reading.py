@@ -184,7 +184,9 @@ def _take_mjcf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
                 dropped.add(_texture_name(element))
                 parent.remove(element)
     if dropped:
-        notes.append(f"left out textures that are no PNG files: {', '.join(sorted(dropped))}")
+        notes.append(
+            f"left out textures that are no PNG files of the robot: {', '.join(sorted(dropped))}"
+        )
         for material in root.iter("material"):
             if material.get("texture") in dropped:
                 del material.attrib["texture"]
@@ -236,7 +238,10 @@ def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFil
     if keys != ["file"] or not element.attrib["file"].lower().endswith(".png"):
         return False
     name = element.attrib["file"]
-    key = files.read(files.find(_stripped(name, strip), folder, "texture"))
+    try:
+        key = files.read(files.find(_stripped(name, strip), folder, "texture"))
+    except ConfigError:
+        return False
     if not is_small_png(files.contents[key]):
         return False
     element.attrib.setdefault("name", _texture_name(element))

@@ -37,6 +37,8 @@ class RobotSettings:
     """Bodies that may touch the floor, names or patterns; () for what does in the start pose."""
     start_pose: str | None = setting(None, key="startPose", blank=True)
     """Name of a keyframe; null for `home`, `stand`, or the first one."""
+    start_rotation: tuple[float, ...] | None = setting(None, key="startRotation", length=4)
+    """Orientation of the base, xyzw; null for the keyframe's or the file's."""
     start_height: float | None = setting(None, key="startHeight")
     """Height of the base's origin in m; null to put the robot on the floor."""
 
