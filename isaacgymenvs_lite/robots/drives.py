@@ -1,0 +1,189 @@
+"""Position drives of a robot's joints: one actuator per degree of freedom, in their order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+
+from isaacgymenvs_lite.errors import ConfigError, suggest
+from isaacgymenvs_lite.robots.settings import DriveSettings
+
+# Full effort at an error of a third of a radian, and a time constant of 0.1 s: the ratios of
+# IsaacGymEnvs' HumanoidAMP, with which a robot carries its weight without a controller above.
+_KP_OF_EFFORT = 3.0
+_KD_OF_KP = 0.1
+# A drive is no faster than this, unless it has to carry the robot.
+_MAX_FREQUENCY_HZ = 10.0
+# Unknown efforts: of weight times height. A G1 has 0.35 at the hips and 0.2 at the ankles.
+_EFFORT_OF_WEIGHT = 0.35
+_MAX_ACCELERATION = 5000.0  # rad/s^2, which keeps fingers from the efforts of legs
+
+_BALL = mujoco.mjtJoint.mjJNT_BALL
+_AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None."""
+
+    kp: float | None = None
+    kd: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Gains of a joint's drives: kp (Nm/rad), kd (Nm s/rad), effort (Nm), armature (kg m^2)."""
+
+    joint: str
+    kp: float
+    kd: float
+    effort: float
+    armature: float
+
+
+def choose_drives(
+    model: mujoco.MjModel,
+    motors: Mapping[str, Motor],
+    height: float,
+    patterns: Mapping[str, DriveSettings],
+    where: str,
+) -> list[Drive]:
+    """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
+
+    Without any of the user's, a position actuator of the file gives kp and kd. Otherwise kp follows
+    from the effort, which is that of the joint or its motor, or else follows from the weight.
+
+    Args:
+        model: the robot.
+        motors: what its file says, by joint.
+        height: of the robot's base above the floor (m).
+        patterns: names of joints to settings; the first that matches counts.
+        where: key of the patterns, for messages.
+
+    Raises:
+        ConfigError: a pattern matches no joint, or no pattern matches a joint.
+    """
+    joints = [
+        joint for joint in range(model.njnt) if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE
+    ]
+    names = [model.joint(joint).name for joint in joints]
+    _check_patterns(names, patterns, where)
+    chosen = []
+    for joint, name in zip(joints, names, strict=True):
+        given = next((d for p, d in patterns.items() if fnmatchcase(name, p)), DriveSettings())
+        chosen.append(_drive(model, joint, motors.get(name, Motor()), height, given))
+    return chosen
+
+
+def _check_patterns(
+    names: Sequence[str], patterns: Mapping[str, DriveSettings], where: str
+) -> None:
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise ConfigError(
+                f"{where}: '{pattern}' matches no joint{suggest(pattern, names)};"
+                f" joints: {', '.join(names)}"
+            )
+    without = [name for name in names if not any(fnmatchcase(name, p) for p in patterns)]
+    if patterns and without:
+        raise ConfigError(
+            f"{where}: no pattern matches the joints {', '.join(without[:8])}; add them, or"
+            " '*': {} at the end for this project's gains"
+        )
+
+
+def _drive(
+    model: mujoco.MjModel, joint: int, motor: Motor, height: float, given: DriveSettings
+) -> Drive:
+    dof = int(model.jnt_dofadr[joint])
+    count = 3 if model.jnt_type[joint] == _BALL else 1
+    inertia = float(np.max(model.dof_M0[dof : dof + count]))
+    weight = float(model.body_subtreemass[0]) * 9.81
+    effort = given.effort or motor.effort
+    if effort is None:
+        effort = min(_EFFORT_OF_WEIGHT * weight * height, _MAX_ACCELERATION * inertia)
+    kp, kd = given.kp, given.kd
+    if kp is None:
+        stiffest = inertia * (2 * math.pi * _MAX_FREQUENCY_HZ) ** 2
+        kp = motor.kp or min(_KP_OF_EFFORT * effort, max(_KP_OF_EFFORT * weight * height, stiffest))
+        kd = kd if kd is not None else motor.kd
+    if kd is None:
+        kd = _KD_OF_KP * kp
+    armature = float(model.dof_armature[dof]) if given.armature is None else given.armature
+    return Drive(model.joint(joint).name, kp, kd, effort, armature)
+
+
+def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
+    """Return what a file's actuators and limits of joints say, by name of the joint."""
+    return {model.joint(joint).name: _motor(model, joint) for joint in range(model.njnt)}
+
+
+def _motor(model: mujoco.MjModel, joint: int) -> Motor:
+    kp = kd = effort = None
+    for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
+        if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        gear = float(np.abs(model.actuator_gear[actuator, :3]).max())
+        gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+        simple = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        if simple and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
+            if bias[1] < 0:
+                kp = -float(bias[1]) * gear**2
+                kd = -float(bias[2]) * gear**2 if bias[2] < 0 else None
+        elif simple and model.actuator_ctrllimited[actuator]:
+            effort = float(np.abs(gain * model.actuator_ctrlrange[actuator]).max()) * gear
+        if model.actuator_forcelimited[actuator]:
+            effort = float(np.abs(model.actuator_forcerange[actuator]).max()) * gear
+    if model.jnt_actfrclimited[joint]:
+        effort = float(np.abs(model.jnt_actfrcrange[joint]).max())
+    return Motor(kp or None, kd, effort or None)
+
+
+def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
+    """Add one position actuator per degree of freedom, named as MuJoCo model layouts name these.
+
+    Lengths of a ball joint's three are the components of its rotation vector in the child frame;
+    their `lengthrange` (rad) is what tasks take for the limits of the axes.
+
+    Args:
+        spec: changed: actuators, armatures and force limits of the joints.
+        drives: of all hinges and balls, in the order of the joints.
+    """
+    for drive in drives:
+        joint = spec.joint(drive.joint)
+        joint.armature = drive.armature
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        if joint.type != _BALL:
+            _add_actuator(spec, drive, drive.joint, (1, 0, 0))
+            continue
+        for axis, direction in _AXES.items():
+            actuator = _add_actuator(spec, drive, f"{drive.joint}_{axis}", direction)
+            limit = _ball_limit(spec, joint)
+            actuator.lengthrange[:] = (-limit, limit)
+
+
+def _ball_limit(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
+    largest = float(joint.range[1])
+    if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or largest <= 0:
+        return math.pi
+    return min(math.radians(largest) if spec.compiler.degree else largest, math.pi)
+
+
+def _add_actuator(
+    spec: mujoco.MjSpec, drive: Drive, name: str, direction: tuple[int, int, int]
+) -> mujoco.MjsActuator:
+    actuator = spec.add_actuator(name=name, target=drive.joint)
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0] = drive.kp
+    actuator.biasprm[:3] = (0, -drive.kp, -drive.kd)
+    actuator.gear[:] = (*direction, 0, 0, 0)
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange[:] = (-drive.effort, drive.effort)
+    return actuator

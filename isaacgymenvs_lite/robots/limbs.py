@@ -1,0 +1,79 @@
+"""Guesses at a robot's bodies: the ends of its limbs, and what touches the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError, suggest
+from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points
+
+# Ends nearer to each other's branch than this part of the robot's size are fingers of one hand.
+_HAND_OF_SIZE = 0.12
+_TOUCH = 0.01  # m above the lowest point
+
+
+def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
+    """Return the bodies that names or patterns match, in the order of the patterns.
+
+    Raises:
+        ConfigError: one matches no body.
+    """
+    choices = [model.body(body).name for body in range(1, model.nbody)]
+    found: dict[str, None] = {}
+    for name in names:
+        matched = [choice for choice in choices if fnmatchcase(choice, name)]
+        if not matched:
+            raise ConfigError(
+                f"{where}: '{name}' matches no body{suggest(name, choices)};"
+                f" bodies: {', '.join(choices)}"
+            )
+        found.update(dict.fromkeys(matched))
+    return tuple(found)
+
+
+def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
+    """Return the last bodies of all limbs: hands, feet; a head or tail with joints of its own.
+
+    A limb is a chain with at least one joint. Bodies without shapes are frames, not ends; the
+    fingers of a hand count as the hand.
+
+    Args:
+        model: of a robot with a free root.
+        qpos: (Q,) a pose.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    size = float(np.ptp(data.xpos[1:], axis=0).max())
+    children: dict[int, list[int]] = {}
+    for body in range(1, model.nbody):
+        children.setdefault(int(model.body_parentid[body]), []).append(body)
+
+    def ends(body: int) -> list[int]:
+        below = [end for child in children.get(body, []) for end in ends(child)]
+        far = np.linalg.norm(data.xpos[below] - data.xpos[body], axis=1).max() if below else 0.0
+        if len(below) > 1 and far < _HAND_OF_SIZE * size and model.body_parentid[body] != 0:
+            return [body]
+        if below:
+            return below
+        moves = model.body_weldid[body] != model.body_weldid[1]
+        return [body] if moves and model.body_geomnum[body] > 0 else []
+
+    return tuple(model.body(end).name for end in ends(1))
+
+
+def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
+    """Return the bodies whose lowest points are within 1 cm of the robot's lowest one."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    lows = lowest_points(model, data)
+    lowest = min(lows.values())
+    return tuple(
+        model.body(body).name for body, low in lows.items() if low < lowest + _TOUCH + CLEARANCE
+    )

@@ -1,0 +1,178 @@
+"""From a user's robot file to a model that tasks, converters and viewers share.
+
+    robot = load_robot("/robots/g1.xml", RobotSettings())
+    for line in robot.describe():
+        log.info(line)
+    model = robot.model
+
+The file is read by reading.py; what it lacks is added to the MjSpec, and never to the file.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from isaacgymenvs_lite.errors import ConfigError, one_line, printable
+from isaacgymenvs_lite.robots import structure
+from isaacgymenvs_lite.robots.drives import Drive, add_drives, choose_drives, motors_of_file
+from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
+from isaacgymenvs_lite.robots.reading import read_robot_file
+from isaacgymenvs_lite.robots.scene import add_stage
+from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
+from isaacgymenvs_lite.robots.start_pose import choose_keyframe, joint_positions, start_pose
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
+
+
+@dataclass(frozen=True)
+class PreparedRobot:
+    """A robot with a free root, drives, contact sensors and a floor: B bodies, D joint coordinates.
+
+    Attributes:
+        spec: for tasks that add more; compile it anew after a change.
+        model: `spec`, compiled.
+        layout: names and addresses of `model`.
+        drives: of all hinges and ball joints, in the order of the joints.
+        key_bodies: names of the bodies whose positions are observed, hands and feet mostly.
+        contact_bodies: names of the bodies that may touch the floor.
+        start_qpos: (Q,) the start pose, on the floor at x = y = 0.
+        notes: what was added, left out and fixed, in words.
+    """
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    layout: ModelLayout
+    drives: tuple[Drive, ...]
+    key_bodies: tuple[str, ...]
+    contact_bodies: tuple[str, ...]
+    start_qpos: npt.NDArray[np.float64]
+    notes: tuple[str, ...]
+
+    @property
+    def start_height(self) -> float:
+        """Height of the base's origin in the start pose (m)."""
+        return float(self.start_qpos[2])
+
+    def describe(self) -> list[str]:
+        """Return the lines that tell a user what was taken and added."""
+        drives = ", ".join(f"{d.joint} {d.kp:.4g}/{d.kd:.3g}/{d.effort:.4g}" for d in self.drives)
+        mass = float(self.model.body_subtreemass[0])
+        return [
+            printable(line)
+            for line in (
+                f"robot '{self.spec.modelname}': {len(self.layout.body_names)} bodies,"
+                f" {self.layout.num_dofs} degrees of freedom, {mass:.4g} kg",
+                f"joints in order: {', '.join(self.layout.dof_names)}",
+                f"key bodies: {', '.join(self.key_bodies)}",
+                f"contact bodies: {', '.join(self.contact_bodies)}",
+                f"start height: {self.start_height:.3f} m",
+                f"drives (kp Nm/rad / kd Nm s/rad / effort Nm): {drives}",
+                *self.notes,
+            )
+        ]
+
+
+def load_robot(
+    path: str | Path, settings: RobotSettings | None = None, where: str = "robot"
+) -> PreparedRobot:
+    """Read and prepare a robot.
+
+    Args:
+        path: of an MJCF or URDF.
+        settings: what the user says of it.
+        where: path of the settings' section, for messages.
+
+    Raises:
+        ConfigError: as `read_robot_file` and `prepare_robot`; the message names the file.
+    """
+    file = read_robot_file(path)
+    try:
+        robot = prepare_robot(file.spec, settings, where)
+    except ConfigError as error:
+        message = str(error)
+        raise ConfigError(message if message.startswith(where) else f"{path}: {message}") from error
+    notes = (*file.notes, *robot.notes)
+    return PreparedRobot(**{**vars(robot), "notes": notes})
+
+
+def prepare_robot(
+    spec: mujoco.MjSpec, settings: RobotSettings | None = None, where: str = "robot"
+) -> PreparedRobot:
+    """Add what a task needs to a robot: free root, drives, contact sensors, floor, start pose.
+
+    Args:
+        spec: of the robot; it is not changed.
+        settings: what the user says of it.
+        where: path of the settings' section, for messages.
+
+    Raises:
+        ConfigError: it is no robot, several ones or one with loops; MuJoCo refuses it; names or
+            patterns of the settings match nothing, or a joint has no drive.
+    """
+    settings = settings or RobotSettings()
+    spec = spec.copy()
+    notes = structure.name_everything(spec)
+    notes += structure.check_equalities(spec)
+    keys = _compile(spec)
+    key = choose_keyframe(keys, settings.start_pose, f"{where}.startPose")
+    positions = joint_positions(keys, key)
+    motors = motors_of_file(keys)
+    notes += _make_robot(spec)
+    model = _compile(spec)
+    if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
+        raise ConfigError("has no joints: expected a robot with hinges or ball joints")
+    if settings.start_rotation is not None:
+        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
+        positions = {**positions, model.joint(0).name: root}
+    qpos = start_pose(model, positions, settings.start_height)
+    patterns = read_drives(settings.drives, f"{where}.drives")
+    drives = choose_drives(model, motors, float(qpos[2]), patterns, f"{where}.drives")
+    key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
+    contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
+    key_bodies = key_bodies or limb_ends(model, qpos)
+    contacts = contacts or touching_bodies(model, qpos)
+    add_drives(spec, drives)
+    structure.add_contact_sensors(spec)
+    notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
+    add_stage(spec)
+    final = _compile(spec)
+    return PreparedRobot(
+        spec=spec,
+        model=final,
+        layout=ModelLayout.from_model(final),
+        drives=tuple(drives),
+        key_bodies=key_bodies,
+        contact_bodies=contacts,
+        start_qpos=qpos,
+        notes=tuple(notes),
+    )
+
+
+def _make_robot(spec: mujoco.MjSpec) -> list[str]:
+    """Leave one robot with a free root, without slides, keyframes, actuators; return notes."""
+    notes = []
+    if spec.actuators:
+        notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
+    for thing in [*spec.keys, *spec.actuators]:
+        spec.delete(thing)
+    root, more = structure.keep_one_robot(spec)
+    notes += more
+    notes += structure.free_root(spec, root)
+    notes += structure.fix_slides(spec)
+    return notes
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
+            return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ConfigError(f"MuJoCo refuses the robot: {one_line(error)}") from error

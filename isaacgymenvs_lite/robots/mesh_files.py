@@ -1,0 +1,81 @@
+"""Meshes and textures that a robot's file names, read into memory within limits.
+
+MuJoCo gets them by new names, from memory alone: it opens no file of the disk.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.robots.xml_files import find_below, package_paths, read_bytes, robot_folders
+
+MESH_SUFFIXES = (".stl", ".obj", ".msh")
+"""Formats that MuJoCo reads."""
+MAX_MESH_BYTES = 2**26
+MAX_ALL_BYTES = 2**29
+MAX_TEXELS = 2**24
+"""Of one texture, 4096 x 4096."""
+
+
+@dataclass
+class AssetFiles:
+    """Files beside a robot's main file.
+
+    Attributes:
+        path: of the main file.
+        contents: bytes of the files that were read, by the names that MuJoCo gets.
+    """
+
+    path: Path
+    contents: dict[str, bytes] = field(default_factory=dict)
+    _names: dict[Path, str] = field(default_factory=dict)
+
+    def find(self, name: str, folder: str = "", kind: str = "mesh") -> Path:
+        """Return the path of a file that the robot names.
+
+        Args:
+            name: relative, absolute, or a `package://` or `model://` URI.
+            folder: `meshdir` and the like, relative to the main file.
+            kind: what it is, for messages.
+
+        Raises:
+            ConfigError: it is missing or outside of the robot's folder.
+        """
+        what = f"{self.path}: {kind} '{name}'"
+        folders = robot_folders(self.path)
+        name = name.replace("\\", "/")
+        scheme, separator, rest = name.partition("://")
+        if separator and scheme in ("package", "model"):
+            tried, bases = package_paths(rest, self.path)
+            return find_below((*bases, *folders), tried, what)
+        if separator:
+            raise ConfigError(f"{what}: expected a relative path or package://")
+        return find_below(folders, [folders[0] / folder / name], what)
+
+    def read(self, path: Path) -> str:
+        """Read a file and return the name that MuJoCo gets for it.
+
+        Raises:
+            ConfigError: it is too long, or all files together are.
+        """
+        if path not in self._names:
+            content = read_bytes(path, MAX_MESH_BYTES)
+            if sum(map(len, self.contents.values())) + len(content) > MAX_ALL_BYTES:
+                raise ConfigError(
+                    f"{self.path}: its meshes have more than {MAX_ALL_BYTES // 2**20} MiB together"
+                )
+            # Meshes without a name are called after their file; two folders may have the same.
+            name = f"{len(self._names)}_{PurePosixPath(path.name).stem}{path.suffix.lower()}"
+            self._names[path], self.contents[name] = name, content
+        return self._names[path]
+
+
+def is_small_png(content: bytes) -> bool:
+    """Return whether bytes begin as a PNG picture of at most `MAX_TEXELS`."""
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or len(content) < 24:
+        return False
+    width, height = struct.unpack(">II", content[16:24])
+    return 0 < width * height <= MAX_TEXELS

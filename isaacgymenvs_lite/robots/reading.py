@@ -1,0 +1,284 @@
+"""Reads a robot's MJCF or URDF, which a stranger wrote, into an MjSpec.
+
+The text is read and checked here before MuJoCo gets it: includes are put in place, files are read
+into memory from the robot's folder alone, and what could run code or take much memory is refused.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import mujoco
+
+from isaacgymenvs_lite.errors import ConfigError, one_line, printable
+from isaacgymenvs_lite.robots.mesh_files import MESH_SUFFIXES, AssetFiles, is_small_png
+from isaacgymenvs_lite.robots.xml_files import MAX_ELEMENTS, find_below, read_xml, robot_folders
+
+MAX_BODIES = MAX_JOINTS = 500
+MAX_GEOMS = 1000
+_MAX_INCLUDES = 50
+_MAX_TEXTURE_SIDE = 4096
+_MAX_MESH_PARAMETER = 200
+# Elements that load libraries or other models, or that describe no rigid robot.
+_REFUSED = {
+    **dict.fromkeys(("extension", "plugin"), "engine plugins are not loaded"),
+    **dict.fromkeys(("composite", "flexcomp", "flex"), "soft bodies are no part of a robot"),
+    **dict.fromkeys(("model", "attach"), "models within models are not read: save it as one"),
+}
+# Elements that a robot does not need: pictures, buffers, what tasks add themselves.
+_LEFT_OUT = ("custom", "size", "visual", "statistic", "skin", "sensor", "hfield")
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot as its file describes it.
+
+    Attributes:
+        path: of the file.
+        spec: its content, without sensors.
+        notes: what was left out, in words.
+    """
+
+    path: Path
+    spec: mujoco.MjSpec
+    notes: tuple[str, ...]
+
+
+def read_robot(path: str | Path) -> mujoco.MjSpec:
+    """Return the content of a robot's file; see `read_robot_file`."""
+    return read_robot_file(path).spec
+
+
+def read_robot_file(path: str | Path) -> RobotFile:
+    """Read a robot's MJCF or URDF.
+
+    Meshes are read from the robot's folder: that of the file, the one above if the file's is called
+    urdf, xml or the like, and the ROS package that holds it. `package://name/` is the folder of
+    this name above the file or beside one above it.
+
+    Args:
+        path: of the file; its content decides between the formats.
+
+    Raises:
+        ConfigError: the file or one that it names is missing, too large or elsewhere, has elements
+            that a robot does not need, or MuJoCo refuses it. The message names the file.
+    """
+    path = Path(path).expanduser()
+    root = read_xml(path)
+    files, notes = AssetFiles(path), []
+    if root.tag == "mujoco":
+        _put_includes(root, path)
+        _check_elements(root, path)
+        _take_mjcf_files(root, files, notes)
+    elif root.tag == "robot":
+        _check_elements(root, path)
+        _take_urdf_files(root, files, notes)
+    else:
+        tag = printable(root.tag[:40])
+        raise ConfigError(
+            f"{path}: begins with <{tag}>; expected a robot as MJCF (<mujoco>) or URDF (<robot>)"
+        )
+    try:
+        text = ET.tostring(root, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text, assets=files.contents)
+    except (ValueError, mujoco.FatalError) as error:
+        raise ConfigError(f"{path}: MuJoCo cannot read it: {one_line(error)}") from error
+    _check_counts(spec, path)
+    return RobotFile(path, spec, tuple(notes))
+
+
+def _check_counts(spec: mujoco.MjSpec, path: Path) -> None:
+    for what, found, most in (
+        ("bodies", len(spec.bodies) - 1, MAX_BODIES),
+        ("joints", len(spec.joints), MAX_JOINTS),
+        ("geoms", len(spec.geoms), MAX_GEOMS),
+    ):
+        if found > most:
+            raise ConfigError(f"{path}: has {found} {what}; expected a robot of at most {most}")
+
+
+def _put_includes(root: ET.Element, path: Path) -> None:
+    """Replace every <include> by the content of its file, as MuJoCo would."""
+    folders, seen = robot_folders(path), {path.resolve()}
+    todo, elements = [root], 0
+    while todo:
+        parent = todo.pop()
+        children: list[ET.Element] = []
+        waiting = list(parent)[::-1]
+        while waiting:
+            child = waiting.pop()
+            if child.tag != "include":
+                children.append(child)
+                continue
+            name = child.get("file", "")
+            what = f'{path}: <include file="{name}">'
+            file = find_below(folders, [folders[0] / name], what)
+            if file in seen or len(seen) > _MAX_INCLUDES:
+                raise ConfigError(f"{what} is included twice; expected every file once")
+            seen.add(file)
+            waiting += list(read_xml(file))[::-1]
+            elements += len(waiting)
+        if elements > MAX_ELEMENTS:
+            raise ConfigError(f"{path}: has more than {MAX_ELEMENTS} elements")
+        parent[:] = children
+        todo += children
+
+
+def _check_elements(root: ET.Element, path: Path) -> None:
+    """Refuse what a robot does not need and what could take much memory."""
+    copies = _most_copies(root)
+    if copies > MAX_BODIES:
+        raise ConfigError(f"{path}: <replicate> makes {copies} copies; expected {MAX_BODIES}")
+    for element in root.iter():
+        if element.tag in _REFUSED:
+            raise ConfigError(f"{path}: has <{element.tag}>: {_REFUSED[element.tag]}")
+        if any(abs(value) > _MAX_MESH_PARAMETER for value in _numbers(element, "params")):
+            raise ConfigError(f"{path}: a <mesh> has params above {_MAX_MESH_PARAMETER}")
+        if element.tag == "texture":
+            sides = [*_numbers(element, "width"), *_numbers(element, "height")]
+            if any(side > _MAX_TEXTURE_SIDE for side in sides):
+                raise ConfigError(f"{path}: a <texture> is larger than {_MAX_TEXTURE_SIDE} pixels")
+
+
+def _most_copies(element: ET.Element) -> float:
+    """Return how often the most copied element below `element` appears."""
+    own = max([1.0, *_numbers(element, "count")]) if element.tag == "replicate" else 1.0
+    return own * max((_most_copies(child) for child in element), default=1.0)
+
+
+def _numbers(element: ET.Element, key: str) -> Iterator[float]:
+    """Yield the numbers of an attribute; MuJoCo complains of others."""
+    for word in element.get(key, "").split():
+        try:
+            yield float(word)
+        except ValueError:
+            continue
+
+
+# --- MJCF ----------------------------------------------------------------------------------------
+
+
+def _take_mjcf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> None:
+    """Read meshes and textures into `files`; leave out what a robot does not need."""
+    folders = {"mesh": "", "texture": ""}
+    strip = False
+    for compiler in root.iter("compiler"):
+        both = compiler.attrib.pop("assetdir", None)
+        for kind, key in (("mesh", "meshdir"), ("texture", "texturedir")):
+            folders[kind] = compiler.attrib.pop(key, both if both is not None else folders[kind])
+        strip = compiler.attrib.pop("strippath", "false") == "true" or strip
+    _leave_out(root, notes)
+    dropped: set[str] = set()
+    for parent in list(root.iter()):
+        for element in list(parent):
+            if element.tag == "mesh" and "file" in element.attrib:
+                name = element.attrib["file"]
+                _take_mesh(element, "file", _stripped(name, strip), folders["mesh"], files)
+                element.attrib.setdefault("name", PurePosixPath(name.replace("\\", "/")).stem)
+            elif element.tag == "texture" and not _take_texture(
+                element, folders["texture"], strip, files
+            ):
+                dropped.add(_texture_name(element))
+                parent.remove(element)
+    if dropped:
+        notes.append(
+            f"left out textures that are no PNG files of the robot: {', '.join(sorted(dropped))}"
+        )
+        for material in root.iter("material"):
+            if material.get("texture") in dropped:
+                del material.attrib["texture"]
+            for layer in [one for one in material if one.get("texture") in dropped]:
+                material.remove(layer)
+
+
+def _leave_out(root: ET.Element, notes: list[str]) -> None:
+    """Remove the sections that a robot does not need; sensors and skins with a note."""
+    counts = {"sensor": 0, "skin": 0, "hfield": 0}
+    for parent in list(root.iter()):
+        for element in [child for child in parent if _is_left_out(child)]:
+            parent.remove(element)
+            if element.tag in counts:
+                counts[element.tag] += len(element) if element.tag == "sensor" else 1
+    notes += [f"left out of the file: {n} {tag}s" for tag, n in counts.items() if n]
+
+
+def _is_left_out(element: ET.Element) -> bool:
+    is_terrain = element.tag == "geom" and "hfield" in (element.get("type"), *element.attrib)
+    return element.tag in _LEFT_OUT or is_terrain
+
+
+def _stripped(name: str, strip: bool) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name if strip else name
+
+
+def _take_mesh(element: ET.Element, key: str, name: str, folder: str, files: AssetFiles) -> None:
+    if PurePosixPath(name).suffix.lower() not in MESH_SUFFIXES:
+        raise ConfigError(
+            f"{files.path}: mesh '{name}' has a format that MuJoCo does not read; expected"
+            f" {', '.join(MESH_SUFFIXES)}: convert it"
+        )
+    element.attrib.pop("content_type", None)
+    element.set(key, files.read(files.find(name, folder)))
+
+
+def _texture_name(element: ET.Element) -> str:
+    files = (value for key, value in element.attrib.items() if key.startswith("file"))
+    return element.get("name") or PurePosixPath(next(files, "")).stem
+
+
+def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFiles) -> bool:
+    """Read a texture's picture; return whether MuJoCo gets the texture."""
+    keys = [key for key in element.attrib if key.startswith("file")]
+    element.attrib.pop("content_type", None)
+    if not keys:
+        return True
+    if keys != ["file"] or not element.attrib["file"].lower().endswith(".png"):
+        return False
+    name = element.attrib["file"]
+    try:
+        key = files.read(files.find(_stripped(name, strip), folder, "texture"))
+    except ConfigError:
+        return False
+    if not is_small_png(files.contents[key]):
+        return False
+    element.attrib.setdefault("name", _texture_name(element))
+    element.set("file", key)
+    return True
+
+
+# --- URDF ----------------------------------------------------------------------------------------
+
+
+def _take_urdf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> None:
+    """Read meshes into `files`, leave out visual ones that cannot be read, set the compiler."""
+    hidden = []
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            name = mesh.get("filename", "")
+            try:
+                _take_mesh(mesh, "filename", name, "", files)
+            except ConfigError:
+                if shape.tag == "collision":
+                    raise
+                link.remove(shape)
+                hidden.append(name)
+    if hidden:
+        notes.append(
+            f"left out {len(hidden)} visual meshes that are missing or have a format that MuJoCo"
+            f" does not read, the first '{printable(hidden[0])}'"
+        )
+    for own in root.findall("mujoco"):
+        root.remove(own)
+    extension = ET.Element("mujoco")
+    # Links on fixed joints stay bodies: feet and hands of many robots are such.
+    settings = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+    # Links without mass are common in URDF, and inertias that no solid has.
+    settings |= {"balanceinertia": "true", "boundmass": "1e-6", "boundinertia": "1e-9"}
+    ET.SubElement(extension, "compiler", settings)
+    root.insert(0, extension)

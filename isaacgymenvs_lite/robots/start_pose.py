@@ -1,0 +1,128 @@
+"""The pose in which a robot begins, put onto the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError, unknown
+
+CLEARANCE = 0.001
+"""m between the floor and the lowest point of a robot in its start pose."""
+_STANDING = ("home", "stand", "standing", "default")
+
+_GEOM = mujoco.mjtGeom
+
+
+def choose_keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
+    """Return the number of the keyframe for the start: the named, a standing or the first one.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    names = [model.key(key).name for key in range(model.nkey)]
+    if name is not None:
+        if name not in names:
+            raise ConfigError(unknown("keyframe", name, filter(None, names), f"see {where}"))
+        return names.index(name)
+    standing = [names.index(wanted) for wanted in _STANDING if wanted in names]
+    return standing[0] if standing else (0 if names else None)
+
+
+def joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the positions of all joints by name, of a keyframe or of zero within the limits."""
+    qpos = np.array(model.qpos0 if key is None else model.key_qpos[key])
+    found = {}
+    for joint in range(model.njnt):
+        begin = int(model.jnt_qposadr[joint])
+        end = int(model.jnt_qposadr[joint + 1]) if joint + 1 < model.njnt else model.nq
+        values = qpos[begin:end]
+        if end - begin == 1 and key is None and model.jnt_limited[joint]:
+            values = np.clip(values, *model.jnt_range[joint])
+        if not np.isfinite(values).all():
+            raise ConfigError(f"keyframe {key}: joint '{model.joint(joint).name}' has no number")
+        found[model.joint(joint).name] = values
+    return found
+
+
+def start_pose(
+    model: mujoco.MjModel,
+    positions: Mapping[str, npt.NDArray[np.float64]],
+    height: float | None = None,
+) -> npt.NDArray[np.float64]:
+    """Return the start pose (Q,) of a robot with a free root, at x = y = 0.
+
+    Args:
+        model: of the robot.
+        positions: of joints by name; others keep the model's initial ones.
+        height: of the base's origin (m); None puts the lowest point of the robot `CLEARANCE` above
+            the floor.
+    """
+    qpos = np.array(model.qpos0)
+    for joint in range(model.njnt):
+        values = positions.get(model.joint(joint).name)
+        if values is not None:
+            begin = int(model.jnt_qposadr[joint])
+            qpos[begin : begin + len(values)] = values
+    qpos[:2] = 0
+    norm = np.linalg.norm(qpos[3:7])
+    qpos[3:7] = qpos[3:7] / norm if norm > 0 else (1, 0, 0, 0)
+    qpos[2] = start_height(model, qpos) if height is None else height
+    return qpos
+
+
+def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
+    """Return the height of the base (m) at which the lowest point is `CLEARANCE` above z = 0.
+
+    Args:
+        model: with a free root as its first joint.
+        qpos: (Q,) pose; its height does not count.
+
+    Raises:
+        ConfigError: no geom of the robot can touch anything.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    lows = lowest_points(model, data)
+    if not lows:
+        raise ConfigError("no geom of the robot touches anything: contype and conaffinity are 0")
+    return float(data.qpos[2] - min(lows.values()) + CLEARANCE)
+
+
+def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
+    """Return the least height (m) of each body's geoms that can touch others, by body number."""
+    lows: dict[int, float] = {}
+    paired = {*model.pair_geom1, *model.pair_geom2}
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+        if model.body_weldid[body] != 0 and touches:
+            low = float(data.geom_xpos[geom, 2]) - _reach_down(model, data, geom)
+            lows[body] = min(low, lows.get(body, np.inf))
+    return lows
+
+
+def _reach_down(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
+    """Return how far a geom reaches below its centre (m)."""
+    down = -data.geom_xmat[geom].reshape(3, 3)[2]  # the world's -z in the frame of the geom
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind == _GEOM.mjGEOM_SPHERE:
+        return float(size[0])
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return float(size[0] + size[1] * abs(down[2]))
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        return float(size[0] * np.hypot(down[0], down[1]) + size[1] * abs(down[2]))
+    if kind == _GEOM.mjGEOM_ELLIPSOID:
+        return float(np.linalg.norm(size * down))
+    if kind == _GEOM.mjGEOM_BOX:
+        return float(size @ np.abs(down))
+    if kind == _GEOM.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        return float((vertices @ down).max())
+    return float(model.geom_rbound[geom])

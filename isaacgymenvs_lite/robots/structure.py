@@ -1,0 +1,172 @@
+"""Makes one robot with a free root of what a file has: names, scenery, roots, slides, loops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
+
+_FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
+_EQUALITY = mujoco.mjtEq
+
+
+def name_everything(spec: mujoco.MjSpec) -> list[str]:
+    """Name bodies `body3` and joints `joint3` that have no name; return notes."""
+    notes = []
+    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints)):
+        taken = {element.name for element in elements}
+        named = []
+        for number, element in enumerate(elements):
+            if not element.name:
+                element.name = _free_name(f"{kind}{number}", taken)
+                taken.add(element.name)
+                named.append(element.name)
+        if named:
+            notes.append(f"named {_listed(named)}, which had no name")
+    return notes
+
+
+def _free_name(name: str, taken: Iterable[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
+    """Remove all but the robot and return its root, with notes.
+
+    Scenery (bodies without joints, all geoms of the world) and objects (free bodies without
+    children) go. A plane of the world stays if it is the floor, as contact pairs may name it.
+
+    Raises:
+        ConfigError: there is no robot, or there are several.
+    """
+    roots = [body for body in spec.worldbody.bodies if not body.mocap and _moves(body)]
+    robots = [body for body in roots if not _is_object(body)] or roots
+    if not robots:
+        raise ConfigError("has no joints: expected a robot with hinges or ball joints")
+    if len(robots) > 1:
+        names = ", ".join(body.name for body in robots)
+        raise ConfigError(f"has {len(robots)} robots: {names}; expected one: remove the others")
+    others = [body for body in spec.worldbody.bodies if body.name != robots[0].name]
+    floor = _floor(spec)
+    scenery = [geom for geom in spec.worldbody.geoms if geom is not floor]
+    notes = []
+    if others or scenery:
+        things = [body.name for body in others] + [geom.name or "a geom" for geom in scenery]
+        notes.append(f"left out what is no part of the robot: {_listed(things)}")
+    name = robots[0].name
+    # Cameras and lights may follow what goes.
+    for thing in [*others, *scenery, *spec.cameras, *spec.lights]:
+        spec.delete(thing)
+    return spec.body(name), notes
+
+
+def _moves(body: mujoco.MjsBody) -> bool:
+    return bool(body.joints) or any(_moves(child) for child in body.bodies)
+
+
+def _is_object(body: mujoco.MjsBody) -> bool:
+    return not body.bodies and [joint.type for joint in body.joints] == [_FREE]
+
+
+def _floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
+    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    level = [g for g in planes if abs(g.quat[1]) + abs(g.quat[2]) < 1e-6 and g.contype]
+    return level[0] if level else None
+
+
+def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
+    """Give the root a free joint if it has none; return notes.
+
+    Slides at the root emulate a base that moves in a plane: they and the hinges beside them go.
+
+    Raises:
+        ConfigError: the robot is mounted on the world by a hinge or a ball joint.
+    """
+    joints = list(root.joints)
+    if [joint.type for joint in joints] == [_FREE]:
+        return []
+    names = _listed(joint.name for joint in joints)
+    if joints and all(joint.type != _SLIDE for joint in joints):
+        raise ConfigError(
+            f"is mounted on the world by {names} of body '{root.name}'; expected a base that moves:"
+            " put the joint into a body below a base"
+        )
+    _remove_joints(spec, joints)
+    taken = {joint.name for joint in spec.joints}
+    root.add_freejoint(name=_free_name("root", taken))
+    instead = f" instead of {names}" if joints else ""
+    return [f"base '{root.name}' got a free joint{instead}"]
+
+
+def fix_slides(spec: mujoco.MjSpec) -> list[str]:
+    """Remove slides: their bodies stay where the file draws them; return notes."""
+    slides = [joint for joint in spec.joints if joint.type == _SLIDE]
+    names = [joint.name for joint in slides]
+    _remove_joints(spec, slides)
+    return [f"fixed slides: {_listed(names)}"] if names else []
+
+
+def _remove_joints(spec: mujoco.MjSpec, joints: Iterable[mujoco.MjsJoint]) -> None:
+    """Remove joints and what refers to them: actuators, constraints, tendons."""
+    joints = list(joints)
+    names = {joint.name for joint in joints}
+    tendons = [t for t in spec.tendons if any(_name(wrap.target) in names for wrap in t.path)]
+    gone = names | {tendon.name for tendon in tendons}
+    things = [a for a in spec.actuators if a.target in gone]
+    things += [e for e in spec.equalities if {e.name1, e.name2} & gone]
+    for thing in [*things, *tendons, *joints]:
+        spec.delete(thing)
+
+
+def _name(element: object) -> str:
+    return getattr(element, "name", "")
+
+
+def check_equalities(spec: mujoco.MjSpec) -> list[str]:
+    """Remove constraints that are off or hold the robot in the world; return notes on the others.
+
+    Raises:
+        ConfigError: a constraint closes a loop of bodies, which kinematics of trees cannot follow.
+    """
+    notes = []
+    for equality in list(spec.equalities):
+        names = [name for name in (equality.name1, equality.name2) if name and name != "world"]
+        if not equality.active:
+            spec.delete(equality)
+        elif equality.type == _EQUALITY.mjEQ_JOINT:
+            joint, other = equality.name1, equality.name2
+            notes.append(f"joint '{joint}' follows '{other}'" if other else f"'{joint}' is held")
+        elif equality.type == _EQUALITY.mjEQ_TENDON:
+            notes.append(f"tendon '{names[0]}' is constrained")
+        elif len(names) == 2:
+            raise ConfigError(
+                f"has a loop: an <equality> joins '{names[0]}' and '{names[1]}', which the"
+                " kinematics of clips cannot follow; remove it, or use a model without the linkage"
+            )
+        else:
+            spec.delete(equality)
+            notes.append(f"released '{names[0] if names else '?'}', which was held in the world")
+    return notes
+
+
+def add_contact_sensors(spec: mujoco.MjSpec) -> None:
+    """Add `contact_<body>`, the net contact force in world axes (N), of every body."""
+    for sensor in [s for s in spec.sensors if s.name.startswith(CONTACT_SENSOR_PREFIX)]:
+        spec.delete(sensor)
+    force, net_force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3
+    for body in spec.bodies[1:]:
+        sensor = spec.add_sensor(name=f"{CONTACT_SENSOR_PREFIX}{body.name}", objname=body.name)
+        sensor.type, sensor.objtype = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_BODY
+        sensor.intprm[:3] = (force, net_force, 1)
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return names for a note, the first eight of many."""
+    names = list(names)
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return ", ".join(names[:8]) + more
