@@ -41,6 +41,11 @@ def shipped_motions_dir() -> Path:
     return paths.assets_dir() / "amp" / "motions"
 
 
+def shipped_robot_motions_dir() -> Path:
+    """Return the folder of the robots' clips that come with the project."""
+    return paths.assets_dir() / "amp" / "robot_motions"
+
+
 def shipped_motions() -> list[str]:
     """Return the names, without suffix, of the clips that come with the project."""
     return sorted(
@@ -69,10 +74,14 @@ def load_clips(
     skeleton = skeleton or skeleton_for_num_dofs(28)
     if is_package_name(motion_file):
         return _load_from_package(str(motion_file), skeleton)
-    path = resolve_motion_file(motion_file, (Path(), shipped_motions_dir()))
+    path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix not in _DATASET_SUFFIXES:
         return [(_load_file(path, (skeleton,))[0], 1.0)]
     return _load_dataset(path, skeleton)
+
+
+def _shipped_dirs() -> tuple[Path, Path]:
+    return shipped_motions_dir(), shipped_robot_motions_dir()
 
 
 def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
@@ -89,7 +98,7 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
             if is_package_name(entry.file):
                 source = file = Path(entry.file)
             else:
-                file = resolve_motion_file(entry.file, (path.parent, shipped_motions_dir()))
+                file = resolve_motion_file(entry.file, (path.parent, *_shipped_dirs()))
                 source = file.resolve()
             if source in known:
                 repeated_poses += sum(c.num_frames * c.num_bodies for c, _ in known[source])
@@ -130,7 +139,7 @@ def load_single_clip(
         if len(clips) > 1:
             raise MotionFileError(f"'{motion_file}' is a data set of {len(clips)} clips; give one")
         return clips[0][0], skeletons[0]
-    path = resolve_motion_file(motion_file, (Path(), shipped_motions_dir()))
+    path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix in _DATASET_SUFFIXES:
         raise MotionFileError(f"{path}: is a data set; give one of its clips")
     return _load_file(path, skeletons)

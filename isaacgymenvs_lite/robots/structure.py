@@ -155,13 +155,18 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
 
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:
-    """Add `contact_<body>`, the net contact force in world axes (N), of every body."""
+    """Add `contact_<body>` of every body: the net force in world axes (N) of what does not move.
+
+    Bodies of a robot touch each other often, thighs in turning or hands at the hips; only the
+    floor and its like tell of a fall.
+    """
     for sensor in [s for s in spec.sensors if s.name.startswith(CONTACT_SENSOR_PREFIX)]:
         spec.delete(sensor)
     force, net_force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3
     for body in spec.bodies[1:]:
         sensor = spec.add_sensor(name=f"{CONTACT_SENSOR_PREFIX}{body.name}", objname=body.name)
         sensor.type, sensor.objtype = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_BODY
+        sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, "world"
         sensor.intprm[:3] = (force, net_force, 1)
 
 
