@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.schema import read_section, setting
@@ -29,7 +29,7 @@ class DriveSettings:
 class RobotSettings:
     """A section about a robot."""
 
-    drives: Mapping[str, Any] = field(default_factory=dict)
+    drives: Mapping[str, Any] | None = None
     """Patterns of joint names (`*_knee*`) to `DriveSettings`; the first that matches counts."""
     key_bodies: tuple[str, ...] = setting((), key="keyBodies")
     """Bodies whose positions are observed, names or patterns; () for the ends of the limbs."""
@@ -43,7 +43,7 @@ class RobotSettings:
     """Height of the base's origin in m; null to put the robot on the floor."""
 
 
-def read_drives(drives: Mapping[str, Any], where: str) -> dict[str, DriveSettings]:
+def read_drives(drives: Mapping[str, Any] | None, where: str) -> dict[str, DriveSettings]:
     """Return the settings of each pattern.
 
     Raises:
@@ -51,5 +51,5 @@ def read_drives(drives: Mapping[str, Any], where: str) -> dict[str, DriveSetting
     """
     return {
         str(pattern): read_section(DriveSettings, values, f"{where}.{pattern}", complete=True)
-        for pattern, values in drives.items()
+        for pattern, values in (drives or {}).items()
     }
