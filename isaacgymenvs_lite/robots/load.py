@@ -26,7 +26,7 @@ from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bod
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
-from isaacgymenvs_lite.robots.start_pose import choose_keyframe, joint_positions, start_pose
+from isaacgymenvs_lite.robots.start_pose import initial_positions, start_pose
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
@@ -121,8 +121,7 @@ def prepare_robot(
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    key = choose_keyframe(keys, settings.start_pose, f"{where}.startPose")
-    positions = joint_positions(keys, key)
+    positions = initial_positions(keys, settings.start_pose, f"{where}.startPose")
     motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)

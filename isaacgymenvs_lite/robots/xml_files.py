@@ -75,7 +75,7 @@ def read_xml(path: Path) -> ET.Element:
     content = read_bytes(path, MAX_TEXT_BYTES)
     parser = ET.XMLParser(target=_Builder())
     try:
-        parser.feed(content)
+        parser.feed(content.strip(b" \t\r\n\0"))  # some tools end a text with a zero
         return parser.close()
     except (ET.ParseError, ValueError, LookupError) as error:
         raise ConfigError(f"{path}: is no XML of a robot ({one_line(error)})") from error
