@@ -62,7 +62,11 @@ class PreparedRobot:
 
     def describe(self) -> list[str]:
         """Return the lines that tell a user what was taken and added."""
-        drives = ", ".join(f"{d.joint} {d.kp:.4g}/{d.kd:.3g}/{d.effort:.4g}" for d in self.drives)
+        gains: dict[str, list[str]] = {}
+        for drive in self.drives:
+            key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"
+            gains.setdefault(key, []).append(drive.joint)
+        drives = "; ".join(f"{key}: {', '.join(names)}" for key, names in gains.items())
         mass = float(self.model.body_subtreemass[0])
         return [
             printable(line)
@@ -73,7 +77,7 @@ class PreparedRobot:
                 f"key bodies: {', '.join(self.key_bodies)}",
                 f"contact bodies: {', '.join(self.contact_bodies)}",
                 f"start height: {self.start_height:.3f} m",
-                f"drives (kp Nm/rad / kd Nm s/rad / effort Nm): {drives}",
+                f"drives, kp (Nm/rad) / kd (Nm s/rad) / effort (Nm): {drives}",
                 *self.notes,
             )
         ]
