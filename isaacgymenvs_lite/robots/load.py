@@ -98,7 +98,7 @@ def load_robot(
     """
     file = read_robot_file(path)
     try:
-        robot = prepare_robot(file.spec, settings, where)
+        robot = _prepare(file.spec, settings or RobotSettings(), where)
     except ConfigError as error:
         message = str(error)
         raise ConfigError(message if message.startswith(where) else f"{path}: {message}") from error
@@ -120,8 +120,11 @@ def prepare_robot(
         ConfigError: it is no robot, several ones or one with loops; MuJoCo refuses it; names or
             patterns of the settings match nothing, or a joint has no drive.
     """
-    settings = settings or RobotSettings()
-    spec = spec.copy()
+    return _prepare(spec.copy(), settings or RobotSettings(), where)
+
+
+def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> PreparedRobot:
+    """Prepare a robot as `prepare_robot`, in its own spec."""
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)

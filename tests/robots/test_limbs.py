@@ -21,8 +21,8 @@ def arm(name: str, y: float, rest: str) -> str:
 def test_a_foot_on_a_fixed_joint_is_an_end_and_a_housing_beside_a_joint_is_not():
     foot = f'<body name="foot" pos="0 0 -1">{BALL}</body>'
     housing = f'<body name="housing" pos="0.1 0 0">{BALL}</body>'
-    imu = '<body name="imu"/>'
-    assert ends(arm("hip", 0.1, housing + arm("knee", 0.3, foot + imu)) + imu) == ("foot",)
+    frame = '<body name="frame"/>'
+    assert ends(arm("hip", 0.1, housing + arm("knee", 0.3, foot + frame))) == ("foot",)
 
 
 def test_fixed_parts_of_the_base_are_no_ends():

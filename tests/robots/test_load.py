@@ -97,8 +97,10 @@ def test_slides_are_fixed_with_what_refers_to_them():
 def test_scenery_and_objects_are_left_out():
     world = """<geom name="ground" type="plane" size="1 1 1"/><light pos="0 0 3"/>
     <geom name="wall" type="box" size="1 1 1"/><body name="stone"><geom size="1"/></body>
-    <body name="ball"><freejoint/><geom size="0.1"/><camera target="stone" mode="targetbody"/></body>"""
-    rest = """<contact><exclude body1="ball" body2="base"/><pair geom1="ground" geom2="shin"/></contact>
+    <body name="ball"><freejoint/><geom size="0.1"/>
+    <camera target="stone" mode="targetbody"/></body>"""
+    rest = """<contact><exclude body1="ball" body2="base"/>
+    <pair geom1="ground" geom2="shin"/></contact>
     <keyframe><key qpos="0 0 0 1 0 0 0 0 0 2 1 0 0 0 0.5 0.6"/></keyframe>"""
     leg = LEG.replace('<geom type="sphere"', '<geom name="shin" type="sphere"')
     robot = prepared(mjcf(world=world, rest=rest, leg=leg))
@@ -137,29 +139,35 @@ def test_urdf_with_fixed_hand_and_mimic(tmp_path):
     assert robot.model.eq_data[0, :2].tolist() == [0.5, 2.0]
 
 
+TWIN = """<body name="twin"><freejoint/><geom size="0.1"/>
+<body name="arm"><joint name="arm"/><geom size="0.1"/></body></body>"""
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
         (mjcf(leg=""), "has no joints"),
         ("<mujoco/>", "has no joints"),
         (mjcf(base='<joint name="pin"/>'), "is mounted on the world by pin of body 'base'"),
-        (
-            mjcf(
-                world=f'<body name="twin"><freejoint/>{LEG.replace("name=", "class=")}</body>'
-            ).replace(' class="', ' name="2'),
-            "has 2 robots: twin, base",
-        ),
+        (mjcf(world=TWIN), "has 2 robots: twin, base"),
         (
             mjcf(rest='<equality><connect body1="foot" body2="base" anchor="0 0 0"/></equality>'),
             "loop",
         ),
         (mjcf(rest='<equality><weld body1="foot" body2="base"/></equality>'), "loop"),
         (mjcf().replace("<geom", '<geom contype="0" conaffinity="0"'), "touches anything"),
-        (mjcf(rest='<keyframe><key qpos="1 2"/></keyframe>'), "MuJoCo refuses"),
+        (mjcf(rest="<actuator><motor joint='none'/></actuator>"), "MuJoCo refuses"),
+        (mjcf(rest='<keyframe><key qpos="1 2 3 4 5 6 7 8 9 10"/></keyframe>'), "MuJoCo refuses"),
     ],
 )
-def test_robots_that_cannot_be_used(text, reason):
-    assert reason in refusal(text)
+def test_robots_that_cannot_be_used(tmp_path, text, reason):
+    path = written(tmp_path / "r.xml", text)
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert reason in message
+    assert "\n" not in message
 
 
 def test_constraints_to_the_world_are_released():

@@ -76,7 +76,7 @@ def test_meshes_that_mujoco_does_not_read(tmp_path):
     text = urdf(both).replace('"a.dae"/></geometry></collision>', '"a.dae"/></geometry></visual>')
     robot = read_robot_file(written(tmp_path / "s.urdf", text))
     assert robot.notes[0].startswith("left out 1 visual mesh")
-    assert [geom.type for geom in robot.spec.geoms][0] == mujoco.mjtGeom.mjGEOM_BOX
+    assert next(geom.type for geom in robot.spec.geoms) == mujoco.mjtGeom.mjGEOM_BOX
 
 
 @pytest.mark.parametrize("name", ["/etc/passwd", "../secret.xml", "link.xml", "a/../../secret.xml"])

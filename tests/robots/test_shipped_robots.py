@@ -96,12 +96,13 @@ def test_it_stands_for_two_seconds_under_its_default_drives(name):
     assert upright > 0.99
     assert np.abs(data.qpos[7:] - robot.start_qpos[7:]).max() < 0.1
     assert np.abs(data.qvel).max() < 0.1
+    # MuJoCo's sensor has the force of the body on the floor.
     weight = robot.model.body_subtreemass[0] * 9.81
     columns = robot.layout.contact_columns
     assert columns is not None
     feet = [robot.layout.body_names.index(foot) for foot in robot.contact_bodies]
     forces = data.sensordata[columns[feet]].sum(axis=0)
-    assert forces[2] == pytest.approx(weight, rel=0.05)
+    assert -forces[2] == pytest.approx(weight, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["g1", "quadruped"])
