@@ -35,8 +35,9 @@ class RobotSettings:
     """Bodies whose positions are observed, names or patterns; () for the ends of the limbs."""
     contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
     """Bodies that may touch the floor, names or patterns; () for what does in the start pose."""
-    start_pose: str | None = setting(None, key="startPose", blank=True)
-    """Name of a keyframe; null for `home`, `stand`, or the first one."""
+    start_pose: Any = setting(None, key="startPose")
+    """Name of a keyframe, or angles of hinges (rad) by names or patterns; null for the keyframe
+    `home` or `stand`, the first one, or zero within the limits."""
     start_rotation: tuple[float, ...] | None = setting(None, key="startRotation", length=4)
     """Orientation of the base, xyzw; null for the keyframe's or the file's."""
     start_height: float | None = setting(None, key="startHeight")
