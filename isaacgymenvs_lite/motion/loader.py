@@ -185,7 +185,9 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
     A format without names of bodies, and a robot's file of joint coordinates, is read for the
     first.
     """
-    if looks_like_joint_clip(path):
+    # A robot's joints may have the names of the humanoid's.
+    is_robots = path.suffix == ".csv" and not skeletons[0].has_simple_joints
+    if is_robots or looks_like_joint_clip(path):
         return _clip_of_joints(path, skeletons[0]), skeletons[0]
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,

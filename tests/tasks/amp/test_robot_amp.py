@@ -14,6 +14,7 @@ import torch
 from isaacgymenvs_lite import make
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.tasks.amp import robot_amp
@@ -160,6 +161,20 @@ def test_the_shipped_robot_is_the_default():
     task.reset()
     assert 0.7 < float(task.simulation.root_states[:, 2].min()) < 0.85
     task.close()
+
+
+def test_joints_may_have_the_names_of_the_humanoid(make_walker, walker, tmp_path):
+    renamed = walker.read_text().replace("left_ankle", "left_knee_y").replace("_hip_roll", "_hip_x")
+    walker.write_text(renamed.replace("_hip_pitch", "_hip_y"))
+    names = [j.replace("left_ankle", "left_knee_y") for j in JOINTS]
+    names = [j.replace("_hip_roll", "_hip_x").replace("_hip_pitch", "_hip_y") for j in names]
+    still = np.zeros((31, 8))
+    root_pos, root_rot = np.tile((0, 0, 0.7), (31, 1)), np.tile((0.0, 0.0, 0.0, 1.0), (31, 1))
+    file = tmp_path / "still.csv"
+    save_robot_csv(file, JointClip("still", 30.0, root_pos, root_rot, still, tuple(names)))
+    task = make_walker(motion_file=file)
+    task.reset()
+    torch.testing.assert_close(task.simulation.root_states[:, 2], torch.full((4,), 0.7))
 
 
 @pytest.mark.parametrize(
