@@ -82,8 +82,15 @@ class Robot:
         return np.stack([v[:, row] for v, row in zip(of_feet, rows, strict=True)], axis=1)
 
 
-def robot_from_model(model: mujoco.MjModel, mapping: RobotMapping) -> Robot:
+def robot_from_model(
+    model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray | None = None
+) -> Robot:
     """Return a robot that can be retargeted to.
+
+    Args:
+        model: compiled, a free root as first joint, hinges and ball joints.
+        mapping: of its bodies to the humanoid's names.
+        start: (nq,), the pose in which it stands upright; None: the mapping's, from the model.
 
     Raises:
         ConfigError: no free root, or another joint that is neither hinge nor ball; a body or start
@@ -91,7 +98,7 @@ def robot_from_model(model: mujoco.MjModel, mapping: RobotMapping) -> Robot:
     """
     _check_joints(model)
     _check_bodies(model, mapping)
-    start = _start_pose(model, mapping.start_pose)
+    start = _start_pose(model, mapping.start_pose) if start is None else start
     names = [entry.body for entry in mapping.bodies.values()]
     found, turned = body_poses(model, start[None], names)
     places = dict(zip(mapping.bodies, found[0], strict=True))
