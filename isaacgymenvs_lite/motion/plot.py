@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 # A foot at most this far above its lowest place, and slower than this, is on the ground.
 _CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
+# Inches of the figure for each joint, so that the list of joints is not higher than its axes.
+_LEGEND_LINE = 0.36
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +94,13 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     """
     figure_module = import_package("matplotlib.figure", f"out={settings.out}")
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
-    figure = figure_module.Figure(figsize=(9, 8), layout="constrained")
+    angles = joint_angles(clip, skeleton)
+    height = max(8.0, _LEGEND_LINE * len(angles))
+    figure = figure_module.Figure(figsize=(9, height), layout="constrained")
     heights = {"height_ratios": [4, 1.5, 1]}
     angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
     times_s = np.arange(clip.num_frames) / clip.fps
-    for body, angle in joint_angles(clip, skeleton).items():
+    for body, angle in angles.items():
         style = "--" if body.startswith("left") else "-"
         angles_axes.plot(times_s, angle, style, label=body.replace("_", " "), linewidth=1.2)
     angles_axes.set_ylabel("joint angle (rad)")

@@ -89,10 +89,7 @@ def _retarget(
         try:
             mapping = recognise_robot(robot.prepared.model)
         except ConfigError as error:
-            shipped = ", ".join(shipped_robot_mappings())
-            raise ConfigError(
-                f"robot={file}: {error}; mapping=FILE names it, or {shipped}"
-            ) from error
+            raise ConfigError(f"robot={file}: {error}; name it by mapping=FILE") from error
         if mapping.start_pose:
             robot = load_clip_robot(file, mapping.start_pose)
     target = robot_from_model(robot.prepared.model, mapping, robot.prepared.start_qpos)
