@@ -130,5 +130,6 @@ def unknown(what: str, given: str, choices: Iterable[str], next_step: str = "") 
     "unknown task 'Humanoid' (did you mean 'HumanoidAMP'?); choices: HumanoidAMP"
     """
     choices = sorted(str(choice) for choice in choices)
-    message = f"unknown {what} '{given}'{suggest(given, choices)}; choices: {', '.join(choices)}"
+    listed = ", ".join(choices) or "none"
+    message = f"unknown {what} '{given}'{suggest(given, choices)}; choices: {listed}"
     return f"{message}; {next_step}" if next_step else message

@@ -21,15 +21,8 @@ LOOPS = {"play_steps", "train_epoch", "calc_gradients"}
 # stands before it; modules of one package may import each other, but never in a circle.
 LAYERS = (
     *("errors", "_version", "paths", "yaml_text", "schema", "utils", "distributed", "config"),
-    *(
-        "simulation",
-        "robots",
-        "rendering",
-        "command_line",
-        "motion",
-        "env_interface",
-        "gymnasium_ids",
-    ),
+    *("simulation", "robots", "rendering", "command_line", "motion"),
+    *("env_interface", "gymnasium_ids"),
     *("tasks", "evaluation", "run", "checkpoints", "learning", "pbt", "viewers"),
     *("env_factory", "wrappers", "registration", "typed_command", "runner"),
     *("check", "policies", "demo", "sweep", "train", "isaacgymenvs_compat", "alias"),

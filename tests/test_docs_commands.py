@@ -58,6 +58,9 @@ USERS_FILES = {
     "/path/to/AntPPO.yaml": "cfg/train/AntPPO.yaml",
     "/IsaacGymEnvs/isaacgymenvs/cfg/task/HumanoidAMP.yaml": "cfg/task/HumanoidAMP.yaml",
     "/any/where/amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
+    "/robots/g1.xml": "assets/mjcf/g1.xml",
+    "/configs/my_robot.yaml": "cfg/task/RobotAMP.yaml",
+    "walk1_subject1.csv": None,
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     **dict.fromkeys(("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py")),
 }

@@ -181,6 +181,11 @@ def _add_actuator(
     actuator = spec.add_actuator(name=name, target=drive.joint)
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    # The file's defaults would hold for these, too.
+    actuator.dyntype, actuator.nsample = mujoco.mjtDyn.mjDYN_NONE, 0
+    actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    actuator.gainprm[:] = 0
+    actuator.biasprm[:] = 0
     actuator.gainprm[0] = drive.kp
     actuator.biasprm[:3] = (0, -drive.kp, -drive.kd)
     actuator.gear[:] = (*direction, 0, 0, 0)

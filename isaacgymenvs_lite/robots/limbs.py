@@ -55,7 +55,10 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
         children.setdefault(int(model.body_parentid[body]), []).append(body)
 
     def ends(body: int) -> list[int]:
-        below = [end for child in children.get(body, []) for end in ends(child)]
+        # A housing that is fixed to a link beside the next joint is no end.
+        own = children.get(body, [])
+        moving = [child for child in own if model.body_weldid[child] != model.body_weldid[body]]
+        below = [end for child in moving or own for end in ends(child)]
         far = np.linalg.norm(data.xpos[below] - data.xpos[body], axis=1).max() if below else 0.0
         if len(below) > 1 and far < _HAND_OF_SIZE * size and model.body_parentid[body] != 0:
             return [body]

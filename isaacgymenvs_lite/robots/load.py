@@ -26,7 +26,7 @@ from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bod
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
-from isaacgymenvs_lite.robots.start_pose import choose_keyframe, joint_positions, start_pose
+from isaacgymenvs_lite.robots.start_pose import initial_positions, start_pose
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
@@ -62,7 +62,11 @@ class PreparedRobot:
 
     def describe(self) -> list[str]:
         """Return the lines that tell a user what was taken and added."""
-        drives = ", ".join(f"{d.joint} {d.kp:.4g}/{d.kd:.3g}/{d.effort:.4g}" for d in self.drives)
+        gains: dict[str, list[str]] = {}
+        for drive in self.drives:
+            key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"
+            gains.setdefault(key, []).append(drive.joint)
+        drives = "; ".join(f"{key}: {', '.join(names)}" for key, names in gains.items())
         mass = float(self.model.body_subtreemass[0])
         return [
             printable(line)
@@ -73,7 +77,7 @@ class PreparedRobot:
                 f"key bodies: {', '.join(self.key_bodies)}",
                 f"contact bodies: {', '.join(self.contact_bodies)}",
                 f"start height: {self.start_height:.3f} m",
-                f"drives (kp Nm/rad / kd Nm s/rad / effort Nm): {drives}",
+                f"drives, kp (Nm/rad) / kd (Nm s/rad) / effort (Nm): {drives}",
                 *self.notes,
             )
         ]
@@ -94,7 +98,7 @@ def load_robot(
     """
     file = read_robot_file(path)
     try:
-        robot = prepare_robot(file.spec, settings, where)
+        robot = _prepare(file.spec, settings or RobotSettings(), where)
     except ConfigError as error:
         message = str(error)
         raise ConfigError(message if message.startswith(where) else f"{path}: {message}") from error
@@ -116,13 +120,15 @@ def prepare_robot(
         ConfigError: it is no robot, several ones or one with loops; MuJoCo refuses it; names or
             patterns of the settings match nothing, or a joint has no drive.
     """
-    settings = settings or RobotSettings()
-    spec = spec.copy()
+    return _prepare(spec.copy(), settings or RobotSettings(), where)
+
+
+def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> PreparedRobot:
+    """Prepare a robot as `prepare_robot`, in its own spec."""
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    key = choose_keyframe(keys, settings.start_pose, f"{where}.startPose")
-    positions = joint_positions(keys, key)
+    positions = initial_positions(keys, settings.start_pose, f"{where}.startPose")
     motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)

@@ -74,6 +74,7 @@ def read_robot_file(path: str | Path) -> RobotFile:
         _check_elements(root, path)
         _take_mjcf_files(root, files, notes)
     elif root.tag == "robot":
+        _keep_urdf_elements(root)
         _check_elements(root, path)
         _take_urdf_files(root, files, notes)
     else:
@@ -252,6 +253,16 @@ def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFil
 # --- URDF ----------------------------------------------------------------------------------------
 
 
+def _keep_urdf_elements(root: ET.Element) -> None:
+    """Remove what other programs read (<gazebo>, <transmission>) and shapes without size."""
+    root[:] = [child for child in root if child.tag in ("link", "joint", "material")]
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            sphere = shape.find("geometry/sphere")
+            if sphere is not None and not any(_numbers(sphere, "radius")):
+                link.remove(shape)
+
+
 def _take_urdf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> None:
     """Read meshes into `files`, leave out visual ones that cannot be read, set the compiler."""
     hidden = []
@@ -273,8 +284,6 @@ def _take_urdf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
             f"left out {len(hidden)} visual meshes that are missing or have a format that MuJoCo"
             f" does not read, the first '{printable(hidden[0])}'"
         )
-    for own in root.findall("mujoco"):
-        root.remove(own)
     extension = ET.Element("mujoco")
     # Links on fixed joints stay bodies: feet and hands of many robots are such.
     settings = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from isaacgymenvs_lite.schema import read_section, setting
@@ -29,21 +29,22 @@ class DriveSettings:
 class RobotSettings:
     """A section about a robot."""
 
-    drives: Mapping[str, Any] = field(default_factory=dict)
+    drives: Mapping[str, Any] | None = None
     """Patterns of joint names (`*_knee*`) to `DriveSettings`; the first that matches counts."""
     key_bodies: tuple[str, ...] = setting((), key="keyBodies")
     """Bodies whose positions are observed, names or patterns; () for the ends of the limbs."""
     contact_bodies: tuple[str, ...] = setting((), key="contactBodies")
     """Bodies that may touch the floor, names or patterns; () for what does in the start pose."""
-    start_pose: str | None = setting(None, key="startPose", blank=True)
-    """Name of a keyframe; null for `home`, `stand`, or the first one."""
+    start_pose: Any = setting(None, key="startPose")
+    """Name of a keyframe, or angles of hinges (rad) by names or patterns; null for the keyframe
+    `home` or `stand`, the first one, or zero within the limits."""
     start_rotation: tuple[float, ...] | None = setting(None, key="startRotation", length=4)
     """Orientation of the base, xyzw; null for the keyframe's or the file's."""
     start_height: float | None = setting(None, key="startHeight")
     """Height of the base's origin in m; null to put the robot on the floor."""
 
 
-def read_drives(drives: Mapping[str, Any], where: str) -> dict[str, DriveSettings]:
+def read_drives(drives: Mapping[str, Any] | None, where: str) -> dict[str, DriveSettings]:
     """Return the settings of each pattern.
 
     Raises:
@@ -51,5 +52,5 @@ def read_drives(drives: Mapping[str, Any], where: str) -> dict[str, DriveSetting
     """
     return {
         str(pattern): read_section(DriveSettings, values, f"{where}.{pattern}", complete=True)
-        for pattern, values in drives.items()
+        for pattern, values in (drives or {}).items()
     }

@@ -3,18 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
+from isaacgymenvs_lite.schema import plain
 
 CLEARANCE = 0.001
 """m between the floor and the lowest point of a robot in its start pose."""
 _STANDING = ("home", "stand", "standing", "default")
 
 _GEOM = mujoco.mjtGeom
+
+
+def initial_positions(
+    model: mujoco.MjModel, pose: Any, where: str
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the positions of all joints by name, in the pose that `RobotSettings` describes.
+
+    Args:
+        model: of the robot's file, with its keyframes.
+        pose: name of a keyframe, angles by patterns of hinges, or None.
+        where: key of the pose, for messages.
+
+    Raises:
+        ConfigError: no such keyframe; a pattern matches no hinge; an angle is no number.
+    """
+    if pose is None or isinstance(pose, str):
+        return _joint_positions(model, choose_keyframe(model, pose or None, where))
+    pose = plain(pose)
+    if not isinstance(pose, Mapping):
+        raise ConfigError(
+            f"{where}: got {pose!r}; expected the name of a keyframe, or angles of hinges in rad"
+        )
+    positions = _joint_positions(model, choose_keyframe(model, None, where))
+    hinges = [name for name, values in positions.items() if len(values) == 1]
+    for pattern, angle in reversed(list(pose.items())):  # the first pattern that matches counts
+        matched = [name for name in hinges if fnmatchcase(name, str(pattern))]
+        if not matched:
+            raise ConfigError(
+                f"{where}: '{pattern}' matches no hinge{suggest(str(pattern), hinges)};"
+                f" hinges: {', '.join(hinges)}"
+            )
+        if isinstance(angle, bool) or not isinstance(angle, (int, float)) or abs(angle) > 100:
+            raise ConfigError(f"{where}.{pattern}: got {angle!r}, expected an angle in rad")
+        positions.update({name: np.array([float(angle)]) for name in matched})
+    return positions
 
 
 def choose_keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
@@ -32,7 +70,7 @@ def choose_keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int 
     return standing[0] if standing else (0 if names else None)
 
 
-def joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.NDArray[np.float64]]:
+def _joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.NDArray[np.float64]]:
     """Return the positions of all joints by name, of a keyframe or of zero within the limits."""
     qpos = np.array(model.qpos0 if key is None else model.key_qpos[key])
     found = {}

@@ -20,7 +20,8 @@ def name_everything(spec: mujoco.MjSpec) -> list[str]:
         taken = {element.name for element in elements}
         named = []
         for number, element in enumerate(elements):
-            if not element.name:
+            is_free = kind == "joint" and element.type == _FREE
+            if not element.name and not is_free:
                 element.name = _free_name(f"{kind}{number}", taken)
                 taken.add(element.name)
                 named.append(element.name)

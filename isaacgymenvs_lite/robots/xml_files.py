@@ -13,7 +13,7 @@ MAX_TEXT_BYTES = 2**23
 MAX_ELEMENTS = 50_000
 _MAX_DEPTH = 120
 # The folder of such a name is a part of the robot's folder, as in ROS packages.
-_PARTS_OF_A_ROBOT = ("urdf", "urdfs", "xml", "mjcf", "xacro", "robots", "robot")
+_PARTS_OF_A_ROBOT = ("urdf", "urdfs", "xml", "mjcf", "xacro")
 _MAX_LEVELS = 6
 
 
@@ -75,7 +75,7 @@ def read_xml(path: Path) -> ET.Element:
     content = read_bytes(path, MAX_TEXT_BYTES)
     parser = ET.XMLParser(target=_Builder())
     try:
-        parser.feed(content)
+        parser.feed(content.strip(b" \t\r\n\0"))  # some tools end a text with a zero
         return parser.close()
     except (ET.ParseError, ValueError, LookupError) as error:
         raise ConfigError(f"{path}: is no XML of a robot ({one_line(error)})") from error
@@ -89,7 +89,7 @@ def robot_folders(path: Path) -> tuple[Path, ...]:
     """
     folder = path.resolve().parent
     found = [folder]
-    if folder.name.lower() in _PARTS_OF_A_ROBOT:
+    if folder.name.lower() in _PARTS_OF_A_ROBOT and folder.parent != folder.parent.parent:
         found.append(folder.parent)
     found += [up for up in _upwards(folder) if (up / "package.xml").is_file()][:1]
     return tuple(found)
@@ -139,7 +139,7 @@ def package_paths(uri: str, path: Path) -> tuple[tuple[Path, ...], tuple[Path, .
     name, _, rest = uri.partition("/")
     ups = _upwards(path.resolve().parent)
     packages = [up for up in ups if up.name == name]
-    packages += [up / name for up in ups if name not in ("", "..") and (up / name).is_dir()]
+    packages += [up / name for up in ups if name not in ("", ".", "..") and (up / name).is_dir()]
     packages = [package.resolve() for package in packages]
     bases = [*packages, *ups[:3]]
     return tuple(base / rest for base in bases), tuple(bases)

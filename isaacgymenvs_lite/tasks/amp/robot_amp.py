@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from dataclasses import dataclass, field
 
@@ -67,8 +68,7 @@ class RobotAMP(HumanoidAMP):
         """Return the model of the robot on a floor; log what was taken and added."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
-        for line in self._robot.describe():
-            log.info("%s", line)
+        _log_once(tuple(self._robot.describe()))
         friction = self.env_cfg.plane.dynamic_friction
         model = compile_spec(self._robot.spec, path, self.sim_cfg, friction)
         set_actuators(model, self.env_cfg)
@@ -104,3 +104,10 @@ class RobotAMP(HumanoidAMP):
         """Return offset and scale (D,) of PD targets: the start pose, and `actionScale`."""
         offset = self.default_pose()[1].to(lower)
         return offset, torch.full_like(offset, self.env_cfg.action_scale)
+
+
+@functools.lru_cache(maxsize=1)
+def _log_once(lines: tuple[str, ...]) -> None:
+    """Log what was taken of a robot; a training makes its task again to measure the pose error."""
+    for line in lines:
+        log.info("%s", line)

@@ -1,0 +1,173 @@
+"""Files of strangers: what is read, and what is refused before MuJoCo gets it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.robots.reading import MAX_BODIES, read_robot, read_robot_file
+from tests.robots.texts import TETRAHEDRON, mjcf, urdf, written
+
+MESH = '<asset><mesh file="{}"/></asset>'
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(ConfigError) as caught:
+        read_robot(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+def test_mjcf_with_include_and_mesh(tmp_path):
+    written(tmp_path / "parts/tet.obj", TETRAHEDRON)
+    written(tmp_path / "parts/leg.xml", "<mujocoinclude><option impratio='7'/></mujocoinclude>")
+    leg = '<body><joint axis="1 0 0"/><geom type="mesh" mesh="tet"/></body>'
+    rest = '<include file="parts/leg.xml"/><compiler meshdir="parts"/>' + MESH.format("tet.obj")
+    model = read_robot(written(tmp_path / "robot.xml", mjcf(leg=leg, rest=rest))).compile()
+    assert model.opt.impratio == 7
+    assert model.nmesh == 1
+    assert model.mesh_vertnum[0] == 4
+
+
+def test_the_shipped_humanoid_reads_as_mujoco_reads_it():
+    path = Path(__file__).parents[2] / "assets/mjcf/amp_humanoid.xml"
+    ours, theirs = read_robot(path).compile(), mujoco.MjModel.from_xml_path(str(path))
+    assert (ours.body_mass == theirs.body_mass).all()
+    assert (ours.jnt_range == theirs.jnt_range).all()
+    assert (ours.geom_size == theirs.geom_size).all()
+
+
+@pytest.mark.parametrize(
+    ("uri", "place"),
+    [
+        ("package://my_robot/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
+        ("package://other/meshes/a.obj", "ws/other/meshes/a.obj"),
+        ("package://elsewhere/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
+        ("model://my_robot/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
+        ("../meshes/a.obj", "ws/my_robot/meshes/a.obj"),
+        ("a.obj", "ws/my_robot/urdf/a.obj"),
+    ],
+)
+def test_meshes_of_urdf_files(tmp_path, uri, place):
+    written(tmp_path / place, TETRAHEDRON)
+    path = tmp_path / "ws/my_robot/urdf/robot.urdf"
+    written(path, urdf(f'<mesh filename="{uri}" scale="2 2 2"/>'))
+    assert read_robot(path).compile().nmesh == 1
+
+
+def test_missing_mesh_is_named_with_the_places_searched(tmp_path):
+    path = written(tmp_path / "r.urdf", urdf('<mesh filename="package://me/meshes/a.stl"/>'))
+    message = refusal(path)
+    assert "package://me/meshes/a.stl" in message
+    assert str(tmp_path / "meshes/a.stl") in message
+
+
+def test_meshes_that_mujoco_does_not_read(tmp_path):
+    message = refusal(written(tmp_path / "r.urdf", urdf('<mesh filename="a.dae"/>')))
+    assert "a.dae" in message
+    assert ".stl, .obj, .msh" in message
+    both = '<box size="1 1 1"/></geometry></collision><visual><geometry><mesh filename="a.dae"/>'
+    text = urdf(both).replace('"a.dae"/></geometry></collision>', '"a.dae"/></geometry></visual>')
+    robot = read_robot_file(written(tmp_path / "s.urdf", text))
+    assert robot.notes[0].startswith("left out 1 visual mesh")
+    assert next(geom.type for geom in robot.spec.geoms) == mujoco.mjtGeom.mjGEOM_BOX
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../secret.xml", "link.xml", "a/../../secret.xml"])
+def test_includes_from_outside_are_refused(tmp_path, name):
+    secret = written(tmp_path / "secret.xml", "<mujocoinclude/>")
+    folder = tmp_path / "robot"
+    (folder / "a").mkdir(parents=True)
+    (folder / "link.xml").symlink_to(secret)
+    path = written(folder / "r.xml", mjcf(rest=f'<include file="{name}"/>'))
+    assert "outside of the robot's folder" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["/etc/x.stl", "../x.stl", "link.stl", "package://x/../../x.stl"])
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+def test_meshes_from_outside_are_refused(tmp_path, name, kind):
+    secret = written(tmp_path / "x.stl", "solid")
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    (folder / "link.stl").symlink_to(secret)
+    text = mjcf(rest=MESH.format(name)) if kind == "mjcf" else urdf(f'<mesh filename="{name}"/>')
+    message = refusal(written(folder / "r.xml", text))
+    assert "outside of the robot's folder" in message or "is missing" in message
+
+
+BOMB = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
+<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;"><!ENTITY d "&c;&c;&c;&c;&c;&c;&c;&c;&c;&c;">]>
+<mujoco model="&d;"/>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (BOMB, "document type"),
+        ('<!DOCTYPE a SYSTEM "file:///etc/passwd"><mujoco/>', "document type"),
+        ("<mujoco>" + "<default>" * 500 + "</default>" * 500 + "</mujoco>", "nested"),
+        ("<mujoco>" + "<a/>" * 60_000 + "</mujoco>", "elements"),
+        ("<mujoco", "no XML"),
+        ("", "no XML"),
+        ("<sdf/>", "begins with <sdf>"),
+        ("\x7fELF\x00", "no XML"),
+        (mjcf(rest='<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), "plugins"),
+        (mjcf(rest='<asset><model file="a.xml"/></asset>'), "models within models"),
+        (mjcf(world='<body><flexcomp name="a" count="99 99 99"/></body>'), "soft bodies"),
+        (mjcf(world='<replicate count="999999999"><geom size="1"/></replicate>'), "copies"),
+        (mjcf(rest='<asset><texture builtin="flat" width="90000" height="9"/></asset>'), "4096"),
+        (mjcf(rest='<asset><mesh builtin="sphere" params="9000"/></asset>'), "params"),
+        (mjcf(world='<body><geom size="1" pos="a b c"/></body>'), "MuJoCo cannot read it"),
+        (mjcf(world='<body><geom size=".1"/></body>' * (MAX_BODIES + 1)), "bodies"),
+    ],
+)
+def test_hostile_texts_are_refused_in_one_line(tmp_path, text, reason):
+    begin = time.monotonic()
+    assert reason in refusal(written(tmp_path / "r.xml", text))
+    assert time.monotonic() - begin < 5
+
+
+def test_files_that_are_too_long_or_no_files(tmp_path):
+    big = tmp_path / "big.xml"
+    with big.open("wb") as file:
+        file.truncate(2**30)
+    assert "8 MiB" in refusal(big)
+    assert "no such file" in refusal(tmp_path / "none.xml")
+    assert "no such file" in refusal(tmp_path)
+    with (tmp_path / "big.stl").open("wb") as file:
+        file.truncate(2**27)
+    path = written(tmp_path / "r.xml", mjcf(rest=MESH.format("big.stl")))
+    with pytest.raises(ConfigError, match=r"big.stl: is longer than 64 MiB"):
+        read_robot(path)
+
+
+def test_includes_that_include_each_other(tmp_path):
+    written(tmp_path / "a.xml", '<mujocoinclude><include file="b.xml"/></mujocoinclude>')
+    written(tmp_path / "b.xml", '<mujocoinclude><include file="a.xml"/></mujocoinclude>')
+    message = refusal(written(tmp_path / "r.xml", mjcf(rest='<include file="a.xml"/>')))
+    assert "included twice" in message
+
+
+def test_sections_that_take_memory_are_left_out(tmp_path):
+    rest = """<size memory="999G"/><custom><numeric name="n" size="999999999"/></custom>
+    <visual><global offwidth="999999999"/></visual><sensor><user dim="99999999"/></sensor>"""
+    robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
+    model = robot.spec.compile()
+    assert model.nsensordata == model.nnumericdata == 0
+    assert robot.notes == ("left out of the file: 1 sensors",)
+
+
+def test_textures_without_a_small_png_are_left_out(tmp_path):
+    huge = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (90_000).to_bytes(4, "big") * 2
+    (tmp_path / "huge.png").write_bytes(huge)
+    rest = """<asset><texture type="2d" name="t" file="huge.png"/>
+    <texture type="2d" name="u" file="none.png"/><material name="m" texture="t"/></asset>"""
+    robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
+    assert robot.spec.compile().ntex == 0
+    assert "t, u" in robot.notes[0]
