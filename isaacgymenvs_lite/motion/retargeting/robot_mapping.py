@@ -180,6 +180,7 @@ def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
     if "pelvis" not in found:
         found["pelvis"] = 1  # the root
     found = _without_orphans({name: found[name] for name in ROBOT_BODIES if name in found})
+    found = _without_other_limbs(model, found)
     matched = ", ".join(f"{name}: {names[body]}" for name, body in found.items())
     missing = [name for name in NEEDED if name not in found]
     if missing:
@@ -199,6 +200,23 @@ def _without_orphans(found: Mapping[str, int]) -> dict[str, int]:
         limb = name.endswith(("lower_arm", "hand"))
         if body not in kept.values() and not (limb and _PARENTS[name] not in kept):
             kept[name] = body
+    return kept
+
+
+def _without_other_limbs(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
+    """Leave out shins, feet, lower arms and hands of another limb than the body before them.
+
+    So that front and hind legs of a quadruped are not taken for one.
+    """
+    kept = dict(found)
+    for name, body in found.items():
+        if not name.endswith(("shin", "foot", "lower_arm", "hand")):
+            continue
+        above = int(model.body_parentid[body])
+        while above not in (0, kept.get(_PARENTS[name])):
+            above = int(model.body_parentid[above])
+        if above == 0:
+            del kept[name]
     return kept
 
 
