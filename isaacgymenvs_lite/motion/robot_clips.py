@@ -22,6 +22,7 @@ from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
 from isaacgymenvs_lite.motion.retargeting.source import SourceMotion, source_from_clip
 from isaacgymenvs_lite.motion.robot_file import ClipRobot, load_clip_robot
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.robots.settings import RobotSettings
 
 _log = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ def clip_for_robot(
         MotionFileError: the source cannot be read, or belongs to another robot.
     """
     of_skeleton, of_robot = read_named_mappings(mapping)
-    loaded = load_clip_robot(robot, of_robot.start_pose if of_robot else "")
+    loaded = load_clip_robot(robot, _start_of(of_robot))
     for line in (loaded.prepared.describe()[0], *loaded.prepared.notes):
         _log.info("%s", line)
     if Path(source).suffix.lower() == ".bvh":
@@ -82,6 +83,14 @@ def clip_for_robot(
     return clip, skeleton
 
 
+def _start_of(mapping: RobotMapping | None) -> RobotSettings:
+    if mapping is None:
+        return RobotSettings()
+    return RobotSettings(
+        start_pose=mapping.start_pose or None, start_rotation=mapping.start_rotation
+    )
+
+
 def _retarget(
     motion: SourceMotion, robot: ClipRobot, file: str, mapping: RobotMapping | None
 ) -> tuple[MotionClip, Skeleton]:
@@ -90,8 +99,6 @@ def _retarget(
             mapping = recognise_robot(robot.prepared.model)
         except ConfigError as error:
             raise ConfigError(f"robot={file}: {error}; name it by mapping=FILE") from error
-        if mapping.start_pose:
-            robot = load_clip_robot(file, mapping.start_pose)
     target = robot_from_model(robot.prepared.model, mapping, robot.prepared.start_qpos)
     result = retarget_to_robot(motion, target)
     return clip_from_qpos(motion.name, result.fps, robot.skeleton, result.qpos), robot.skeleton

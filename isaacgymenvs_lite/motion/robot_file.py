@@ -48,18 +48,18 @@ def robot_path(name: str) -> Path:
     )
 
 
-def load_clip_robot(name: str, start_pose: str = "") -> ClipRobot:
+def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
     """Read the robot that clips belong to.
 
     Args:
         name: an MJCF or URDF, see `robot_path`.
-        start_pose: name of a keyframe; "": see `RobotSettings`.
+        settings: what the user says of it.
 
     Raises:
         ConfigError: no such file, or see `robots.load.load_robot`.
     """
     path = robot_path(name)
-    prepared = load_robot(path, RobotSettings(start_pose=start_pose or None))
+    prepared = load_robot(path, settings)
     return ClipRobot(prepared, Skeleton.from_model(prepared.model, str(path)))
 
 

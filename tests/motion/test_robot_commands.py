@@ -46,14 +46,23 @@ def convert(*words: str) -> None:
     assert command.main(list(words)) == 0
 
 
-def write_biped() -> Path:
-    """Write a walker without trunk and arms as URDF; its base has no joint to the world."""
+def write_biped(lies: bool = False) -> Path:
+    """Write a walker without trunk and arms as URDF; its base has no joint to the world.
+
+    If it lies, its links have y up and z to the right, as some simulators want them.
+    """
     legs = "".join(
         URDF_LEG.format(side=side, y=y, body=BODY, foot=FOOT)
         for side, y in (("left", 0.1), ("right", -0.1))
     )
     path = Path("biped.urdf")
-    path.write_text(f'<robot name="biped"><link name="base">{BODY}</link>{legs}</robot>')
+    base = "base"
+    if lies:
+        base = "root"
+        legs += """<joint name="turned" type="fixed"><parent link="root"/><child link="base"/>
+        <origin rpy="-1.5707963 0 0"/></joint>"""
+        legs += f'<link name="base">{BODY}</link>'
+    path.write_text(f'<robot name="biped"><link name="{base}">{BODY}</link>{legs}</robot>')
     return path
 
 
@@ -152,6 +161,24 @@ def test_a_urdf_without_a_mapping(caplog) -> None:
     )
     feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
     assert 0.04 < clip.global_poses()[0][:, feet, 2].min() < 0.06  # the sole is 0.05 m below
+
+
+def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
+    pytest.importorskip("mink")
+    write_biped(lies=True)
+    line = refused("walk", "a.npz", "robot=biped.urdf")
+    assert "does not stand in its start pose: a hip is " in line
+    assert "m above its foot, and the legs are 0.80 m long; give start_pose" in line
+    names = [f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shin", "foot")]
+    bodies = "".join(f"  {name}: {name}\n" for name in ("pelvis", *names))
+    text = f"start_rotation: [0.7071068, 0, 0, 0.7071068]\nbodies:\n{bodies}"
+    Path("biped.yaml").write_text(text.replace("pelvis: pelvis", "pelvis: root"))
+    convert("walk", "a.npz", "robot=biped.urdf", "mapping=biped.yaml", "end_s=0.5")
+    robot = load_clip_robot("biped.urdf").skeleton
+    heights = load_single_clip("a.npz", [robot])[0].global_poses()[0][:, :, 2]
+    feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
+    assert 0.04 < heights[:, feet].min() < 0.06
+    assert heights[:, 0].min() > 0.7
 
 
 @pytest.mark.parametrize(
