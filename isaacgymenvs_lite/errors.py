@@ -8,7 +8,7 @@ they are ordinary exceptions. A message has what was given, what was expected an
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 MAX_MESSAGE = 500
 """Characters of a message. Of a longer one the middle is left out: the beginning has the file or
@@ -109,6 +109,12 @@ def printable(text: str) -> str:
 def one_line(error: BaseException | str) -> str:
     """Return the message of an error on one line."""
     return " ".join(str(error).split())
+
+
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Return the first names, and how many more there are."""
+    shown = ", ".join(names[:most]) or "none"
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def suggest(given: str, choices: Iterable[str]) -> str:

@@ -62,7 +62,9 @@ USERS_FILES = {
     "/configs/my_robot.yaml": "cfg/task/RobotAMP.yaml",
     "walk1_subject1.csv": None,
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
-    **dict.fromkeys(("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py")),
+    **dict.fromkeys(
+        ("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py", "g1.yaml")
+    ),
 }
 USERS_FOLDERS = ("runs/", "logs/")
 # `FILE`, `TARGET`, `<run>`: whatever the user means.

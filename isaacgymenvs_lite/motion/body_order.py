@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import rotations_from_dofs, turned_by_joints
@@ -17,6 +17,9 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
+# What to do with a clip of a robot, and with one of a humanoid, where the other is expected.
+ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
+RETARGET_HINT = "retarget it with python -m isaacgymenvs_lite.motion.convert IN OUT.npz robot=FILE"
 # Offsets in files are rounded to 1e-4 m; beyond this the clip was made for another body.
 _OFFSET_TOLERANCE_M = 0.01
 # A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.
@@ -54,18 +57,26 @@ def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
     extra = [name for name in clip.body_names if name not in skeleton.body_names]
     if not missing and not extra:
         return
-    found = [f"lacks {', '.join(missing)}"] if missing else []
-    found += [f"also has {', '.join(extra)}"] if extra else []
-    other = shipped_humanoid_with(clip.body_names)
+    is_humanoid = shipped_humanoid_with(skeleton.body_names) is not None
+    found = [f"lacks {listed(missing)}"] if missing else []
+    found += [f"also has {listed(extra)}"] if extra else []
+    whose = "humanoid" if is_humanoid else "robot"
+    bodies = ", ".join(skeleton.body_names) if is_humanoid else listed(skeleton.body_names)
     raise MotionFileError(
         f"{clip.name}: its skeleton {' and '.join(found)}; expected the {skeleton.num_bodies} "
-        f"bodies of the humanoid: {', '.join(skeleton.body_names)}; "
-        + (
-            f"it is a clip of {other}: use task.env.asset.assetFileName={other} or another clip"
-            if other
-            else "use a clip of this humanoid"
-        )
+        f"bodies of the {whose}: {bodies}; {_what_to_do(clip, is_humanoid)}"
     )
+
+
+def _what_to_do(clip: MotionClip, for_humanoid: bool) -> str:
+    other = shipped_humanoid_with(clip.body_names)
+    if other and for_humanoid:
+        return f"it is a clip of {other}: use task.env.asset.assetFileName={other} or another clip"
+    if other:
+        return f"it is a clip of {other}: {RETARGET_HINT}"
+    if for_humanoid and clip.dof_pos is not None:
+        return ROBOT_HINT
+    return f"use a clip of this {'humanoid' if for_humanoid else 'robot'}"
 
 
 def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:

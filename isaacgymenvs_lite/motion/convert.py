@@ -3,16 +3,28 @@
     python -m isaacgymenvs_lite.motion.convert amp_humanoid_walk.npy walk.npz
     python -m isaacgymenvs_lite.motion.convert walk.npz walk.csv fps=30 start_s=0.5 end_s=2
     python -m isaacgymenvs_lite.motion.convert dance.bvh dance.npz mapping=lafan1
+    python -m isaacgymenvs_lite.motion.convert walk g1_walk.npz robot=mjcf/g1.xml
 
 IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file. The suffix of OUT
 determines its format: .npz (this project's), .npy (poselib's), .txt or .json (DeepMimic's), .csv
-(joint angles). Keys:
+(joint angles); for a robot .npz or .csv. Keys:
 
     fps=30              frames per second of OUT (default: as IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
-    mapping=cmu         for .bvh: cmu, lafan1, or a YAML file; see docs/motion_formats.md
+    mapping=cmu         for .bvh: cmu, lafan1, or a YAML file; see docs/motion_formats.md (default:
+                        by the names of joints)
     num_dofs=31         of the humanoid: 28, or 31 with sword and shield (default: as IN, else 28)
     overwrite=True      OUT may exist
+
+For a clip of a robot:
+
+    robot=/robots/g1.xml  its MJCF or URDF, or a name in assets/. IN is a clip of this robot in any
+                          form, or is retargeted to it
+    mapping=g1            g1 or a YAML file of the robot's bodies; for .bvh also mapping=cmu,g1
+                          (default: by the names of bodies)
+    file_fps=50           of a table IN without a frame rate (default: 30, BONES-SEED 120)
+    quat_order=wxyz       if the quaternions of IN are not in its format's order
+    by_order=True         joints of IN count by their order, not by their names
 """
 
 from __future__ import annotations
@@ -33,9 +45,13 @@ from isaacgymenvs_lite.motion.formats.files import check_output
 from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
-from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping, shipped_mappings
+from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
+from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
+from isaacgymenvs_lite.motion.loader import JointFileSettings, load_single_clip
+from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
+from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_skeleton
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
+from isaacgymenvs_lite.motion.robot_clips import clip_for_robot, joints_of_clip
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.schema import setting
 
@@ -67,6 +83,15 @@ _FORMATS = {
     ".json": _DEEPMIMIC,
     ".csv": _Format(save_joint_csv, f"{_POSES_ONLY}; rotations of hinges out of their axes"),
 }
+_OF_BODIES = "velocities (they are computed again from the poses)"
+_ROBOT_FORMATS = {
+    ".npz": _Format(
+        lambda path, clip, robot: save_robot_npz(path, joints_of_clip(clip, robot)), _OF_BODIES
+    ),
+    ".csv": _Format(
+        lambda path, clip, robot: save_robot_csv(path, joints_of_clip(clip, robot)), _OF_BODIES
+    ),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +107,15 @@ class ConvertSettings:
     num_dofs: int | None = setting(None, choices=SHIPPED_NUM_DOFS)
     """Of the humanoid; None: the one whose bodies the input names, else 28."""
     mapping: str = setting("")
-    """For a BVH file: a shipped mapping or a YAML file."""
+    """For a BVH file and for a robot: a shipped mapping or a YAML file; '': found by names."""
+    robot: str = setting("")
+    """The robot's MJCF or URDF; '': OUT is a clip of a shipped humanoid."""
+    file_fps: float | None = setting(None, above=0)
+    """Frames per second of a robot's table without a rate; None: as usual for its form."""
+    quat_order: str = setting("xyzw", choices=("xyzw", "wxyz"))
+    """Of the quaternions in a robot's file, if they are not in its format's order."""
+    by_order: bool = setting(False)
+    """Whether the joints of a robot's file count by their order, not by their names."""
     overwrite: bool = setting(False)
     """Whether an existing output is replaced."""
 
@@ -95,21 +128,10 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
             output remains.
     """
     path = Path(out)
-    check_output(path, _FORMATS, settings.overwrite)
-    if Path(source).suffix.lower() == ".bvh":
-        skeleton = skeleton_for_num_dofs(settings.num_dofs or SHIPPED_NUM_DOFS[0])
-        mapping = load_mapping(_needed_mapping(settings))
-        times = (settings.start_s, settings.end_s, settings.fps)
-        clip = retarget_bvh(source, mapping, skeleton, *times)
-    else:
-        if settings.mapping:
-            raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one")
-        skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
-        clip, skeleton = load_single_clip(source, skeletons)
-        clip = cut(clip, settings.start_s, settings.end_s)
-        if settings.fps is not None:
-            clip = resample(clip, settings.fps, skeleton)
-    _FORMATS[path.suffix].save(path, clip, skeleton)
+    formats = _ROBOT_FORMATS if settings.robot else _FORMATS
+    check_output(path, formats, settings.overwrite)
+    clip, skeleton = _robots_clip(source, settings) if settings.robot else _clip(source, settings)
+    formats[path.suffix].save(path, clip, skeleton)
     _log.info(
         "%s: %d frames at %g Hz, %.2f s, %d degrees of freedom; lost: %s",
         path,
@@ -117,17 +139,55 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
         clip.fps,
         clip.length_s,
         skeleton.num_dofs,
-        _FORMATS[path.suffix].lost,
+        formats[path.suffix].lost,
     )
     return path
 
 
-def _needed_mapping(settings: ConvertSettings) -> str:
-    if not settings.mapping:
+def _clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
+    """Read a clip of a humanoid, or retarget a BVH file to one."""
+    if _joint_file(settings) != JointFileSettings():
+        raise ConfigError("file_fps=, quat_order= and by_order= need robot=, the file of a robot")
+    if Path(source).suffix.lower() == ".bvh":
+        skeleton = skeleton_for_num_dofs(settings.num_dofs or SHIPPED_NUM_DOFS[0])
+        mapping = settings.mapping
+        used = load_mapping(mapping) if mapping else recognise_skeleton(source)
+        times = (settings.start_s, settings.end_s, settings.fps)
+        return retarget_bvh(source, used, skeleton, *times), skeleton
+    if settings.mapping:
+        raise ConfigError(f"mapping={settings.mapping}: only a .bvh file needs one, or robot=")
+    skeletons = [skeleton_for_num_dofs(settings.num_dofs)] if settings.num_dofs else ()
+    clip, skeleton = load_single_clip(source, skeletons)
+    clip = cut(clip, settings.start_s, settings.end_s)
+    if settings.fps is not None:
+        clip = resample(clip, settings.fps, skeleton)
+    return clip, skeleton
+
+
+def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Skeleton]:
+    """Read a clip of a robot, or retarget one to it."""
+    if settings.num_dofs is not None:
         raise ConfigError(
-            f"a .bvh file needs mapping=, one of {', '.join(shipped_mappings())} or a YAML file"
+            f"num_dofs={settings.num_dofs} chooses a humanoid and robot={settings.robot} a robot; "
+            "leave one out"
         )
-    return settings.mapping
+    return clip_for_robot(
+        source,
+        settings.robot,
+        settings.mapping,
+        settings.start_s,
+        settings.end_s,
+        settings.fps,
+        _joint_file(settings),
+    )
+
+
+def _joint_file(settings: ConvertSettings) -> JointFileSettings:
+    return JointFileSettings(
+        fps=settings.file_fps,
+        quat_order="wxyz" if settings.quat_order == "wxyz" else "xyzw",
+        by_order=settings.by_order,
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:

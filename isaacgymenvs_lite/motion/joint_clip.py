@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion.clip import (
     MAX_FPS,
     MAX_JOINT_RAD,
@@ -36,7 +36,6 @@ _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
 # A root is upright where its z axis is within 60 degrees of the world's.
 _UPRIGHT_COSINE = 0.5
-_LISTED = 8
 _HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
 _SUFFIX = re.compile(r"(_joint|_dof)+$")
 
@@ -207,7 +206,7 @@ class JointClip:
             if self.num_dofs != len(names):
                 raise MotionFileError(
                     f"{self.name}: has {self.num_dofs} joints without names, the robot has "
-                    f"{len(names)} ({_listed(names)}); give a clip of this robot"
+                    f"{len(names)} ({listed(names)}); give a clip of this robot"
                 )
             return dataclasses.replace(self, joint_names=names)
         ours = {name: i for i, name in enumerate(_comparable(self.joint_names, names))}
@@ -217,12 +216,12 @@ class JointClip:
         if not all(map(_is_of_hand, (*missing, *extra))):
             raise MotionFileError(
                 f"{self.name}: its joints are not the robot's; only the robot has "
-                f"{_listed(missing)}; only the file has {_listed(extra)}"
+                f"{listed(missing)}; only the file has {listed(extra)}"
                 + ("; by_order=True ignores names" if self.num_dofs == len(names) else "")
             )
         for what, joints in (("drops", extra), ("leaves at 0 rad", missing)):
             if joints:
-                _log.info("%s: %s the joints of hands %s", self.name, what, _listed(joints))
+                _log.info("%s: %s the joints of hands %s", self.name, what, listed(joints))
         dof_pos = np.zeros((self.num_frames, len(names)), dtype=self.dof_pos.dtype)
         for column, name in enumerate(theirs):
             if name in ours:
@@ -250,8 +249,3 @@ def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:
 
 def _is_of_hand(name: str) -> bool:
     return not _HAND_WORDS.isdisjoint(name.lower().split("_"))
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:_LISTED]) or "none"
-    return shown + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")

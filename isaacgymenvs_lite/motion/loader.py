@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError, suggest
-from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
+from isaacgymenvs_lite.motion.body_order import RETARGET_HINT, ROBOT_HINT, fit_to_skeleton
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.dataset import read_dataset
 from isaacgymenvs_lite.motion.formats import deepmimic
@@ -26,7 +28,12 @@ from isaacgymenvs_lite.motion.formats.robot_clip import (
     read_joint_clip,
 )
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_dofs
-from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.motion.skeleton import (
+    SHIPPED_NUM_DOFS,
+    Skeleton,
+    shipped_humanoid_with,
+    skeleton_for_num_dofs,
+)
 
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
@@ -34,6 +41,21 @@ _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 # Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
 _MAX_REPEATED_POSES = 160_000
 _CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFileSettings:
+    """What a user says about a file of a robot's joint coordinates."""
+
+    fps: float | None = None
+    """Frames per second of a table without a rate; None: as usual for its form."""
+    quat_order: Literal["xyzw", "wxyz"] = "xyzw"
+    """"wxyz": the file's quaternions are not in the order of its format."""
+    by_order: bool = False
+    """The order of the joints counts, not their names."""
+
+
+_AS_IN_THE_FILE = JointFileSettings()
 
 
 def shipped_motions_dir() -> Path:
@@ -73,7 +95,7 @@ def load_clips(
     """
     skeleton = skeleton or skeleton_for_num_dofs(28)
     if is_package_name(motion_file):
-        return _load_from_package(str(motion_file), skeleton)
+        return _load_from_package(str(motion_file), _humanoid_of([skeleton], motion_file))
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix not in _DATASET_SUFFIXES:
         return [(_load_file(path, (skeleton,))[0], 1.0)]
@@ -103,7 +125,7 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
             if source in known:
                 repeated_poses += sum(c.num_frames * c.num_bodies for c, _ in known[source])
             elif is_package_name(entry.file):
-                known[source] = _load_from_package(entry.file, skeleton)
+                known[source] = _load_from_package(entry.file, _humanoid_of([skeleton], file))
             else:
                 known[source] = [(_load_file(file, (skeleton,))[0], 1.0)]
         except MotionFileError as error:
@@ -118,31 +140,35 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
 
 
 def load_single_clip(
-    motion_file: str | Path, skeletons: Sequence[Skeleton] = ()
+    motion_file: str | Path,
+    skeletons: Sequence[Skeleton] = (),
+    joint_file: JointFileSettings = _AS_IN_THE_FILE,
 ) -> tuple[MotionClip, Skeleton]:
-    """Read one clip of any of the humanoids.
+    """Read one clip of any of the humanoids, or of a robot.
 
     Args:
         motion_file: as in `load_clips`, but no data set.
-        skeletons: the humanoids, by default all that are shipped; a format without names of
-            bodies is read for the first.
+        skeletons: those that the clip may belong to, by default all shipped humanoids. A robot's
+            file of joint coordinates is read for the first, DeepMimic's for the first humanoid.
+        joint_file: about a file of joint coordinates.
 
     Returns:
-        The clip, with its bodies in the order of the humanoid, and the humanoid.
+        The clip, with its bodies in the order of its skeleton, and the skeleton.
 
     Raises:
         MotionFileError: as in `load_clips`, or the file is a data set.
     """
     skeletons = skeletons or [skeleton_for_num_dofs(number) for number in SHIPPED_NUM_DOFS]
     if is_package_name(motion_file):
-        clips = _load_from_package(str(motion_file), skeletons[0])
+        humanoid = _humanoid_of(skeletons, motion_file)
+        clips = _load_from_package(str(motion_file), humanoid)
         if len(clips) > 1:
             raise MotionFileError(f"'{motion_file}' is a data set of {len(clips)} clips; give one")
-        return clips[0][0], skeletons[0]
+        return clips[0][0], humanoid
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix in _DATASET_SUFFIXES:
         raise MotionFileError(f"{path}: is a data set; give one of its clips")
-    return _load_file(path, skeletons)
+    return _load_file(path, skeletons, joint_file)
 
 
 def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
@@ -179,21 +205,39 @@ def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, 
     ]
 
 
-def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, Skeleton]:
-    """Read one clip by the suffix of its file, for the humanoid that has its bodies.
+def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skeleton:
+    """Return the first humanoid that has the bodies of DeepMimic's clips.
 
-    A format without names of bodies, and a robot's file of joint coordinates, is read for the
-    first.
+    Raises:
+        MotionFileError: all are skeletons of robots.
+    """
+    for skeleton in skeletons:
+        if set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names):
+            return skeleton
+    raise MotionFileError(f"{motion_file}: is a DeepMimic clip of the humanoid; {RETARGET_HINT}")
+
+
+def _load_file(
+    path: Path, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
+) -> tuple[MotionClip, Skeleton]:
+    """Read one clip by the suffix of its file, for the skeleton that has its bodies.
+
+    A robot's file of joint coordinates is read for the first.
     """
     # A robot's joints may have the names of the humanoid's.
     is_robots = path.suffix == ".csv" and not skeletons[0].has_simple_joints
     if is_robots or looks_like_joint_clip(path):
-        return _clip_of_joints(path, skeletons[0]), skeletons[0]
+        return _clip_of_joints(path, skeletons[0], joint_file), skeletons[0]
+    if joint_file != _AS_IN_THE_FILE:
+        raise MotionFileError(
+            f"{path}: is no robot's file of joint coordinates, which is what file_fps=, quat_order="
+            " and by_order= are about; leave them out"
+        )
     readers: dict[str, Callable[[Path], MotionClip]] = {
         ".npz": load_npz,
         ".npy": load_poselib_npy,
-        ".json": lambda path: _load_json(path, skeletons[0]),
-        ".txt": lambda path: deepmimic.load_deepmimic(path, skeletons[0]),
+        ".json": lambda path: _load_json(path, skeletons),
+        ".txt": lambda path: deepmimic.load_deepmimic(path, _humanoid_of(skeletons, path)),
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if path.suffix not in readers:
@@ -209,16 +253,22 @@ def _load_file(path: Path, skeletons: Sequence[Skeleton]) -> tuple[MotionClip, S
         return fit_to_skeleton(clip, skeleton), skeleton
 
 
-def _clip_of_joints(path: Path, skeleton: Skeleton) -> MotionClip:
+def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings) -> MotionClip:
     """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
-    joints = read_joint_clip(path).fitted_to(skeleton.dof_names)
+    joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order)
+    try:
+        joints = joints.fitted_to(skeleton.dof_names, settings.by_order)
+    except MotionFileError as error:
+        if shipped_humanoid_with(skeleton.body_names) is None:
+            raise
+        raise MotionFileError(f"{error}; {ROBOT_HINT}") from error
     qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
     return clip_from_qpos(str(path), joints.fps, skeleton, qpos)
 
 
-def _load_json(path: Path, skeleton: Skeleton) -> MotionClip:
+def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
     """Read a `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
     data = read_json(path)
     if "Frames" in data:
-        return deepmimic.clip_from_deepmimic(data, skeleton, str(path))
+        return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))

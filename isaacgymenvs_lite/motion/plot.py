@@ -1,7 +1,9 @@
 """Plots a clip: python -m isaacgymenvs_lite.motion.plot CLIP out=FILE.png.
 
 Over time: the angles of all joints (rad; of ball joints the length of the rotation vector), the
-height of the root (m), and when each foot is on the ground.
+height of the root (m), and when each foot is on the ground. A clip of a robot needs its file:
+
+    python -m isaacgymenvs_lite.motion.plot g1_walk robot=mjcf/g1.xml out=walk.png
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import argparse
 import itertools
 import logging
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +23,8 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip
+from isaacgymenvs_lite.motion.robot_file import load_shown_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import import_package
@@ -30,12 +33,16 @@ log = logging.getLogger(__name__)
 
 # A foot at most this far above its lowest place, and slower than this, is on the ground.
 _CONTACT_HEIGHT_M, _CONTACT_SPEED = 0.05, 0.4
+# Inches of the figure for each joint, so that the list of joints is not higher than its axes.
+_LEGEND_LINE = 0.36
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlotSettings:
     """Arguments of the command."""
 
+    robot: str = setting("")
+    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
     out: str = setting()
     """File to write: .png, .svg or .pdf."""
 
@@ -43,7 +50,7 @@ class PlotSettings:
 def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[np.float64]]:
     """Return the angle (T,) rad of each joint: signed of hinges, unsigned of ball joints.
 
-    By the names of bodies; of bodies with several joints, by the names of DOFs.
+    By the names of bodies; of a robot's hinges, by the names of joints.
     """
     dofs = dofs_of_clip(skeleton, clip)
     angles = {}
@@ -51,17 +58,26 @@ def joint_angles(clip: MotionClip, skeleton: Skeleton) -> dict[str, npt.NDArray[
     for body, (start, end) in zip(skeleton.dof_body_ids, spans, strict=True):
         joint = dofs[:, start:end]
         angle = joint[:, 0] if end - start == 1 else np.linalg.norm(joint, axis=1)
+        by_joint = end - start == 1 and not skeleton.has_simple_joints
         shared = body in skeleton.shared_body_ids
-        angles[skeleton.dof_names[start] if shared else skeleton.body_names[body]] = angle
+        name = skeleton.dof_names[start] if by_joint or shared else skeleton.body_names[body]
+        angles[name] = angle
     return angles
 
 
-def foot_contacts(clip: MotionClip) -> dict[str, npt.NDArray[np.bool_]]:
-    """Return for each foot the frames (T,) in which it is on the ground: low, and slow."""
+def foot_contacts(
+    clip: MotionClip, feet: Collection[str] | None = None
+) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return for each foot the frames (T,) in which it is on the ground: low, and slow.
+
+    Args:
+        clip: see above.
+        feet: names of bodies; None: those with "foot" in their names.
+    """
     places, _ = clip.global_poses()
     contacts = {}
     for body, name in enumerate(clip.body_names):
-        if "foot" not in name:
+        if ("foot" not in name) if feet is None else (name not in feet):
             continue
         heights = places[:, body, 2]
         speeds = np.linalg.norm(clip.linear_velocity_w[:, body], axis=-1)
@@ -77,12 +93,14 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
         UserError: the clip cannot be read, the file cannot be written, matplotlib is missing.
     """
     figure_module = import_package("matplotlib.figure", f"out={settings.out}")
-    clip, skeleton = load_single_clip(name)
-    figure = figure_module.Figure(figsize=(9, 8), layout="constrained")
+    clip, skeleton, robot = load_shown_clip(name, settings.robot)
+    angles = joint_angles(clip, skeleton)
+    height = max(8.0, _LEGEND_LINE * len(angles))
+    figure = figure_module.Figure(figsize=(9, height), layout="constrained")
     heights = {"height_ratios": [4, 1.5, 1]}
     angles_axes, root_axes, feet_axes = figure.subplots(3, 1, sharex=True, gridspec_kw=heights)
     times_s = np.arange(clip.num_frames) / clip.fps
-    for body, angle in joint_angles(clip, skeleton).items():
+    for body, angle in angles.items():
         style = "--" if body.startswith("left") else "-"
         angles_axes.plot(times_s, angle, style, label=body.replace("_", " "), linewidth=1.2)
     angles_axes.set_ylabel("joint angle (rad)")
@@ -90,7 +108,8 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     angles_axes.set_title(Path(clip.name).name)
     root_axes.plot(times_s, clip.root_translation[:, 2], color="black")
     root_axes.set_ylabel("root height (m)")
-    _draw_contacts(feet_axes, times_s, foot_contacts(clip))
+    feet = robot.prepared.contact_bodies if robot else None
+    _draw_contacts(feet_axes, times_s, foot_contacts(clip, feet))
     feet_axes.set_xlabel("time (s)")
     path = Path(settings.out)
     try:

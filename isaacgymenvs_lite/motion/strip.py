@@ -1,9 +1,11 @@
 """Renders a clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
 
     python -m isaacgymenvs_lite.motion.strip walk walk.png seconds=0.9 frames=8 azimuth=180
+    python -m isaacgymenvs_lite.motion.strip g1_walk walk.png robot=mjcf/g1.xml
 
-CLIP is a motion file of any format, or the name of one in assets/amp/motions. The strip shows the
-first `seconds` of it (default: all) in `frames` poses (8), from the right (azimuth=90).
+CLIP is a motion file of any format, or the name of a shipped one; a clip of a robot needs its file,
+robot=. The strip shows the first `seconds` of it (default: all) in `frames` poses (8), from the
+right (azimuth=90).
 
 Needs an OpenGL library that works without a screen, EGL or OSMesa; see `rendering`.
 """
@@ -23,8 +25,8 @@ import numpy.typing as npt
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.qpos import clip_to_qpos
+from isaacgymenvs_lite.motion.robot_file import ClipRobot, load_shown_clip, view_of
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.schema import keys_of, setting
@@ -35,14 +37,14 @@ _NUM_COLOURS = 128
 
 
 def draw_poses(
-    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], azimuth_deg: float = 90.0
+    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], view: View | None = None
 ) -> Image:
     """Draw poses (n, nq) side by side, each from a camera of its own.
 
     Args:
         model: of the figure.
         qpos: joint positions in MuJoCo's order.
-        azimuth_deg: where the camera looks: 90 from the right side, 180 from the front.
+        view: the camera's; None: that of a humanoid, from the right side.
 
     Returns:
         A picture (height, n * width, 3).
@@ -50,8 +52,7 @@ def draw_poses(
     Raises:
         RenderingError: this machine cannot draw.
     """
-    view = View(azimuth_deg=azimuth_deg)
-    with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view) as renderer:
+    with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view or View()) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
 
 
@@ -61,25 +62,27 @@ def save_strip(
     span_s: float,
     num_frames: int = 8,
     azimuth_deg: float = 90.0,
+    robot: ClipRobot | None = None,
 ) -> Path:
     """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
 
     Args:
-        clip: a clip of a shipped humanoid, see `clip_to_qpos`.
+        clip: see `clip_to_qpos`.
         path: the file.
         span_s: time to show; the poses are those nearest in the clip.
         num_frames: number of poses.
-        azimuth_deg: see `draw_poses`.
+        azimuth_deg: where the camera looks: 90 from the right side, 180 from the front.
+        robot: that the clip belongs to; None: a shipped humanoid.
 
     Raises:
         MissingPackageError: Pillow is not installed.
         RenderingError: this machine cannot draw.
     """
     require("PIL", "writing pictures")  # before the drawing
-    model, poses = clip_to_qpos(clip)
+    model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
     times_s = np.arange(num_frames) * (span_s / num_frames)
     frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
-    return save_png(path, draw_poses(model, poses[frames], azimuth_deg))
+    return save_png(path, draw_poses(model, poses[frames], view_of(robot, azimuth_deg)))
 
 
 def save_png(path: str | Path, image: Image) -> Path:
@@ -102,6 +105,8 @@ def save_png(path: str | Path, image: Image) -> Path:
 class StripSettings:
     """Arguments of the command."""
 
+    robot: str = setting("")
+    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
     seconds: float = setting(0.0, minimum=0)
     """Time to show; 0: the whole clip."""
     frames: int = setting(8, minimum=1)
@@ -116,9 +121,9 @@ def draw_strip(name: str, out: Path, settings: StripSettings) -> Path:
     Raises:
         UserError: the clip cannot be read, or the picture cannot be drawn or written.
     """
-    clip, _ = load_single_clip(name)
+    clip, _, robot = load_shown_clip(name, settings.robot)
     seconds = settings.seconds or clip.length_s
-    return save_strip(clip, out, seconds, settings.frames, settings.azimuth)
+    return save_strip(clip, out, seconds, settings.frames, settings.azimuth, robot)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,8 +3,10 @@
     python -m isaacgymenvs_lite.motion.view walk                   # in a window, again and again
     python -m isaacgymenvs_lite.motion.view walk out=walk.mp4      # without a display
     python -m isaacgymenvs_lite.motion.view run.npy out=run.webp seconds=2 azimuth=180
+    python -m isaacgymenvs_lite.motion.view g1_walk robot=mjcf/g1.xml out=walk.mp4
 
-CLIP is a motion file of any format, or the name of one in assets/amp/motions.
+CLIP is a motion file of any format, or the name of a shipped one. A clip of a robot needs its file,
+an MJCF or URDF: robot=/robots/g1.xml, or a name in assets/.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.qpos import clip_to_qpos
+from isaacgymenvs_lite.motion.robot_file import load_shown_clip, view_of
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video
-from isaacgymenvs_lite.rendering.view import View, aim_camera
+from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.schema import setting
 
 log = logging.getLogger(__name__)
@@ -39,6 +41,8 @@ WIDTH, HEIGHT = 480, 480
 class ViewSettings:
     """Arguments of the command."""
 
+    robot: str = setting("")
+    """The robot's MJCF or URDF; '': the clip is of a shipped humanoid."""
     out: str = setting("")
     """File to write, .mp4 or .webp; '': show it in a window."""
     seconds: float = setting(0.0, minimum=0)
@@ -48,7 +52,7 @@ class ViewSettings:
 
 
 def view_clip(name: str, settings: ViewSettings) -> None:
-    """Show or record a clip, on the humanoid that it was made for.
+    """Show or record a clip, on the humanoid or robot that it was made for.
 
     Raises:
         UserError: the clip cannot be read, or cannot be shown here.
@@ -57,13 +61,13 @@ def view_clip(name: str, settings: ViewSettings) -> None:
         check_encoder()
     else:
         check_display("motion.view without out=", "out=FILE.mp4")
-    clip, _ = load_single_clip(name)
-    model, qpos = clip_to_qpos(clip)
+    clip, skeleton, robot = load_shown_clip(name, settings.robot)
+    model, qpos = clip_to_qpos(clip, skeleton if robot else None)
     poses = qpos[_frames(clip, settings.seconds)]
     if not settings.out:
         _show(model, poses, clip.fps, settings.azimuth)
         return
-    view = View(azimuth_deg=settings.azimuth)
+    view = view_of(robot, settings.azimuth)
     images = draw_tracks(
         model, [poses], [Path(clip.name).name], width=WIDTH, height=HEIGHT, view=view
     )

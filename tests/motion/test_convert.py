@@ -89,7 +89,8 @@ def test_outputs_are_replaced_only_when_asked(refused) -> None:
         (("walk", "a.npz", "mapping=cmu"), "only a .bvh file needs one"),
         (("walk", "a.npz", "fsp=30"), "unknown key 'fsp' (did you mean 'fps'?)"),
         (("walk", "a.npz", "fps"), "expected key=value"),
-        (("clip.bvh", "a.npz"), "needs mapping=, one of cmu, lafan1 or a YAML file"),
+        (("clip.bvh", "a.npz"), "clip.bvh: no such file"),
+        (("walk", "a.npz", "by_order=True"), "by_order= need robot=, the file of a robot"),
         (("clip.bvh", "a.npz", "mapping=mixamo"), "a shipped mapping: cmu, lafan1"),
     ],
 )

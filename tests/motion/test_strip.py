@@ -13,6 +13,7 @@ from isaacgymenvs_lite.motion import strip
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.rendering.view import View
 
 
 def test_missing_pillow_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -42,7 +43,7 @@ def test_an_unknown_key_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path
 def test_strip_shows_poses_side_by_side(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Without a renderer: each pose is a grey panel, as bright as its root is far."""
 
-    def draw(model: mujoco.MjModel, qpos: np.ndarray, azimuth_deg: float) -> Image:
+    def draw(model: mujoco.MjModel, qpos: np.ndarray, view: View) -> Image:
         panels = [np.full((4, 3, 3), 100 * x, np.uint8) for x in qpos[:, 0] - qpos[0, 0]]
         return np.concatenate(panels, axis=1)
 

@@ -25,7 +25,12 @@ from isaacgymenvs_lite.motion.formats.files import (
     written_clip,
 )
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_of_clip, rotations_from_dofs
+from isaacgymenvs_lite.motion.qpos import (
+    clip_from_qpos,
+    dofs_of_clip,
+    qpos_from_dofs,
+    rotations_from_dofs,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 TIME = "time"
@@ -119,6 +124,10 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
             f"{path}: a joint angle is {np.abs(dofs).max():.3g} rad, expected at most "
             f"{MAX_JOINT_RAD:g}"
         )
+    root = np.stack([column[name] for name in POSITION], axis=-1)
+    if not skeleton.has_simple_joints:
+        poses = qpos_from_dofs(skeleton, root, root_rotation, dofs)
+        return clip_from_qpos(str(path), fps, skeleton, poses)
     return MotionClip.from_poses(
         str(path),
         fps,
@@ -126,7 +135,7 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
         skeleton.parent_indices,
         skeleton.local_translation,
         rotations_from_dofs(skeleton, root_rotation, dofs),
-        np.stack([column[name] for name in POSITION], axis=-1),
+        root,
     )
 
 

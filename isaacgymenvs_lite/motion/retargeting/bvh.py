@@ -59,6 +59,22 @@ def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip
         return _clip(pybvh, Path(path), to_z_up, unit_m)
 
 
+def bvh_joint_names(path: str | Path) -> list[str]:
+    """Return the names of the joints of a BVH file; its frames are not read.
+
+    Raises:
+        MotionFileError: the file is missing, too long, or has no joints.
+    """
+    with reading(path, "BVH file"):
+        text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
+        _check_size(text)
+        header = text.partition("MOTION")[0].splitlines()
+        names = [match[2] for line in header if (match := _JOINT.match(line))]
+        if not names:
+            raise ValueError("it has no joints")
+        return names
+
+
 def _clip(pybvh: Any, path: Path, to_z_up: FloatArray, unit_m: float) -> MotionClip:
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
     _check_size(text)

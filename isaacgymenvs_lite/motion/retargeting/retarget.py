@@ -66,11 +66,8 @@ def retarget_bvh(
         ConfigError: the file lacks a joint of the mapping.
         MotionFileError: the file cannot be read, or the times are not in it.
     """
-    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)
-    _warn_of_rest_pose(source)
-    if fps is not None:
-        source = resample(source, fps)
-    targets = make_targets(source_from_bvh(source, mapping), humanoid_figure(skeleton))
+    source = load_bvh_source(path, mapping, start_s, end_s, fps)
+    targets = make_targets(source, humanoid_figure(skeleton))
     model_path = paths.assets_dir() / str(shipped_humanoid_with(skeleton.body_names))
     model = mujoco.MjModel.from_xml_path(str(model_path))
     problem = humanoid_problem(model, skeleton, targets, source.fps)
@@ -86,6 +83,21 @@ def retarget_bvh(
     )
     _log_report(humanoid_report(clip, targets, skeleton))
     return clip
+
+
+def load_bvh_source(
+    path: str | Path,
+    mapping: SkeletonMapping,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+    fps: float | None = None,
+) -> SourceMotion:
+    """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`."""
+    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)
+    _warn_of_rest_pose(source)
+    if fps is not None:
+        source = resample(source, fps)
+    return source_from_bvh(source, mapping)
 
 
 @dataclass(frozen=True, eq=False)

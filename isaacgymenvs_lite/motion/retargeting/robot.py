@@ -34,6 +34,7 @@ from isaacgymenvs_lite.utils import rotations
 _START_POSES = ("home", "stand", "standing")
 _ROOT = 7
 _LEAD_IN = 30  # frames from the start pose to the first of the motion
+_STANDS = 0.4  # of the length of the legs, between hip and foot
 _ANGLES = 91  # at which a hinge is tried
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
@@ -82,19 +83,28 @@ class Robot:
         return np.stack([v[:, row] for v, row in zip(of_feet, rows, strict=True)], axis=1)
 
 
-def robot_from_model(model: mujoco.MjModel, mapping: RobotMapping) -> Robot:
+def robot_from_model(
+    model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray | None = None
+) -> Robot:
     """Return a robot that can be retargeted to.
+
+    Args:
+        model: compiled, a free root as first joint, hinges and ball joints.
+        mapping: of its bodies to the humanoid's names.
+        start: (nq,), the pose in which it stands upright; None: the mapping's, from the model.
 
     Raises:
         ConfigError: no free root, or another joint that is neither hinge nor ball; a body or start
-            pose of the mapping that the model lacks; legs of no length; a foot without geometry.
+            pose of the mapping that the model lacks; a start pose in which it does not stand; legs
+            of no length; a foot without geometry.
     """
     _check_joints(model)
     _check_bodies(model, mapping)
-    start = _start_pose(model, mapping.start_pose)
+    start = _start_pose(model, mapping.start_pose) if start is None else start
     names = [entry.body for entry in mapping.bodies.values()]
     found, turned = body_poses(model, start[None], names)
     places = dict(zip(mapping.bodies, found[0], strict=True))
+    _check_standing(places)
     facing = _facing(places)
     upright = {body: _turned_back(facing, place) for body, place in places.items()}
     hips = 0.5 * (upright["right_thigh"] + upright["left_thigh"])
@@ -210,6 +220,18 @@ def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
         if choice in keys:
             return model.key(choice).qpos.copy()
     return model.qpos0.copy()
+
+
+def _check_standing(places: dict[str, FloatArray]) -> None:
+    """Refuse a start pose in which the robot lies: directions would mean nothing."""
+    leg_m = leg_length({name: place[None] for name, place in places.items()})
+    high_m = [places[f"{side}_thigh"][2] - places[f"{side}_foot"][2] for side in SIDES]
+    if min(high_m) < _STANDS * leg_m:
+        raise ConfigError(
+            f"the robot does not stand in its start pose: a hip is {min(high_m):.2f} m above its "
+            f"foot, and the legs are {leg_m:.2f} m long; give start_pose, a keyframe, or "
+            "start_rotation, the root's quaternion xyzw, in a mapping file"
+        )
 
 
 def _facing(places: dict[str, FloatArray]) -> FloatArray:

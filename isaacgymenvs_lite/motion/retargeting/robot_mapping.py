@@ -56,6 +56,7 @@ class _RobotMappingSettings:
 
     bodies: Mapping[str, Any] = setting()
     start_pose: str = setting("")
+    start_rotation: tuple[float, ...] | None = setting(None, length=4)
     fastest_rad_s: float = setting(20.0, above=0, maximum=1e3)
 
 
@@ -78,12 +79,15 @@ class RobotMapping:
         start_pose: key of the model in which it stands upright; "": home, stand or standing, if
             there is one, else the pose of the model file.
         fastest_rad_s: how fast a hinge may be from frame to frame.
+        start_rotation: xyzw, of the root in the start pose; None: as there. The clip commands use
+            it (`motion.robot_clips`).
     """
 
     name: str
     bodies: Mapping[str, RobotBody]
     start_pose: str = ""
     fastest_rad_s: float = 20.0
+    start_rotation: tuple[float, ...] | None = None
 
     def parent(self, name: str) -> str | None:
         """Return the nearest body before `name` that is mapped; None of the pelvis."""
@@ -111,7 +115,13 @@ def load_robot_mapping(mapping: str | Path) -> RobotMapping:
             name: _robot_body(name, entry, f"{path}: bodies.{name}")
             for name, entry in _checked_names(settings.bodies, str(path)).items()
         }
-        return RobotMapping(str(mapping), bodies, settings.start_pose, settings.fastest_rad_s)
+        return RobotMapping(
+            str(mapping),
+            bodies,
+            settings.start_pose,
+            settings.fastest_rad_s,
+            settings.start_rotation,
+        )
 
 
 def _checked_names(bodies: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -180,6 +190,7 @@ def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
     if "pelvis" not in found:
         found["pelvis"] = 1  # the root
     found = _without_orphans({name: found[name] for name in ROBOT_BODIES if name in found})
+    found = _without_other_limbs(model, found)
     matched = ", ".join(f"{name}: {names[body]}" for name, body in found.items())
     missing = [name for name in NEEDED if name not in found]
     if missing:
@@ -199,6 +210,23 @@ def _without_orphans(found: Mapping[str, int]) -> dict[str, int]:
         limb = name.endswith(("lower_arm", "hand"))
         if body not in kept.values() and not (limb and _PARENTS[name] not in kept):
             kept[name] = body
+    return kept
+
+
+def _without_other_limbs(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
+    """Leave out shins, feet, lower arms and hands of another limb than the body before them.
+
+    So that front and hind legs of a quadruped are not taken for one.
+    """
+    kept = dict(found)
+    for name, body in found.items():
+        if not name.endswith(("shin", "foot", "lower_arm", "hand")):
+            continue
+        above = int(model.body_parentid[body])
+        while above not in (0, kept.get(_PARENTS[name])):
+            above = int(model.body_parentid[above])
+        if above == 0:
+            del kept[name]
     return kept
 
 

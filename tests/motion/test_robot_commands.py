@@ -1,0 +1,268 @@
+"""The clip commands with robot=FILE, as a user types them: retargeting, formats, pictures."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion import convert as command
+from isaacgymenvs_lite.motion import plot, strip, view
+from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
+from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
+from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
+from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.loader import load_clips, load_single_clip
+from isaacgymenvs_lite.motion.robot_file import load_clip_robot
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+
+G1 = "robot=mjcf/g1.xml"
+URDF_LEG = """
+<joint name="{side}_hip" type="revolute"><parent link="base"/><child link="{side}_thigh"/>
+<origin xyz="0 {y} 0"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="80" velocity="9"/>
+</joint><link name="{side}_thigh">{body}</link>
+<joint name="{side}_knee" type="revolute"><parent link="{side}_thigh"/><child link="{side}_shin"/>
+<origin xyz="0 0 -.4"/><axis xyz="0 1 0"/><limit lower="0" upper="2.5" effort="80" velocity="9"/>
+</joint><link name="{side}_shin">{body}</link>
+<joint name="{side}_ankle" type="revolute"><parent link="{side}_shin"/><child link="{side}_foot"/>
+<origin xyz="0 0 -.4"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="40" velocity="9"/>
+</joint><link name="{side}_foot">{foot}</link>
+"""
+INERTIA = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
+BODY = f'<inertial><mass value="2"/>{INERTIA}'
+FOOT = f"""{BODY}<collision><origin xyz=".05 0 -.03"/>
+<geometry><box size=".2 .08 .04"/></geometry></collision>"""
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
+
+
+def convert(*words: str) -> None:
+    assert command.main(list(words)) == 0
+
+
+def write_biped(lies: bool = False) -> Path:
+    """Write a walker without trunk and arms as URDF; its base has no joint to the world.
+
+    If it lies, its links have y up and z to the right, as some simulators want them.
+    """
+    legs = "".join(
+        URDF_LEG.format(side=side, y=y, body=BODY, foot=FOOT)
+        for side, y in (("left", 0.1), ("right", -0.1))
+    )
+    path = Path("biped.urdf")
+    base = "base"
+    if lies:
+        base = "root"
+        legs += """<joint name="turned" type="fixed"><parent link="root"/><child link="base"/>
+        <origin rpy="-1.5707963 0 0"/></joint>"""
+        legs += f'<link name="base">{BODY}</link>'
+    path.write_text(f'<robot name="biped"><link name="{base}">{BODY}</link>{legs}</robot>')
+    return path
+
+
+@pytest.fixture(scope="module")
+def g1() -> Skeleton:
+    return load_clip_robot("mjcf/g1.xml").skeleton
+
+
+@pytest.fixture
+def g1_joints() -> JointClip:
+    """Half a second of the walk that ships with the G1, 60 fps."""
+    whole = read_joint_clip(paths.assets_dir() / "amp" / "robot_motions" / "g1_walk.npz")
+    parts = {name: getattr(whole, name)[:31] for name in ("root_pos", "root_rot", "dof_pos")}
+    return JointClip("walk", whole.fps, **parts, joint_names=whole.joint_names)
+
+
+@pytest.fixture
+def line_of(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Return `line_of(main, *words)`, the one line with which a command ends."""
+
+    def run(main: Callable[[list[str]], int], *words: str) -> str:
+        with pytest.raises(SystemExit) as stop:
+            main(list(words))
+        assert stop.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    return run
+
+
+def test_a_clip_of_the_humanoid_moves_a_robot(g1: Skeleton, caplog) -> None:
+    pytest.importorskip("mink")
+    with caplog.at_level("INFO"):
+        convert("walk", "g1.npz", G1, "end_s=0.5", "fps=30")
+    assert "has the bodies of mapping=g1" in caplog.text
+    assert "scaled by 0.749, the length of the legs" in caplog.text
+    assert "g1.npz: 16 frames at 30 Hz, 0.50 s, 29 degrees of freedom" in caplog.text
+    clip, _ = load_single_clip("g1.npz", [g1])
+    # On the shipped model itself, by MuJoCo: the soles are on the ground, and the hips in between.
+    model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf" / "g1.xml"))
+    data, joints = mujoco.MjData(model), read_joint_clip("g1.npz")
+    assert joints.joint_names == tuple(model.joint(i).name for i in range(1, model.njnt))
+    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
+    for frame in range(16):
+        data.qpos[:3], data.qpos[3:7] = joints.root_pos[frame], joints.root_rot[frame][[3, 0, 1, 2]]
+        data.qpos[7:] = joints.dof_pos[frame]
+        mujoco.mj_kinematics(model, data)
+        boxes = [(model.geom(f"{s}_foot").size, data.geom(f"{s}_foot")) for s in ("left", "right")]
+        lowest = min((g.xpos + corners * s @ g.xmat.reshape(3, 3).T)[:, 2].min() for s, g in boxes)
+        assert -1e-4 < lowest < 0.01
+        places = clip.global_poses()[0][frame]
+        np.testing.assert_allclose(places, data.xpos[1:], atol=1e-5)
+
+
+def test_a_robots_clip_in_every_form(g1: Skeleton, g1_joints: JointClip) -> None:
+    save_robot_csv("lafan1.csv", g1_joints, header=False)
+    convert("lafan1.csv", "a.npz", G1, "file_fps=60")
+    convert("a.npz", "b.csv", G1)
+    convert("b.csv", "c.npz", G1, "start_s=0.1", "end_s=0.4", "fps=30")
+    assert read_joint_clip("a.npz").fps == 60.0
+    np.testing.assert_allclose(read_joint_clip("b.csv").dof_pos, g1_joints.dof_pos, atol=1e-9)
+    last = read_joint_clip("c.npz")
+    np.testing.assert_allclose(last.dof_pos, g1_joints.dof_pos[6:25:2], atol=1e-9)
+    np.testing.assert_allclose(last.root_pos, g1_joints.root_pos[6:25:2], atol=1e-9)
+    assert load_clips("c.npz", g1)[0][0].num_frames == 10
+
+
+def test_quaternions_in_the_other_order(g1_joints: JointClip) -> None:
+    table = np.hstack((g1_joints.root_pos, g1_joints.root_rot[:, [3, 0, 1, 2]], g1_joints.dof_pos))
+    np.savetxt("wxyz.csv", table, delimiter=",")
+    convert("wxyz.csv", "a.npz", G1, "quat_order=wxyz")
+    np.testing.assert_allclose(read_joint_clip("a.npz").root_rot, g1_joints.root_rot, atol=1e-6)
+
+
+def test_joints_of_other_names_count_by_order_when_asked(refused, g1_joints: JointClip) -> None:
+    parts = {name: getattr(g1_joints, name) for name in ("root_pos", "root_rot", "dof_pos")}
+    names = tuple(f"motor{i}" for i in range(29))
+    save_robot_npz("motors.npz", JointClip("m", 60.0, **parts, joint_names=names))
+    line = refused("motors.npz", "a.npz", G1)
+    assert "only the robot has left_hip_pitch, left_hip_roll" in line
+    assert "only the file has motor0, motor1" in line
+    convert("motors.npz", "a.npz", G1, "by_order=True")
+    np.testing.assert_allclose(read_joint_clip("a.npz").dof_pos, g1_joints.dof_pos, atol=1e-6)
+
+
+def test_a_urdf_without_a_mapping(caplog) -> None:
+    pytest.importorskip("mink")
+    write_biped()
+    with caplog.at_level("INFO"):
+        convert("walk", "biped.npz", "robot=biped.urdf", "end_s=0.5")
+    assert "left_thigh: left_thigh, left_shin: left_shin, left_foot: left_foot" in caplog.text
+    robot = load_clip_robot("biped.urdf").skeleton
+    clip, _ = load_single_clip("biped.npz", [robot])
+    assert robot.dof_names == tuple(
+        f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle")
+    )
+    feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
+    assert 0.04 < clip.global_poses()[0][:, feet, 2].min() < 0.06  # the sole is 0.05 m below
+
+
+def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
+    pytest.importorskip("mink")
+    write_biped(lies=True)
+    line = refused("walk", "a.npz", "robot=biped.urdf")
+    assert "does not stand in its start pose: a hip is " in line
+    assert "m above its foot, and the legs are 0.80 m long; give start_pose" in line
+    names = [f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shin", "foot")]
+    bodies = "".join(f"  {name}: {name}\n" for name in ("pelvis", *names))
+    text = f"start_rotation: [0.7071068, 0, 0, 0.7071068]\nbodies:\n{bodies}"
+    Path("biped.yaml").write_text(text.replace("pelvis: pelvis", "pelvis: root"))
+    convert("walk", "a.npz", "robot=biped.urdf", "mapping=biped.yaml", "end_s=0.5")
+    robot = load_clip_robot("biped.urdf").skeleton
+    heights = load_single_clip("a.npz", [robot])[0].global_poses()[0][:, :, 2]
+    feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
+    assert 0.04 < heights[:, feet].min() < 0.06
+    assert heights[:, 0].min() > 0.7
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("walk", "a.npz", "robot=mjcf/h1.xml"), "robot=mjcf/h1.xml: no such file in "),
+        (("walk", "a.npz", "robot=/no/h1.xml"), "give an MJCF or URDF, or a shipped one: mjcf/am"),
+        (("walk", "a.npy", G1), "found '.npy'; choices: .npz, .csv"),
+        (("walk", "a.npz", G1, "num_dofs=28"), "num_dofs=28 chooses a humanoid and robot="),
+        (("walk", "a.npz", G1, "mapping=cmu"), "mapping=cmu: only a .bvh file needs one"),
+        (("walk", "a.npz", G1, "mapping=cmu,lafan1"), "two mappings of a BVH file's skeleton"),
+        (("walk", "a.npz", G1, "mapping=g2"), "a shipped mapping: cmu, lafan1, g1"),
+        (("g1_walk", "a.npz", G1, "mapping=g1"), "is a clip of this robot, which needs no mapping"),
+        (("walk", "a.npz", G1, "by_order=True"), "is no robot's file of joint coordinates"),
+        (("walk.bvh", "a.npz", G1, "file_fps=60"), "are not for a .bvh file"),
+        (("walk", "a.npz", "robot=mjcf/anymal.xml"), "robot=mjcf/anymal.xml: cannot find "),
+        (("g1_walk", "a.npz", "robot=mjcf/anymal.xml"), "only the robot has LF_HAA"),
+        (("g1_walk", "a.npz", G1, "end_s=99"), "is no part of the clip"),
+        (("g1_walk", "a.npz"), "task=RobotAMP in training, robot=FILE in the clip commands"),
+    ],
+)
+def test_mistakes_are_one_line(refused, words: tuple[str, ...], message: str) -> None:
+    assert message in refused(*words)
+
+
+def test_a_hostile_robot_is_refused(refused) -> None:
+    Path("robot.xml").write_text(
+        '<mujoco><extension><plugin plugin="own.plugin"/></extension><worldbody/></mujoco>'
+    )
+    assert "engine plugins are not loaded" in refused("walk", "a.npz", "robot=robot.xml")
+
+
+def test_a_robots_clip_is_shown_on_it(monkeypatch: pytest.MonkeyPatch, g1_joints) -> None:
+    shown = []
+    save_robot_npz("walk.npz", g1_joints)
+    monkeypatch.setattr(view, "draw_tracks", lambda *args, **_: shown.append(args) or [])
+    monkeypatch.setattr(view, "save_video", lambda out, *_: out)
+    assert view.main(["walk.npz", G1, "out=walk.mp4"]) == 0
+    ((model, (poses,), _),) = shown
+    assert model.body("left_ankle_roll_link").id > 0
+    np.testing.assert_allclose(poses[:, 7:], g1_joints.dof_pos, atol=1e-6)
+    np.testing.assert_allclose(poses[:, :3], g1_joints.root_pos, atol=1e-6)
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_strip_of_a_robots_clip() -> None:
+    import PIL.Image
+
+    assert strip.main(["g1_walk", "walk.png", G1, "frames=2", "seconds=0.9"]) == 0
+    with PIL.Image.open("walk.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert pixels.shape == (320, 400, 3)
+    assert (np.abs(pixels[:, :200] - pixels[:, 200:]) > 30).any()
+
+
+def test_a_plot_of_a_robots_clip(g1: Skeleton, g1_joints: JointClip) -> None:
+    pytest.importorskip("matplotlib")
+    assert plot.main(["g1_walk", G1, "out=walk.png"]) == 0
+    assert Path("walk.png").read_bytes().startswith(b"\x89PNG")
+    save_robot_npz("walk.npz", g1_joints)
+    clip, _ = load_single_clip("walk.npz", [g1])
+    angles = plot.joint_angles(clip, g1)
+    assert tuple(angles) == g1.dof_names
+    np.testing.assert_allclose(angles["left_knee_joint"], g1_joints.dof_pos[:, 3], atol=1e-6)
+    feet = load_clip_robot("mjcf/g1.xml").prepared.contact_bodies
+    contacts = plot.foot_contacts(load_single_clip("g1_walk", [g1])[0], feet)
+    assert sorted(contacts) == ["left_ankle_roll_link", "right_ankle_roll_link"]
+    assert all(0.3 < foot.mean() < 0.75 for foot in contacts.values())
+
+
+@pytest.mark.parametrize("main", [view.main, plot.main])
+def test_clips_of_others_are_not_shown(line_of, main) -> None:
+    line = line_of(main, "g1_walk", "robot=mjcf/anymal.xml", "out=a.png")
+    assert "only the robot has LF_HAA, LF_HFE" in line
+    assert "only the file has left_hip_pitch, left_hip_roll" in line
+    line = line_of(main, "walk", G1, "out=a.png")
+    assert "its skeleton lacks left_hip_pitch_link" in line
+    assert "motion.convert IN OUT.npz robot=FILE" in line
+    line = line_of(main, "g1_walk", "out=a.png")
+    assert "robot=FILE in the clip commands" in line
+    assert not Path("a.png").exists()
+
+
+def test_deepmimics_clips_are_not_a_robots(g1: Skeleton) -> None:
+    pytest.importorskip("pybullet_data")
+    with pytest.raises(MotionFileError, match=r"is a DeepMimic clip of the humanoid; retarget it"):
+        load_clips("deepmimic:walk", g1)
