@@ -13,6 +13,8 @@ ROBOT is an MJCF or URDF of a quadruped that looks along x; OUT is a clip of its
     step_height=0.06    m, how high feet are lifted
     body_height=0.3     m, of the trunk's origin (default: hips at 0.7 of the legs' length)
     bounce=0            m, how far the trunk rises and sinks about it, twice in a stride
+    knees=behind        behind, ahead, or inward (front ones behind, rear ones ahead), of legs that
+                        can bend to both sides
     seconds=4 fps=60    of the clip
     feet=[]             names or patterns of the feet, such as [*_foot] (default: found)
     overwrite=True      OUT may exist
@@ -39,7 +41,7 @@ from isaacgymenvs_lite.motion.formats.files import check_output
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.legs import Leg, LegSolver, find_legs
+from isaacgymenvs_lite.motion.legs import KNEES, Leg, LegSolver, find_legs
 from isaacgymenvs_lite.motion.qpos import dofs_from_qpos
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
@@ -89,6 +91,8 @@ class GaitSettings:
     """Of the trunk's origin, m; None: the hips at 0.7 of the legs' length."""
     bounce: float = setting(0.0, minimum=0, maximum=0.5)
     """How far the trunk rises above its height and sinks below it, m."""
+    knees: str = setting(KNEES[0], choices=KNEES)
+    """Where knees are, of legs that can bend to both sides."""
     seconds: float = setting(4.0, above=0, maximum=600)
     """Length of the clip; it becomes a whole number of strides."""
     fps: float = setting(60.0, minimum=MIN_FPS, maximum=MAX_FPS)
@@ -112,7 +116,7 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
             fewer than four frames.
     """
     legs = find_legs(robot)
-    solver = LegSolver(robot, legs)
+    solver = LegSolver(robot, legs, settings.knees)
     strides = max(1, round(settings.seconds * settings.frequency))
     per_stride = round(settings.fps / settings.frequency * strides) / strides
     if per_stride < 4:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,6 +21,9 @@ from isaacgymenvs_lite.motion.retargeting.soles import find_sole
 from isaacgymenvs_lite.robots.load import PreparedRobot
 
 NUM_LEGS = 4
+_LEAST_HINGES = 3  # with fewer, a foot does not reach every point about it
+KNEES = ("behind", "ahead", "inward")
+"""Sides to which legs may bend; inward: front ones behind, rear ones ahead, as a dog's."""
 TOLERANCE_M = 1e-6
 """How near a foot comes to its place."""
 _ITERATIONS = 100
@@ -62,27 +66,23 @@ class Leg:
 def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
     """Return the legs of a quadruped that looks along x: front left, front right, rear left, right.
 
-    A leg is a chain of bodies that moves against the trunk and holds a body that touches the floor
-    in the start pose; if these are not four, one that holds a key body.
+    A leg is a chain of bodies with at least three hinges below the trunk that holds a body that
+    touches the floor in the start pose; if these are not four, one that holds a key body.
 
     Raises:
         ConfigError: the robot has not four legs of hinges, two on each side.
     """
-    model = robot.model
-    for names in (robot.contact_bodies, robot.key_bodies):
-        feet: dict[int, int] = {}
-        for foot in sorted(model.body(name).id for name in names):
-            if (chain := _chain(model, foot)) is not None:
-                feet[chain[0]] = foot  # the last body of a limb is its foot
-        if len(feet) == NUM_LEGS:
-            break
-    else:
+    by_contact = _feet(robot.model, robot.contact_bodies)
+    feet = by_contact
+    if len(feet) != NUM_LEGS:
+        feet = _feet(robot.model, robot.key_bodies)
+    if len(feet) != NUM_LEGS:
+        bodies = ", ".join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))
         raise ConfigError(
-            f"has {len(feet)} legs, expected {NUM_LEGS}: a gait needs a quadruped; its feet were"
-            f" sought among {', '.join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))};"
-            " feet=[...] names them"
+            f"has {len(by_contact)} legs of at least {_LEAST_HINGES} hinges, expected {NUM_LEGS}:"
+            f" a gait needs a quadruped; feet were sought among {bodies}; feet=[...] names them"
         )
-    legs = sorted((_leg(robot, foot) for foot in feet.values()), key=lambda leg: -leg.hip[0])
+    legs = sorted((_leg(robot, foot) for foot in feet), key=lambda leg: -leg.hip[0])
     front, rear = (sorted(pair, key=lambda leg: -leg.hip[1]) for pair in (legs[:2], legs[2:]))
     if any(left.hip[1] <= 0 or right.hip[1] >= 0 for left, right in (front, rear)):
         raise ConfigError(
@@ -92,22 +92,31 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
     return (*front, *rear)
 
 
-def _chain(model: mujoco.MjModel, foot: int) -> list[int] | None:
-    """Return the bodies from the trunk, which is left out, to a foot; None: it is the trunk's."""
-    trunk, chain = model.body_weldid[1], [foot]
-    while model.body_weldid[chain[0]] not in (trunk, 0):
+def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
+    """Return the last of the named bodies on each leg."""
+    feet: dict[int, int] = {}
+    for foot in sorted(model.body(name).id for name in names):
+        chain = _chain(model, foot)
+        if model.body_jntnum[chain].sum() >= _LEAST_HINGES:
+            feet[chain[0]] = foot
+    return list(feet.values())
+
+
+def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
+    """Return the bodies from the trunk, which is left out, to a foot; [] of the trunk itself."""
+    chain = [foot]
+    while model.body_weldid[chain[0]] not in (model.body_weldid[1], 0):
         chain.insert(0, int(model.body_parentid[chain[0]]))
-    return chain[1:] or None
+    return chain[1:]
 
 
 def _leg(robot: PreparedRobot, foot: int) -> Leg:
     model, name = robot.model, robot.model.body(foot).name
     joints = tuple(
-        joint
-        for body in _chain(model, foot) or ()
-        for joint in range(
-            model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]
-        )
+        first + i
+        for body in _chain(model, foot)
+        for first in (int(model.body_jntadr[body]),)
+        for i in range(model.body_jntnum[body])
     )
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
         raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
@@ -139,10 +148,11 @@ class LegSolver:
     Args:
         robot: whose start pose the first pose is near to.
         legs: of the robot.
+        knees: one of `KNEES`, of legs that can bend to both sides.
     """
 
-    def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...]) -> None:
-        self._model, self._legs = robot.model, legs
+    def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
+        self._model, self._legs, self._knees = robot.model, legs, knees
         self._data = mujoco.MjData(robot.model)
         self._start = robot.start_qpos
         limited = robot.model.jnt_limited.astype(bool)[:, None]
@@ -151,8 +161,7 @@ class LegSolver:
     def first_pose(self, root: FloatArray, places: FloatArray) -> npt.NDArray[np.float64]:
         """Return the pose (nq,) nearest to the start pose that reaches the places.
 
-        Of bends to two sides that are equally near, it has the knees towards the trunk's middle,
-        as a dog's elbows and knees.
+        Of bends to two sides that are about equally near, `knees` names one.
 
         Args:
             root: (7,) the trunk's position in m and quaternion wxyz.
@@ -204,8 +213,9 @@ class LegSolver:
         return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3) @ leg.sole
 
     def _knee(self, leg: Leg) -> float:
-        """Return how far the joints are from the trunk's middle along x, on average (m)."""
-        return abs(float(self._data.xanchor[list(leg.joints), 0].mean() - self._data.xpos[1, 0]))
+        """Return a number that is smaller for legs that bend to the wanted side."""
+        x = float(self._data.xanchor[list(leg.joints), 0].mean() - self._data.xpos[1, 0])
+        return {"behind": x, "ahead": -x, "inward": abs(x)}[self._knees]
 
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
         """Turn a leg's joints until its sole is at a place; change `pose`, return the error in m.
@@ -237,5 +247,5 @@ def _check(leg: Leg, place: FloatArray, error: float) -> None:
         raise ConfigError(
             f"the foot '{leg.foot}' stays {error:.3g} m away from where the gait wants it,"
             f" {np.round(place, 3).tolist()} m from the trunk: its leg is too short, or a joint at"
-            " its limit; change body_height, or lower speed / frequency, step_height"
+            " its limit; change body_height, raise frequency, or lower speed or step_height"
         )
