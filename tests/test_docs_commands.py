@@ -59,7 +59,9 @@ USERS_FILES = {
     "/IsaacGymEnvs/isaacgymenvs/cfg/task/HumanoidAMP.yaml": "cfg/task/HumanoidAMP.yaml",
     "/any/where/amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
-    **dict.fromkeys(("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py")),
+    **dict.fromkeys(
+        ("dance.bvh", "dance.npz", "dance.csv", "trot.npz", "my_walk.npz", "my_script.py")
+    ),
 }
 USERS_FOLDERS = ("runs/", "logs/")
 # `FILE`, `TARGET`, `<run>`: whatever the user means.

@@ -206,7 +206,9 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
     """
     path = Path(out)
     check_output(path, (".npz",), settings.overwrite)
-    robot = load_robot(source, RobotSettings(contact_bodies=settings.feet))
+    robot = load_robot(
+        source, RobotSettings(contact_bodies=settings.feet, key_bodies=settings.feet)
+    )
     try:
         clip = make_gait(robot, settings, path.stem)
     except ConfigError as error:

@@ -194,7 +194,8 @@ class LegSolver:
         Raises:
             ConfigError: a foot cannot reach its place.
         """
-        pose = np.concatenate((root, last[7:]))
+        pose = np.array(last, dtype=np.float64)
+        pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
             _check(leg, place - root[:3], self._reach(pose, leg, place))
         return pose
@@ -210,7 +211,7 @@ class LegSolver:
         mujoco.mj_comPos(self._model, self._data)  # for Jacobians
 
     def _sole(self, leg: Leg) -> npt.NDArray[np.float64]:
-        return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3) @ leg.sole
+        return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
 
     def _knee(self, leg: Leg) -> float:
         """Return a number that is smaller for legs that bend to the wanted side."""
