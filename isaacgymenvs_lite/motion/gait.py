@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,6 @@ import torch
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import MAX_FPS, MIN_FPS
 from isaacgymenvs_lite.motion.formats.files import check_output
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
@@ -93,9 +93,9 @@ class GaitSettings:
     """How far the trunk rises above its height and sinks below it, m."""
     knees: str = setting(KNEES[0], choices=KNEES)
     """Where knees are, of legs that can bend to both sides."""
-    seconds: float = setting(4.0, above=0, maximum=600)
+    seconds: float = setting(4.0, above=0, maximum=120)
     """Length of the clip; it becomes a whole number of strides."""
-    fps: float = setting(60.0, minimum=MIN_FPS, maximum=MAX_FPS)
+    fps: float = setting(60.0, minimum=1, maximum=240)
     """Frames per second."""
     feet: tuple[str, ...] = setting(())
     """Names or patterns of the feet's bodies; (): what touches the floor in the start pose."""
@@ -131,9 +131,11 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
     places = foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
-    for pose, feet in zip(root, places, strict=True):
-        poses.append(solver.next_pose(poses[-1], pose, feet))
-    qpos = np.stack(poses[1:])
+    # The stride before the clip's first one leads from standing into the gait.
+    lead_in = math.ceil(per_stride)
+    for frame in (*range(lead_in), *range(len(phases))):
+        poses.append(solver.next_pose(poses[-1], root[frame], places[frame]))
+    qpos = np.stack(poses[-len(phases) :])
     skeleton = Skeleton.from_model(robot.model, name)
     root_rot = rotations.xyzw_from_wxyz(torch.from_numpy(qpos[:, 3:7])).numpy()
     dofs = dofs_from_qpos(skeleton, qpos)

@@ -22,6 +22,7 @@ from isaacgymenvs_lite.robots.load import PreparedRobot
 
 NUM_LEGS = 4
 _LEAST_HINGES = 3  # with fewer, a foot does not reach every point about it
+_MOST_HINGES = 6  # the search for a first pose tries three angles of each
 KNEES = ("behind", "ahead", "inward")
 """Sides to which legs may bend; inward: front ones behind, rear ones ahead, as a dog's."""
 TOLERANCE_M = 1e-6
@@ -29,6 +30,7 @@ TOLERANCE_M = 1e-6
 _ITERATIONS = 100
 _DAMPING = 1e-6  # m^2/rad^2, of the squared Jacobian: keeps steps of straight legs finite
 _LONGEST_STEP_RAD = 0.3
+_PULL = 0.1  # of the way back to the posture, in a step of a leg that has hinges to spare
 # Angles from the start pose, of each joint, from which the search of the first pose begins.
 _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
 # Solutions whose angles differ from the start pose by as much are alike; then the knees decide.
@@ -120,6 +122,11 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
     )
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
         raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
+    if len(joints) > _MOST_HINGES:
+        raise ConfigError(
+            f"the leg of '{name}' has {len(joints)} hinges, expected at most {_MOST_HINGES}; name a"
+            " body further up with feet=[...]"
+        )
     centres, radii = find_sole(model, robot.start_qpos, name)
     data = mujoco.MjData(model)
     data.qpos[:] = robot.start_qpos
@@ -154,7 +161,7 @@ class LegSolver:
     def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
         self._model, self._legs, self._knees = robot.model, legs, knees
         self._data = mujoco.MjData(robot.model)
-        self._start = robot.start_qpos
+        self._start = self._posture = robot.start_qpos
         limited = robot.model.jnt_limited.astype(bool)[:, None]
         self._ranges = np.where(limited, robot.model.jnt_range, (-math.pi, math.pi))
 
@@ -184,6 +191,7 @@ class LegSolver:
             best = min(tried, key=lambda entry: entry[:-1])
             pose[columns] = best[-1]
             _check(leg, place - root[:3], best[-2])
+        self._posture = pose.copy()
         return pose
 
     def next_pose(
@@ -221,7 +229,8 @@ class LegSolver:
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
         """Turn a leg's joints until its sole is at a place; change `pose`, return the error in m.
 
-        A joint that meets its limit stays there for the rest of the step, the others go on.
+        A joint that meets its limit stays there for the rest of the step, the others go on. Hinges
+        to spare stay near the first pose, so that every stride is alike.
         """
         joints = list(leg.joints)
         columns, dofs = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
@@ -237,6 +246,9 @@ class LegSolver:
             of_leg = jacobian[:, dofs]
             damped = of_leg @ of_leg.T + _DAMPING * np.eye(3)
             step = of_leg.T @ np.linalg.solve(damped, error)
+            if len(joints) > _LEAST_HINGES:
+                pull = _PULL * (self._posture[columns] - pose[columns])
+                step += pull - np.linalg.pinv(of_leg) @ (of_leg @ pull)
             step *= min(1.0, _LONGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
             pose[columns] = np.clip(pose[columns] + step, lower, upper)
         self._set(pose)

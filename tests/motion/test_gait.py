@@ -144,6 +144,26 @@ def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
     assert (np.sign(angles) == [front, front, rear, rear]).all()
 
 
+@pytest.mark.parametrize("ankles", [1, 4])
+def test_legs_with_hinges_to_spare(tmp_path, ankles) -> None:
+    places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
+    path = quadruped_of(tmp_path, places)
+    text = path.read_text()
+    for name in places:
+        foot = f'<body name="{name}" pos="0 0 -0.2">'
+        ankle = '<joint axis="0 1 0" pos="0 0 0.08"/>' * ankles
+        text = text.replace(foot, foot + ankle)
+    path.write_text(text)
+    if ankles == 4:
+        with pytest.raises(ConfigError, match="has 7 hinges, expected at most 6"):
+            find_legs(load_robot(path))
+        return
+    clip = make_gait(load_robot(path), GaitSettings(speed=0.4, seconds=1.0))
+    np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[-1], atol=1e-3)
+    np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[30], atol=1e-3)
+    assert np.abs(np.diff(clip.dof_pos, axis=0)).max() * 60 < 20.0
+
+
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [
