@@ -17,6 +17,7 @@ ROBOT is an MJCF or URDF of a quadruped that looks along x; OUT is a clip of its
                         can bend to both sides
     seconds=4 fps=60    of the clip
     feet=[]             names or patterns of the feet, such as [*_foot] (default: found)
+    start_rotation=[0,0,0,1]  of the trunk, xyzw, where the file's robot does not look along x
     overwrite=True      OUT may exist
 
 Feet in stance stay where they are while the trunk moves on at constant speed.
@@ -99,6 +100,8 @@ class GaitSettings:
     """Frames per second."""
     feet: tuple[str, ...] = setting(())
     """Names or patterns of the feet's bodies; (): what touches the floor in the start pose."""
+    start_rotation: tuple[float, ...] | None = setting(None, length=4)
+    """Rotation of the trunk, xyzw, with which the robot looks along x; None: as in its file."""
     overwrite: bool = setting(False)
     """Whether an existing output is replaced."""
 
@@ -108,7 +111,7 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
 
     Args:
         robot: a quadruped.
-        settings: of the gait; `feet` and `overwrite` do not count, they are of the command.
+        settings: of the gait; `feet`, `start_rotation` and `overwrite` are of the command only.
         name: of the clip.
 
     Raises:
@@ -208,9 +211,12 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
     """
     path = Path(out)
     check_output(path, (".npz",), settings.overwrite)
-    robot = load_robot(
-        source, RobotSettings(contact_bodies=settings.feet, key_bodies=settings.feet)
+    of_robot = RobotSettings(
+        contact_bodies=settings.feet,
+        key_bodies=settings.feet,
+        start_rotation=settings.start_rotation,
     )
+    robot = load_robot(source, of_robot)
     try:
         clip = make_gait(robot, settings, path.stem)
     except ConfigError as error:

@@ -82,14 +82,15 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
         bodies = ", ".join(dict.fromkeys((*robot.contact_bodies, *robot.key_bodies)))
         raise ConfigError(
             f"has {len(by_contact)} legs of at least {_LEAST_HINGES} hinges, expected {NUM_LEGS}:"
-            f" a gait needs a quadruped; feet were sought among {bodies}; feet=[...] names them"
+            f" a gait needs a quadruped; feet=[...] names its feet, sought among {bodies}"
         )
     legs = sorted((_leg(robot, foot) for foot in feet), key=lambda leg: -leg.hip[0])
     front, rear = (sorted(pair, key=lambda leg: -leg.hip[1]) for pair in (legs[:2], legs[2:]))
     if any(left.hip[1] <= 0 or right.hip[1] >= 0 for left, right in (front, rear)):
         raise ConfigError(
             f"the feet {', '.join(leg.foot for leg in (*front, *rear))} are not two pairs, left"
-            " and right of x: a gait needs a robot that looks along x, with y to its left"
+            " and right of x: a gait needs a robot that looks along x, with y to its left and z"
+            " up; start_rotation=[x,y,z,w] turns it"
         )
     return (*front, *rear)
 

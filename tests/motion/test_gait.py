@@ -144,6 +144,20 @@ def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
     assert (np.sign(angles) == [front, front, rear, rear]).all()
 
 
+def test_a_robot_that_looks_along_y_is_turned(tmp_path) -> None:
+    places = {"fl": (-0.1, 0.3), "fr": (0.1, 0.3), "rl": (-0.1, -0.3), "rr": (0.1, -0.3)}
+    path = quadruped_of(tmp_path, places)
+    path.write_text(path.read_text().replace('"0 1 0"', '"-1 0 0"').replace('"1 0 0"', '"0 1 0"'))
+    turn = (0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5))
+    settings = GaitSettings(seconds=0.5, speed=0.3, start_rotation=turn)
+    clip = load_robot_npz(write_gait(str(path), str(tmp_path / "out.npz"), settings))
+    np.testing.assert_allclose(clip.root_rot, np.tile(turn, (31, 1)), atol=1e-12)
+    # As the one that looks along x: the legs are the same, and swing in their own planes.
+    along_x = quadruped_of(tmp_path, {name: (y, -x) for name, (x, y) in places.items()})
+    same = make_gait(load_robot(along_x), GaitSettings(seconds=0.5, speed=0.3))
+    np.testing.assert_allclose(clip.dof_pos, same.dof_pos, atol=1e-5)
+
+
 @pytest.mark.parametrize("ankles", [1, 4])
 def test_legs_with_hinges_to_spare(tmp_path, ankles) -> None:
     places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
