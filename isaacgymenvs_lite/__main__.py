@@ -14,7 +14,14 @@ from isaacgymenvs_lite.errors import unknown
 PACKAGE = "isaacgymenvs_lite"
 COMMANDS = (
     *("train", "check", "demo", "report", "export", "policies", "workflows", "alias"),
-    *("motion.view", "motion.plot", "motion.strip", "motion.convert", "simulation.replay"),
+    *(
+        "motion.view",
+        "motion.plot",
+        "motion.strip",
+        "motion.convert",
+        "motion.gait",
+        "simulation.replay",
+    ),
 )
 """Modules that `python -m` runs, in the order in which a user meets them."""
 DOORS = tuple(

@@ -63,7 +63,15 @@ USERS_FILES = {
     "walk1_subject1.csv": None,
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     **dict.fromkeys(
-        ("dance.bvh", "dance.npz", "dance.csv", "my_walk.npz", "my_script.py", "g1.yaml")
+        (
+            "dance.bvh",
+            "dance.npz",
+            "dance.csv",
+            "trot.npz",
+            "my_walk.npz",
+            "my_script.py",
+            "g1.yaml",
+        )
     ),
 }
 USERS_FOLDERS = ("runs/", "logs/")

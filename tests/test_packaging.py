@@ -93,7 +93,7 @@ def test_models_of_the_wheel_compile(wheel, tmp_path):
         "humanoid": 21,
         "ingenuity": 6,
         "quadcopter": 12,
-        "quadruped": 0,
+        "quadruped": 12,
     }
 
 

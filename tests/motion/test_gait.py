@@ -1,0 +1,226 @@
+"""Gaits of quadrupeds, measured by MuJoCo's kinematics."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.formats.robot_npz import load_robot_npz
+from isaacgymenvs_lite.motion.gait import GaitSettings, main, make_gait, write_gait
+from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.legs import find_legs
+from isaacgymenvs_lite.motion.loader import load_clips
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
+
+MJCF = paths.assets_dir() / "mjcf"
+FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+RADIUS = 0.022  # of the quadruped's feet
+SHIPPED = GaitSettings(speed=1.0, frequency=2.5, bounce=0.005)
+LEG = """
+  <body pos="{x} {y} 0"><joint axis="1 0 0"/><geom size="0.02"/>
+    <body><joint axis="0 1 0"/><geom size="0.02"/>
+      <body pos="0 0 -0.2"><joint name="{name}_knee" axis="0 1 0"/><geom size="0.02"/>
+        <body name="{name}" pos="0 0 -0.2"><geom size="0.02"/></body></body></body></body>
+"""
+
+
+@pytest.fixture(scope="module")
+def robot() -> PreparedRobot:
+    return load_robot(MJCF / "quadruped.xml")
+
+
+def feet_of(robot: PreparedRobot, clip: JointClip) -> np.ndarray:
+    """Centres (T, 4, 3) m of the feet's balls."""
+    data = mujoco.MjData(robot.model)
+    geoms = [robot.model.geom(name).id for name in FEET]
+    centres = []
+    for place, angles in zip(clip.root_pos, clip.dof_pos, strict=True):
+        data.qpos[:3], data.qpos[7:] = place, angles
+        mujoco.mj_kinematics(robot.model, data)
+        centres.append(data.geom_xpos[geoms])
+    return np.stack(centres)
+
+
+def on_ground(feet: np.ndarray) -> np.ndarray:
+    return feet[..., 2] < RADIUS + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("gait", "duty", "least", "together"),
+    [("trot", 0.5, 2, ((0, 3), (1, 2))), ("pace", 0.5, 2, ((0, 2), (1, 3))), ("walk", 0.75, 3, ())],
+)
+def test_feet_in_stance_stay_on_the_ground(robot, gait, duty, least, together) -> None:
+    settings = GaitSettings(gait=gait, speed=0.6, frequency=2.0, seconds=1.0)
+    feet = feet_of(robot, make_gait(robot, settings))
+    down = on_ground(feet)
+    assert feet[..., 2].min() > RADIUS - 1e-6
+    assert feet[..., 2].max() == pytest.approx(RADIUS + settings.step_height, abs=2e-3)
+    moved = np.linalg.norm(np.diff(feet, axis=0), axis=-1)
+    assert moved[down[1:] & down[:-1]].max() < 2e-6  # twice the solver's tolerance
+    assert moved.max() > 0.01
+    # Both ends of a stance are frames: one more of 30 than its share.
+    np.testing.assert_allclose(down[:-1].mean(axis=0), duty + 1 / 30, atol=1.01 / 30)
+    assert down.sum(axis=1).min() == least
+    for one, other in together:
+        assert (down[:, one] == down[:, other]).all()
+
+
+def test_speed_and_whole_strides(robot) -> None:
+    clip = make_gait(robot, GaitSettings(speed=-0.4, frequency=1.7, seconds=2.0))
+    assert clip.num_frames == 1 + round(3 * 60 / 1.7)  # 3 strides
+    np.testing.assert_allclose(np.diff(clip.root_pos[:, 0]) * 60, -0.4, atol=1e-12)
+    np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[-1], atol=1e-5)
+    assert not clip.root_pos[:, 1].any()
+
+
+def test_knees_by_the_law_of_cosines(robot) -> None:
+    clip = make_gait(robot, GaitSettings(speed=0.0, step_height=0.0, body_height=0.3, seconds=0.5))
+    knees = clip.dof_pos[:, [2, 5, 8, 11]]
+    # Thigh and calf have 0.213 m; the foot's ball is 2 mm behind the calf's end.
+    calf, reach = math.hypot(0.213, 0.002), 0.3 - RADIUS
+    inner = math.acos((0.213**2 + calf**2 - reach**2) / (2 * 0.213 * calf))
+    np.testing.assert_allclose(knees, inner - math.pi - math.atan(0.002 / 0.213), atol=1e-4)
+    np.testing.assert_allclose(clip.dof_pos[:, [0, 3, 6, 9]], 0.0, atol=1e-6)
+
+
+def test_the_trunk_bounces_with_the_touch_downs(robot) -> None:
+    heights = make_gait(robot, GaitSettings(body_height=0.3, bounce=0.01, seconds=0.5)).root_pos
+    # 30 frames of a stride, in which a trot's pairs touch down twice
+    np.testing.assert_allclose(heights[[0, 15, 30], 2], 0.31, atol=1e-12)
+    # The lowest point, 7.5 frames later, is between two.
+    assert heights[:, 2].min() == pytest.approx(0.3 + 0.01 * math.cos(math.pi * 14 / 15))
+
+
+def test_the_shipped_trot_is_what_its_command_makes(robot) -> None:
+    clip = make_gait(robot, SHIPPED)
+    path = paths.assets_dir() / "amp" / "robot_motions" / "quadruped_trot.npz"
+    shipped = load_robot_npz(path)
+    assert (shipped.fps, shipped.joint_names) == (clip.fps, clip.joint_names)
+    np.testing.assert_allclose(shipped.dof_pos, clip.dof_pos, atol=1e-6)
+    np.testing.assert_allclose(shipped.root_pos, clip.root_pos, atol=1e-9)
+    lower, upper = robot.model.jnt_range[1:].T
+    assert ((clip.dof_pos > lower + 0.5) & (clip.dof_pos < upper - 0.5)).all()
+    assert np.abs(np.diff(clip.dof_pos, axis=0)).max() * 60 < 13.0  # rad/s; a Go2 has 30
+    read, _ = load_clips("quadruped_trot", Skeleton.from_model(robot.model))[0]
+    assert read.num_frames == 241
+
+
+def test_the_shipped_drives_follow_the_trot(robot) -> None:
+    """Angles of the clip as targets, no controller: it keeps upright and goes forward."""
+    clip, model = make_gait(robot, SHIPPED), robot.model
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[0] = robot.start_qpos, 1.0
+    data.qpos[:3], data.qpos[7:] = clip.root_pos[0], clip.dof_pos[0]
+    lowest = 1.0
+    while data.time < 3.9:
+        data.ctrl[:] = clip.dof_pos[int(60 * data.time)]
+        mujoco.mj_step(model, data)
+        lowest = min(lowest, data.qpos[2])
+    assert lowest > 0.25
+    # 3.9 m in the clip; with kd = 0.1 s * kp it comes 1 m far.
+    assert data.qpos[0] > 2.7
+    assert abs(data.qpos[1]) < 0.5
+
+
+def quadruped_of(folder: Path, places: dict[str, tuple[float, float]]) -> Path:
+    legs = "".join(LEG.format(name=name, x=x, y=y) for name, (x, y) in places.items())
+    path = folder / "own.xml"
+    path.write_text(
+        f'<mujoco><worldbody><body name="trunk" pos="0 0 1"><geom size="0.05"/>{legs}</body>'
+        "</worldbody></mujoco>"
+    )
+    return path
+
+
+def test_legs_are_found_in_any_order(tmp_path) -> None:
+    places = {"a": (-0.3, -0.1), "b": (0.3, 0.1), "c": (-0.3, 0.1), "d": (0.3, -0.1)}
+    legs = find_legs(load_robot(quadruped_of(tmp_path, places)))
+    assert [leg.foot for leg in legs] == ["b", "d", "c", "a"]
+    for leg in legs:
+        np.testing.assert_allclose(leg.hip, (*places[leg.foot], 0.0), atol=1e-12)
+        assert leg.length == pytest.approx(0.4)
+        assert len(leg.joints) == 3
+
+
+@pytest.mark.parametrize(
+    ("knees", "front", "rear"), [("behind", -1, -1), ("ahead", 1, 1), ("inward", -1, 1)]
+)
+def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
+    places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
+    own = load_robot(quadruped_of(tmp_path, places))
+    clip = make_gait(own, GaitSettings(speed=0.3, seconds=0.5, knees=knees))
+    # A knee is behind where the shank turns forward: a negative angle about y (to the left).
+    angles = clip.dof_pos[:, [2, 5, 8, 11]]
+    assert (np.sign(angles) == [front, front, rear, rear]).all()
+
+
+def test_a_robot_that_looks_along_y_is_turned(tmp_path) -> None:
+    places = {"fl": (-0.1, 0.3), "fr": (0.1, 0.3), "rl": (-0.1, -0.3), "rr": (0.1, -0.3)}
+    path = quadruped_of(tmp_path, places)
+    path.write_text(path.read_text().replace('"0 1 0"', '"-1 0 0"').replace('"1 0 0"', '"0 1 0"'))
+    turn = (0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5))
+    settings = GaitSettings(seconds=0.5, speed=0.3, start_rotation=turn)
+    clip = load_robot_npz(write_gait(str(path), str(tmp_path / "out.npz"), settings))
+    np.testing.assert_allclose(clip.root_rot, np.tile(turn, (31, 1)), atol=1e-12)
+    # As the one that looks along x: the legs are the same, and swing in their own planes.
+    along_x = quadruped_of(tmp_path, {name: (y, -x) for name, (x, y) in places.items()})
+    same = make_gait(load_robot(along_x), GaitSettings(seconds=0.5, speed=0.3))
+    np.testing.assert_allclose(clip.dof_pos, same.dof_pos, atol=1e-5)
+
+
+@pytest.mark.parametrize("ankles", [1, 4])
+def test_legs_with_hinges_to_spare(tmp_path, ankles) -> None:
+    places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
+    path = quadruped_of(tmp_path, places)
+    text = path.read_text()
+    for name in places:
+        foot = f'<body name="{name}" pos="0 0 -0.2">'
+        ankle = '<joint axis="0 1 0" pos="0 0 0.08"/>' * ankles
+        text = text.replace(foot, foot + ankle)
+    path.write_text(text)
+    if ankles == 4:
+        with pytest.raises(ConfigError, match="has 7 hinges, expected at most 6"):
+            find_legs(load_robot(path))
+        return
+    clip = make_gait(load_robot(path), GaitSettings(speed=0.4, seconds=1.0))
+    np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[-1], atol=1e-3)
+    np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[30], atol=1e-3)
+    assert np.abs(np.diff(clip.dof_pos, axis=0)).max() * 60 < 20.0
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("g1", GaitSettings(), "has 2 legs of at least 3 hinges, expected 4"),
+        ("ant", GaitSettings(), "has 0 legs of at least 3 hinges"),
+        ("quadruped", GaitSettings(body_height=0.6), "its leg is too short"),
+        ("quadruped", GaitSettings(speed=8.0), "raise frequency, or lower speed"),
+        ("quadruped", GaitSettings(frequency=10.0, fps=30.0), "3 frames at fps=30"),
+        ("quadruped", GaitSettings(feet=("*_hip",)), "has 0 legs"),
+    ],
+)
+def test_what_is_refused(tmp_path, name, settings, message) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        write_gait(str(MJCF / f"{name}.xml"), str(tmp_path / "out.npz"), settings)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(MJCF / f"{name}.xml"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_command(tmp_path, capsys) -> None:
+    out = str(tmp_path / "walk.npz")
+    words = [str(MJCF / "anymal.xml"), out, "gait=walk", "speed=0.5", "seconds=0.5"]
+    assert main(words) == 0
+    assert load_robot_npz(out).num_frames == 31
+    with pytest.raises(SystemExit):
+        main(words)
+    assert "exists already; overwrite=True" in capsys.readouterr().err
+    with pytest.raises(MotionFileError, match="the suffix determines"):
+        write_gait(words[0], str(tmp_path / "walk.csv"), GaitSettings())
