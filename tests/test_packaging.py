@@ -89,7 +89,7 @@ def test_models_of_the_wheel_compile(wheel, tmp_path):
         "anymal_minimal": 12,
         "ball_balance": 3,
         "cartpole": 1,
-        "g1": 0,
+        "g1": 29,
         "humanoid": 21,
         "ingenuity": 6,
         "quadcopter": 12,
