@@ -42,7 +42,7 @@ class DataParallel(A2CAgent):
     """Whether it trains together with the others."""
     _own_meters: dict[str, Any] | None = None
 
-    # rl_games sets all three to those of a single process.
+    # rl_games sets all three to a single process' values.
     @property
     def global_rank(self) -> int:
         """Rank of this process; 0 writes logs and checkpoints."""
@@ -119,7 +119,7 @@ class DataParallel(A2CAgent):
             setattr(self, name, meter)
 
     def share_meters(self) -> None:
-        """Replace the meters of finished episodes by those of all processes, for one epoch's log.
+        """Replace the meters of finished episodes by all processes' meters, for one epoch's log.
 
         Their means are weighted by the numbers of episodes that the processes' meters hold.
         """

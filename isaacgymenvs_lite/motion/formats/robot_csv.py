@@ -1,4 +1,4 @@
-"""Robots' clips as tables (`.csv`), in three forms that their first line tells apart.
+"""Robots' clips as tables (`.csv`), in three forms, which differ in the first line.
 
 - Without a header: root position (m), root quaternion xyzw, joint angles (rad), 30 fps. Unitree's
   retargeted LAFAN1 has it (README of unitreerobotics/LAFAN1_Retargeting_Dataset on Hugging Face),

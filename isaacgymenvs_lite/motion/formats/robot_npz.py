@@ -1,4 +1,4 @@
-"""Robots' clips as archives of arrays (`.npz`), in three forms that their keys tell apart.
+"""Robots' clips as archives of arrays (`.npz`), in three forms, which differ in their keys.
 
 - mjlab (mujocolab/mjlab, src/mjlab/scripts/csv_to_npz.py) and whole_body_tracking
   (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps, joint_pos, body_pos_w,
@@ -47,7 +47,7 @@ def is_robot_npz(path: str | Path) -> bool:
 
 
 def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -> JointClip:
-    """Read an archive in any of the three forms; `joint_names` replaces those of the file.
+    """Read an archive in any of the three forms; `joint_names` replaces the file's names.
 
     Raises:
         MotionFileError: the file is damaged, too large, or holds something else.

@@ -1,4 +1,4 @@
-"""What the targets need of the figure that shall move: lengths, soles, by the humanoid's names."""
+"""What the targets need of the figure that is moved: lengths, soles, by the humanoid's names."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def read_named_mappings(
 
     Args:
         mapping: names of shipped mappings or YAML files, at most one of each kind, separated by a
-            comma; "" for none. The keys of a file tell which kind it is.
+            comma; "" for none. The keys of a file show which kind it is.
 
     Raises:
         ConfigError: two of one kind, or see `load_mapping` and `load_robot_mapping`.

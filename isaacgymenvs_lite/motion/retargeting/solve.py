@@ -90,7 +90,7 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False)
 class IkProblem:
-    """A model with a free root as its first joint, and what its poses shall be near to.
+    """A model with a free root as its first joint, and what its poses should be near to.
 
     Attributes:
         model: the compiled model.
@@ -167,7 +167,7 @@ def weights_of(body: str) -> tuple[float, float] | None:
 def humanoid_problem(
     model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
 ) -> IkProblem:
-    """Return the problem of a shipped humanoid, whose bodies are those of the targets."""
+    """Return the problem of a shipped humanoid, whose bodies the targets name."""
     with_attitude = _with_attitude(skeleton, targets)
     weights = {
         body: (place, turn if body in with_attitude else 0.0)
