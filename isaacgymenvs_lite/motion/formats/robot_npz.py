@@ -7,6 +7,9 @@
 - Isaac Lab's humanoid AMP task (motion_loader.py): fps, dof_names, dof_positions, body_names,
   body_positions, body_rotations wxyz.
 - This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
+
+mjlab's script was read. The layouts of whole_body_tracking and of Isaac Lab's task were written from
+memory and were not compared with a file.
 """
 
 from __future__ import annotations
