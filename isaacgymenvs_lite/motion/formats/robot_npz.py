@@ -8,8 +8,8 @@
   body_positions, body_rotations wxyz.
 - This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
 
-mjlab's script was read. The layouts of whole_body_tracking and of Isaac Lab's task were written from
-memory and were not compared with a file.
+mjlab's script was read. The layouts of whole_body_tracking and of Isaac Lab's task were written
+from memory and were not compared with a file.
 """
 
 from __future__ import annotations
