@@ -44,7 +44,7 @@ def draw_poses(
     Args:
         model: of the figure.
         qpos: joint positions in MuJoCo's order.
-        view: the camera's; None: that of a humanoid, from the right side.
+        view: the camera's; None: a humanoid's, from the right side.
 
     Returns:
         A picture (height, n * width, 3).

@@ -57,7 +57,7 @@ def choose_drives(
     """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
 
     Without any of the user's, a position actuator of the file gives kp and kd. Otherwise kp follows
-    from the effort, which is that of the joint or its motor, or else follows from the weight.
+    from the effort of the joint or its motor, which else follows from the weight.
 
     Args:
         model: the robot.

@@ -61,7 +61,7 @@ class PreparedRobot:
         return float(self.start_qpos[2])
 
     def describe(self) -> list[str]:
-        """Return the lines that tell a user what was taken and added."""
+        """Return the lines for a user: what was taken and added."""
         gains: dict[str, list[str]] = {}
         for drive in self.drives:
             key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"

@@ -55,7 +55,7 @@ def read_robot(path: str | Path) -> mujoco.MjSpec:
 def read_robot_file(path: str | Path) -> RobotFile:
     """Read a robot's MJCF or URDF.
 
-    Meshes are read from the robot's folder: that of the file, the one above if the file's is called
+    Meshes are read from the robot's folder: the file's own, the one above if the file's is called
     urdf, xml or the like, and the ROS package that holds it. `package://name/` is the folder of
     this name above the file or beside one above it.
 

@@ -159,7 +159,7 @@ def add_contact_sensors(spec: mujoco.MjSpec) -> None:
     """Add `contact_<body>` of every body: the net force in world axes (N) of what does not move.
 
     Bodies of a robot touch each other often, thighs in turning or hands at the hips; only the
-    floor and its like tell of a fall.
+    force of the floor and its like shows a fall.
     """
     for sensor in [s for s in spec.sensors if s.name.startswith(CONTACT_SENSOR_PREFIX)]:
         spec.delete(sensor)

@@ -82,7 +82,7 @@ def read_xml(path: Path) -> ET.Element:
 
 
 def robot_folders(path: Path) -> tuple[Path, ...]:
-    """Return the folders that files of a robot may be in: its own, and that of its package.
+    """Return the folders that files of a robot may be in: its own, and its package's.
 
     Args:
         path: of the robot's main file.

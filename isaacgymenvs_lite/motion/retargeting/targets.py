@@ -54,7 +54,7 @@ class Targets:
 
 
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
-    """Return the targets of a figure that shall move as the source does."""
+    """Return the targets of a figure that moves as the source does."""
     turns = dict(source.turns)
     scale = figure.leg_length_m / source.leg_length_m
     scaled = {body: place * scale for body, place in source.places.items()}

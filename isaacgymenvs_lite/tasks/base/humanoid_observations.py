@@ -90,8 +90,8 @@ def dof_to_obs(
     Args:
         dof_pos: (N, D) rad.
         as_ase: ASE's encoding.
-        dof_offsets: first degree of freedom of each joint group, and D; None: those of the shipped
-            humanoid with D = 28 or 31.
+        dof_offsets: first degree of freedom of each joint group, and D; None: the shipped
+            humanoid's with D = 28 or 31.
 
     Returns:
         (N, 6 per 3-DoF joint + 1 per hinge), or (N, 6 per joint) with `as_ase`; of 28 DOFs 52 or
