@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.rendering.markers import Marker
+from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -21,6 +24,9 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     num_humanoid_obs,
 )
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
+from isaacgymenvs_lite.tasks.goals.goal import Goal
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
@@ -52,8 +58,14 @@ class HumanoidAMP(HumanoidAMPBase):
     `reset_done` before each policy step, so that `step` returns the terminal observation, and reads
     `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
 
+    Beside the style, a task that derives from it can reward a goal, which the last entries of the
+    policy's observation describe.
+
     Args:
         cfg: cfg/task/HumanoidAMP.yaml as plain dictionaries; the rest as `VecTask`.
+
+    Attributes:
+        goal: what the character is rewarded for; none here.
 
     Raises:
         ConfigError: a key or value that cannot be used.
@@ -63,6 +75,31 @@ class HumanoidAMP(HumanoidAMPBase):
     not_stored = ("_motion_lib",)
     # Joint positions of the AMP observation as ASE encodes them.
     amp_obs_as_ase: ClassVar[bool] = False
+    goal_class: ClassVar[type[Goal]] = Goal
+    """The goal, which reads its keys from `task.env`."""
+
+    def read_settings(self, env: dict[str, Any]) -> Any:
+        """Check `task.env`, and make the goal.
+
+        Raises:
+            ConfigError: an unknown, ill-typed or impossible value.
+        """
+        self.goal = self.goal_class(env)
+        ignored = (*UNREAD_ENV_KEYS, *self.goal.keys())
+        return read_section(self.settings_class, env, "task.env", ignored=ignored)
+
+    def change_spec(self, spec: mujoco.MjSpec) -> None:
+        """Add the objects of the goal."""
+        self.goal.add_to_model(spec)
+
+    def observation_groups(self) -> dict[str, int]:
+        """As the base; the goal comes last."""
+        size = self.get_task_obs_size()
+        return super().observation_groups() | ({"goal": size} if size else {})
+
+    def get_task_obs_size(self) -> int:
+        """Return how many of the last entries of an observation describe the goal."""
+        return self.goal.num_task_obs
 
     def create_sim(self) -> None:
         """As the base, then load the reference motions."""
@@ -92,6 +129,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._starts = PrefetchedSampler(
             self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME)
         )
+        self.goal.attach(self.simulation, self.control_dt_s)
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -123,8 +161,9 @@ class HumanoidAMP(HumanoidAMPBase):
 
         To be called after `compute_observations`.
         """
-        # One step of the AMP observation is the policy observation of the same state.
-        return self.obs_buf if env_ids is None else self.obs_buf.index_select(0, env_ids)
+        # It is the policy's observation of the same state, without the goal.
+        features = self.obs_buf[:, : self._num_amp_obs_per_step()]
+        return features if env_ids is None else features.index_select(0, env_ids)
 
     def amp_obs_of(self, env_ids: Tensor) -> Tensor:
         """Return the AMP observations (n, F) of environments (n,), also after a reset."""
@@ -135,6 +174,38 @@ class HumanoidAMP(HumanoidAMPBase):
     def motion_lib(self) -> MotionLib:
         """The reference motions."""
         return self._motion_lib
+
+    # --- a step ------------------------------------------------------------------------------
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """As the base; the goal stores the state, and changes when its time is over."""
+        super().pre_physics_step(actions)
+        self.goal.before_step(self.progress_buf)
+
+    def _observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return the observations of all environments, or of `env_ids` (n,), with their goals."""
+        character = self._observe_character(env_ids)
+        if self.goal.num_task_obs == 0:
+            return character
+        return torch.cat((character, self.goal.observe(env_ids)), dim=-1)
+
+    def compute_reward_terms(self) -> Terms:
+        """Return the goal's reward; the style reward is the agent's."""
+        return {"task": self.goal.reward()}
+
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
+        """Return what pictures of an environment show in addition to the character."""
+        return self.goal.markers(env_id)
+
+    @torch.inference_mode()
+    def compute_failures(self) -> Tensor:
+        """As the base, and where the goal was missed for good."""
+        fallen = super().compute_failures()
+        missed = self.goal.failures(self.contact_body_ids)
+        if missed is None or not self.env_cfg.enable_early_termination:
+            return fallen
+        # Contact forces may be stale in the first step.
+        return fallen | (missed & (self.progress_buf > 1))
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
@@ -231,7 +302,10 @@ class HumanoidAMP(HumanoidAMPBase):
     # --- reset -------------------------------------------------------------------------------
 
     def reset_state(self, env_ids: Tensor) -> None:
-        """Start each environment as `stateInit` names: default pose or a time of a clip."""
+        """Start each environment as `stateInit` names, in the default pose or at a time of a clip.
+
+        Draws goals, which the first observation contains.
+        """
         mode = self.env_cfg.state_init
         reference_ids, default_ids = env_ids, env_ids[:0]
         if mode == "Default":
@@ -242,6 +316,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._reset_to_reference(reference_ids)
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
+        self.goal.reset(env_ids)
 
     def reset(self) -> dict[str, Tensor]:
         """As the base; starts that were drawn before are dropped, for the seed's sake."""

@@ -93,16 +93,22 @@ class HumanoidAMPBase(MjcfTask):
 
     def set_sizes(self) -> None:
         """Set the sizes of observations and actions, which depend on the model."""
-        self.num_observations = num_humanoid_obs(
-            self._layout.dof_offsets, len(self.key_body_names())
-        )
+        self.num_observations = sum(self.observation_groups().values())
         self.num_actions = self._layout.num_dofs
 
     def observation_groups(self) -> dict[str, int]:
-        """See `compute_humanoid_observations`."""
+        """Return the parts of an observation in their order: name -> how many numbers."""
+        return self.character_observation_groups()
+
+    def character_observation_groups(self) -> dict[str, int]:
+        """Return the parts of what `_observe_character` observes, in their order.
+
+        See `compute_humanoid_observations`.
+        """
         num_dofs, num_keys = self._layout.num_dofs, len(self.key_body_names())
         root = {"root_height": 1, "root_rot_tan_norm": 6, "root_lin_vel": 3, "root_ang_vel": 3}
-        joints = self.num_obs - sum(root.values()) - num_dofs - 3 * num_keys
+        size = num_humanoid_obs(self._layout.dof_offsets, num_keys)
+        joints = size - sum(root.values()) - num_dofs - 3 * num_keys
         return root | {"dof_pos": joints, "dof_vel": num_dofs, "key_body_pos": 3 * num_keys}
 
     def action_scaling(self) -> ActionScaling | None:
@@ -178,6 +184,10 @@ class HumanoidAMPBase(MjcfTask):
 
     def _observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the observations of all environments, or of `env_ids` (n,)."""
+        return self._observe_character(env_ids)
+
+    def _observe_character(self, env_ids: Tensor | None) -> Tensor:
+        """Return what is observed of all characters, or of `env_ids` (n,)."""
         return compute_humanoid_observations(
             *self._character_states(env_ids),
             self.env_cfg.local_root_obs,

@@ -10,20 +10,18 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
-from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_model import copy_drives
-from isaacgymenvs_lite.tasks.ase.boxes import damp_boxes
-from isaacgymenvs_lite.tasks.ase.goals import GOALS, Goal
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import HumanoidASEConfig, read_ase_config
 from isaacgymenvs_lite.tasks.base.all_body_observations import (
-    all_body_obs_size,
+    all_body_observation_groups,
     compute_all_body_observations,
 )
 from isaacgymenvs_lite.tasks.base.humanoid_observations import pd_action_offset_scale
-from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.goals import GOALS, Goal
+from isaacgymenvs_lite.tasks.goals.boxes import damp_boxes
 
 # The file with ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
@@ -40,9 +38,6 @@ class HumanoidASE(HumanoidAMP):
     rotations; drives are stiffer; targets of ball joints reach 1.2 times their limits; the head
     counts as fallen at 0.3 m. The humanoid with sword and shield (31 degrees of freedom) is
     another asset.
-
-    Attributes:
-        goal: what the character is rewarded for.
 
     Raises:
         ConfigError: a key or value that cannot be used.
@@ -83,25 +78,11 @@ class HumanoidASE(HumanoidAMP):
     def change_spec(self, spec: mujoco.MjSpec) -> None:
         """Give the character ASE's drives and add the objects of the goal."""
         copy_drives(mujoco.MjSpec.from_file(str(assets_dir() / _ASSET_OF_DRIVES)), spec)
-        self.goal.add_to_model(spec)
+        super().change_spec(spec)
 
-    def set_sizes(self) -> None:
-        """As the base; the policy observes all bodies, and the goal."""
-        super().set_sizes()
-        num_bodies = len(self._layout.body_names)
-        self.num_observations = all_body_obs_size(num_bodies) + self.get_task_obs_size()
-
-    def observation_groups(self) -> dict[str, int]:
-        """See `compute_all_body_observations`; the goal's numbers come last."""
-        bodies = len(self._layout.body_names)
-        vectors = {"body_lin_vel": 3 * bodies, "body_ang_vel": 3 * bodies}
-        character = {"root_height": 1, "body_pos": 3 * (bodies - 1), "body_rot": 6 * bodies}
-        goal = {"goal": self.get_task_obs_size()} if self.get_task_obs_size() else {}
-        return character | vectors | goal
-
-    def get_task_obs_size(self) -> int:
-        """Return how many of the last entries of an observation describe the goal."""
-        return self.goal.num_task_obs
+    def character_observation_groups(self) -> dict[str, int]:
+        """See `compute_all_body_observations`."""
+        return all_body_observation_groups(len(self._layout.body_names))
 
     def key_body_names(self) -> tuple[str, ...]:
         """Return the bodies whose positions are in the AMP observation."""
@@ -117,30 +98,17 @@ class HumanoidASE(HumanoidAMP):
         heights = [max(lowest, high.get(name, lowest)) for name in names]
         return torch.tensor(heights, device=self.device)
 
-    def allocate_buffers(self) -> None:
-        """As the base, and add the goal's."""
-        super().allocate_buffers()
-        self.goal.attach(self.simulation, self.control_dt_s)
-
     # --- step --------------------------------------------------------------------------------
 
-    def pre_physics_step(self, actions: Tensor) -> None:
-        """As the base; draw new goals where the time of the last ones is over."""
-        super().pre_physics_step(actions)
-        self.goal.before_step(self.progress_buf)
-
-    def _observe(self, env_ids: Tensor | None) -> Tensor:
+    def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         sim = self.simulation
         bodies = [sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel]
         if env_ids is not None:
             bodies = [values.index_select(0, env_ids) for values in bodies]
         pos, rot, lin_vel, ang_vel = bodies
-        character = compute_all_body_observations(
+        return compute_all_body_observations(
             pos, rot, lin_vel, ang_vel, self.env_cfg.local_root_obs, self.env_cfg.root_height_obs
         )
-        if self.goal.num_task_obs == 0:
-            return character
-        return torch.cat((character, self.goal.observe(env_ids)), dim=-1)
 
     def _amp_features(self, state: CharacterState) -> Tensor:
         features = super()._amp_features(state)
@@ -151,31 +119,6 @@ class HumanoidASE(HumanoidAMP):
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
         """As the base, in ASE's encoding."""
         return self._amp_features(self._character_states(env_ids))
-
-    def compute_reward_terms(self) -> Terms:
-        """Return the goal's reward."""
-        return {"goal": self.goal.reward()}
-
-    def markers(self, env_id: int) -> tuple[Marker, ...]:
-        """Return what pictures of an environment show in addition to the character."""
-        return self.goal.markers(env_id)
-
-    @torch.inference_mode()
-    def compute_failures(self) -> Tensor:
-        """As the base, and where the goal was missed for good."""
-        fallen = super().compute_failures()
-        missed = self.goal.failures(self.contact_body_ids)
-        if missed is None or not self.env_cfg.enable_early_termination:
-            return fallen
-        # Contact forces may be stale in the first step.
-        return fallen | (missed & (self.progress_buf > 1))
-
-    # --- reset -------------------------------------------------------------------------------
-
-    def reset_state(self, env_ids: Tensor) -> None:
-        """As the base, and draw goals, which the first observation contains."""
-        super().reset_state(env_ids)
-        self.goal.reset(env_ids)
 
 
 class HumanoidHeading(HumanoidASE):

@@ -7,8 +7,8 @@ from typing import Any
 
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
-from isaacgymenvs_lite.tasks.ase.goals import GOAL_NAMES, goal_keys
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
+from isaacgymenvs_lite.tasks.goals import GOAL_NAMES, goal_keys
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ import mujoco
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.ase.boxes import add_box
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.goals.boxes import add_box
 from isaacgymenvs_lite.utils.rotations import normalize
 
 # Edge (m) and density (kg/m^3).

@@ -13,9 +13,13 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
 from isaacgymenvs_lite.utils.rotations import quat_mul_components, tan_norm_components
 
 
-def all_body_obs_size(num_bodies: int) -> int:
-    """Return the numbers in an observation: 223 for 15 bodies, 253 for 17."""
-    return 1 + 15 * num_bodies - 3
+def all_body_observation_groups(num_bodies: int) -> dict[str, int]:
+    """Return the parts of an observation in their order: name -> how many numbers.
+
+    They add up to 223 for 15 bodies, 253 for 17.
+    """
+    poses = {"root_height": 1, "body_pos": 3 * (num_bodies - 1), "body_rot": 6 * num_bodies}
+    return poses | {"body_lin_vel": 3 * num_bodies, "body_ang_vel": 3 * num_bodies}
 
 
 def compute_all_body_observations(

@@ -307,6 +307,13 @@ class VecTask(Env):
         """Put environments `env_ids` (n,) into the state of a new episode."""
         raise self._undefined("reset_state")
 
+    def on_key(self, key: str) -> None:
+        """React to a key that was pressed in a viewer, between two steps; nothing by default.
+
+        Args:
+            key: `up`, `down`, `left`, `right`, `space`, or a lower-case letter or digit.
+        """
+
     def infos(self) -> dict[str, Any]:
         """Return further infos of a step, besides `time_outs`; none by default."""
         return {}

@@ -9,13 +9,13 @@ import torch
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
-from isaacgymenvs_lite.tasks.ase.goals.heading import (
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidHeading, HumanoidReach
+from isaacgymenvs_lite.tasks.goals.heading import (
     compute_heading_observations,
     compute_heading_reward,
 )
-from isaacgymenvs_lite.tasks.ase.goals.location import compute_location_reward
-from isaacgymenvs_lite.tasks.ase.goals.strike import compute_strike_reward
-from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidHeading, HumanoidReach
+from isaacgymenvs_lite.tasks.goals.location import compute_location_reward
+from isaacgymenvs_lite.tasks.goals.strike import compute_strike_reward
 
 DT = 1.0 / 30.0
 # float32 of numbers of order 1

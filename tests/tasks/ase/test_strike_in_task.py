@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.ase.goals.strike import compute_strike_observations
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidStrike
+from isaacgymenvs_lite.tasks.goals.strike import compute_strike_observations
 
 DT = 1.0 / 30.0
 # Arms bent by 90 degrees: the right hand (radius 0.04 m) is 0.258947 m in front of the elbow, which

@@ -11,7 +11,6 @@ from isaacgymenvs_lite import schema
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.tasks import isaacgym_task_map
-from isaacgymenvs_lite.tasks.ase.goals import goal_keys
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
     HumanoidHeading,
     HumanoidLocation,
@@ -24,6 +23,7 @@ from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import (
     read_ase_config,
 )
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
+from isaacgymenvs_lite.tasks.goals import goal_keys
 
 # agent of the default train file, goal and stateInit
 TASK_FILES = {

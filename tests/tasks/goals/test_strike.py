@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.ase.goals.strike import (
+from isaacgymenvs_lite.tasks.goals.strike import (
     compute_strike_failures,
     compute_strike_observations,
     compute_strike_reward,

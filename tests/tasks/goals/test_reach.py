@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.ase.goals.reach import (
+from isaacgymenvs_lite.tasks.goals.reach import (
     compute_reach_observations,
     compute_reach_reward,
 )

@@ -11,13 +11,13 @@ from torch import Tensor
 from isaacgymenvs_lite.rendering.markers import FACE_COLOUR, GO_COLOUR, Marker
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range
-from isaacgymenvs_lite.tasks.ase.goals.planar import (
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_range
+from isaacgymenvs_lite.tasks.goals.planar import (
     facing_reward,
     planar_velocity,
     xy_in_heading_frame,
 )
-from isaacgymenvs_lite.tasks.base.random_values import uniform
 
 _VELOCITY_SCALE = 0.25
 _TANGENT_SHARE = 0.1

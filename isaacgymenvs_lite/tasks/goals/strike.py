@@ -12,14 +12,14 @@ from torch import Tensor
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.boxes import add_box
-from isaacgymenvs_lite.tasks.ase.goals.goal import Goal, GoalSettings
-from isaacgymenvs_lite.tasks.ase.goals.planar import (
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.goals.boxes import add_box
+from isaacgymenvs_lite.tasks.goals.goal import Goal, GoalSettings
+from isaacgymenvs_lite.tasks.goals.planar import (
     in_heading_frame,
     planar_velocity,
     speed_reward,
 )
-from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.utils.rotations import (
     calc_heading_quat_inv,
     normalize,

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.ase.goals.heading import (
+from isaacgymenvs_lite.tasks.goals.heading import (
     compute_heading_observations,
     compute_heading_reward,
 )

@@ -1,12 +1,12 @@
-"""The goals of ASE's tasks, by the name that `task.env.goal` gives."""
+"""What characters are rewarded for besides style; `task.env.goal` names ASE's goals."""
 
 from __future__ import annotations
 
-from isaacgymenvs_lite.tasks.ase.goals.goal import Goal
-from isaacgymenvs_lite.tasks.ase.goals.heading import Heading
-from isaacgymenvs_lite.tasks.ase.goals.location import Location
-from isaacgymenvs_lite.tasks.ase.goals.reach import Reach
-from isaacgymenvs_lite.tasks.ase.goals.strike import Strike
+from isaacgymenvs_lite.tasks.goals.goal import Goal
+from isaacgymenvs_lite.tasks.goals.heading import Heading
+from isaacgymenvs_lite.tasks.goals.location import Location
+from isaacgymenvs_lite.tasks.goals.reach import Reach
+from isaacgymenvs_lite.tasks.goals.strike import Strike
 
 GOALS: dict[str, type[Goal]] = {
     "heading": Heading,

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from isaacgymenvs_lite.tasks.ase.goals.location import (
+from isaacgymenvs_lite.tasks.goals.location import (
     compute_location_observations,
     compute_location_reward,
 )

@@ -11,9 +11,9 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal, check_range
-from isaacgymenvs_lite.tasks.ase.goals.planar import in_heading_frame
 from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal, check_range
+from isaacgymenvs_lite.tasks.goals.planar import in_heading_frame
 
 _DISTANCE_SCALE = 4.0
 # The body to reach with by default: the first of these that the character has.

@@ -11,14 +11,14 @@ from torch import Tensor
 from isaacgymenvs_lite.rendering.markers import GO_COLOUR, Marker, Sphere
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
-from isaacgymenvs_lite.tasks.ase.goals.goal import GoalSettings, TimedGoal
-from isaacgymenvs_lite.tasks.ase.goals.planar import (
+from isaacgymenvs_lite.tasks.base.random_values import uniform
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
+from isaacgymenvs_lite.tasks.goals.planar import (
     facing_reward,
     planar_velocity,
     speed_reward,
     xy_in_heading_frame,
 )
-from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.utils.rotations import normalize
 
 _POSITION_SCALE, _SPEED_SCALE = 0.5, 4.0

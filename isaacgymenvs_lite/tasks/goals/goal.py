@@ -1,4 +1,4 @@
-"""The interface between a character of ASE and its goals."""
+"""The interface between a character that imitates and its goals."""
 
 from __future__ import annotations
 
