@@ -25,12 +25,12 @@ from mujoco.batch import Batch
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 _STEPS_PER_ROUND = 10
-# The exploration noise of AMP's policy, exp(-2.9), and a policy of the classic tasks at its start.
-_ACTION_NOISE = {"HumanoidAMP": 0.055}
-_OTHER_NOISE = 1.0
+# The exploration noise of AMP's policies, exp(-2.9), and a policy of the classic tasks at its start.
+_AMP_NOISE, _OTHER_NOISE = 0.055, 1.0
 
 
 def main() -> None:
@@ -46,8 +46,8 @@ def main() -> None:
     seed_everything(0)
     sizes = [f"num_envs={args.num_envs}", f"num_threads={args.threads}"]
     cfg = compose([f"task={args.task}", *sizes, *args.overrides])
-    noise = _ACTION_NOISE.get(args.task, _OTHER_NOISE)
     env = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+    noise = _AMP_NOISE if isinstance(env, HumanoidAMP) else _OTHER_NOISE
     simulation = env.simulation
     raw = Batch(simulation.model, args.num_envs, args.threads)
     env.reset()
