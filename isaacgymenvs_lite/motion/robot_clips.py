@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
 
@@ -94,11 +95,12 @@ def _start_of(mapping: RobotMapping | None) -> RobotSettings:
 def _retarget(
     motion: SourceMotion, robot: ClipRobot, file: str, mapping: RobotMapping | None
 ) -> tuple[MotionClip, Skeleton]:
-    if mapping is None:
+    if mapping is None or not mapping.bodies:
         try:
-            mapping = recognise_robot(robot.prepared.model)
+            found = recognise_robot(robot.prepared.model)
         except ConfigError as error:
             raise ConfigError(f"robot={file}: {error}; name it by mapping=FILE") from error
+        mapping = found if mapping is None else dataclasses.replace(mapping, bodies=found.bodies)
     target = robot_from_model(robot.prepared.model, mapping, robot.prepared.start_qpos)
     result = retarget_to_robot(motion, target)
     return clip_from_qpos(motion.name, result.fps, robot.skeleton, result.qpos), robot.skeleton

@@ -173,12 +173,16 @@ def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
     bodies = "".join(f"  {name}: {name}\n" for name in ("pelvis", *names))
     text = f"start_rotation: [0.7071068, 0, 0, 0.7071068]\nbodies:\n{bodies}"
     Path("biped.yaml").write_text(text.replace("pelvis: pelvis", "pelvis: root"))
-    convert("walk", "a.npz", "robot=biped.urdf", "mapping=biped.yaml", "end_s=0.5")
+    # Without bodies they are found by their names.
+    Path("start.yaml").write_text(text.partition("bodies")[0])
     robot = load_clip_robot("biped.urdf").skeleton
-    heights = load_single_clip("a.npz", [robot])[0].global_poses()[0][:, :, 2]
     feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
-    assert 0.04 < heights[:, feet].min() < 0.06
-    assert heights[:, 0].min() > 0.7
+    for mapping in ("biped", "start"):
+        file = f"{mapping}.npz"
+        convert("walk", file, "robot=biped.urdf", f"mapping={mapping}.yaml", "end_s=0.5")
+        heights = load_single_clip(file, [robot])[0].global_poses()[0][:, :, 2]
+        assert 0.04 < heights[:, feet].min() < 0.06
+        assert heights[:, 0].min() > 0.7
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,10 @@ def _check_joints(model: mujoco.MjModel) -> None:
 def _check_bodies(model: mujoco.MjModel, mapping: RobotMapping) -> None:
     known = [model.body(i).name for i in range(1, model.nbody)]
     used: dict[str, str] = {}
+    if not mapping.bodies:
+        raise ConfigError(
+            f"mapping={mapping.name} has no bodies; guess_robot_mapping(model) finds them by name"
+        )
     for name, entry in mapping.bodies.items():
         where = f"mapping={mapping.name}: bodies.{name}"
         if entry.body not in known:

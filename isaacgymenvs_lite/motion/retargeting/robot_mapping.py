@@ -54,7 +54,7 @@ class _BodySettings:
 class _RobotMappingSettings:
     """A mapping file for a robot."""
 
-    bodies: Mapping[str, Any] = setting()
+    bodies: Mapping[str, Any] = setting({})
     start_pose: str = setting("")
     start_rotation: tuple[float, ...] | None = setting(None, length=4)
     fastest_rad_s: float = setting(20.0, above=0, maximum=1e3)
@@ -75,7 +75,8 @@ class RobotMapping:
 
     Attributes:
         name: the file, or the name of a shipped mapping.
-        bodies: of the robot, by the humanoid's names, parents first; `NEEDED` and more.
+        bodies: of the robot, by the humanoid's names, parents first; `NEEDED` and more. Empty: they
+            are found by their names (`guess_robot_mapping`).
         start_pose: key of the model in which it stands upright; "": home, stand or standing, if
             there is one, else the pose of the model file.
         fastest_rad_s: how fast a hinge may be from frame to frame.
@@ -105,8 +106,8 @@ def load_robot_mapping(mapping: str | Path) -> RobotMapping:
     """Read a mapping file for a robot, or the shipped one of that name.
 
     Raises:
-        ConfigError: no such file or name; no YAML; a key is missing, unknown or has a value that
-            cannot be used; a body is missing, unknown, or stands without its parent.
+        ConfigError: no such file or name; no YAML; a key is unknown or has a value that cannot be
+            used; a body is missing, unknown, or stands without its parent.
     """
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
@@ -125,7 +126,9 @@ def load_robot_mapping(mapping: str | Path) -> RobotMapping:
 
 
 def _checked_names(bodies: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return the entries, parents first."""
+    """Return the entries, parents first; none if none are given."""
+    if not bodies:
+        return {}
     for name in bodies:
         if name not in ROBOT_BODIES:
             raise ConfigError(f"{where}: {unknown('body', str(name), ROBOT_BODIES)}")

@@ -189,7 +189,7 @@ def bodies(**changes) -> dict:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"bodies": None}, "bodies' is missing"),
+        ({"bodies": None}, "has no bodies; guess_robot_mapping"),
         ({"bodies": bodies(tail="tail")}, r"unknown body 'tail'.*choices: head"),
         ({"bodies": bodies(left_foot=None)}, "bodies lacks left_foot"),
         ({"bodies": bodies(left_lower_arm=None)}, "has left_hand, but lacks left_lower_arm"),
