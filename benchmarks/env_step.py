@@ -29,7 +29,7 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 
 _STEPS_PER_ROUND = 10
-# The exploration noise of AMP's policies, exp(-2.9), and a policy of the classic tasks at its start.
+# Exploration noise of AMP's policies, exp(-2.9), and of a policy of the classic tasks at its start.
 _AMP_NOISE, _OTHER_NOISE = 0.055, 1.0
 
 
