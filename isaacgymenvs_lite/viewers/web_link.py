@@ -22,7 +22,7 @@ Pose = npt.NDArray[np.float64]
 _MODEL, _STATE = b"M", b"S"
 # A packet is shorter: it fits into the buffer of a socket.
 _MAX_PACKET_BYTES = 2**18
-_MAX_START_BYTES = 2**12
+_MAX_START_BYTES = 2**16
 # Longer than any key's name.
 _MAX_KEY_BYTES = 16
 # Keys that are read at a time; `TaskKeys` lets fewer pass.
@@ -94,7 +94,7 @@ class TaskEnd:
             self._link.setblocking(False)
         return json.loads(packet) if packet else None
 
-    def keys(self) -> list[str]:
+    def pressed_keys(self) -> list[str]:
         """Return the keys that were pressed since the last call, at most 64."""
         pressed: list[str] = []
         while len(pressed) < _MAX_KEYS:
@@ -171,8 +171,8 @@ class PageEnd:
         except ConnectionError:
             packet, files = b"", []
         if packet == _MODEL:
-            update.model, update.qpos = _read_model(files[0]), None
-            self._num_positions = update.model.nq
+            model = _read_model(files[0])
+            update.model, update.qpos, self._num_positions = model, None, model.nq
         elif packet:
             poses = np.frombuffer(packet[len(_STATE) :]).reshape(-1, self._num_positions)
             update.qpos, update.reference = poses[0], poses[1] if len(poses) > 1 else None
@@ -181,7 +181,7 @@ class PageEnd:
 
     def tell_start(self, **about: Any) -> None:
         """Send what `TaskEnd.wait_for_start` returns."""
-        self._send(json.dumps(about).encode()[:_MAX_START_BYTES])
+        self._send(json.dumps(about).encode())
 
     def send_key(self, name: str) -> None:
         """Send a key that was pressed, or drop it if there is no room."""

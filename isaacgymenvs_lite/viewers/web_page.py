@@ -61,7 +61,6 @@ class WebPage:
         allowed_hosts: Sequence[str] = (),
     ) -> None:
         check_page(host, port, allowed_hosts)
-        self._env = env
         self._keys = TaskKeys(env)
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
@@ -90,7 +89,7 @@ class WebPage:
 
     def after_step(self) -> None:
         """Pass on keys, and show the new state if the last one was long enough ago."""
-        for key in self.process.link.keys():
+        for key in self.process.link.pressed_keys():
             self._keys.press(key)
         now = time.monotonic()
         if now >= self._next_picture_s:
@@ -131,12 +130,11 @@ def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
     """
     try:
         is_installed = importlib.util.find_spec("mujoco.studio.web_viewer") is not None
+        from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
     except ImportError as error:
         raise ConfigError(missing_viewer(error)) from error
     if not is_installed:
         raise ConfigError(missing_viewer("it is not installed"))
-    from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
-
     read_hosts(allowed_hosts)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -73,10 +73,13 @@ class PageProcess:
         try:
             start = self.link.wait_for_start(_START_TIMEOUT_S)
         except TimeoutError:
-            start = {"error": f"viewer=web: it did not start within {_START_TIMEOUT_S:.0f} s"}
+            raise ConfigError(
+                f"viewer=web: its process did not start within {_START_TIMEOUT_S:.0f} s"
+            ) from None
         if start is None:
-            self._process.wait(_CLOSE_TIMEOUT_S)
-            start = {"error": f"viewer=web: its process did not start ({self.how_it_ended()})"}
+            self.close()
+            how = self.how_it_ended()
+            raise ConfigError(f"viewer=web: its process ended before it served a page ({how})")
         if "error" in start:
             raise ConfigError(start["error"])
         return start["port"], start["token"]
@@ -88,7 +91,7 @@ class PageProcess:
     def how_it_ended(self) -> str:
         """Return the exit status or the signal of a process that has ended."""
         status = self._process.poll() or 0
-        return f"exit status {status}" if status >= 0 else signal.Signals(-status).name
+        return f"exit status {status}" if status >= 0 else signal.strsignal(-status) or str(status)
 
     def close(self) -> None:
         """End the process, within seconds; a second call does nothing."""
@@ -118,8 +121,10 @@ def no_listening(host: str, port: int, reason: object) -> str:
 
 def _import_path() -> str:
     """Return PYTHONPATH for a process that imports what this one does, in any folder."""
-    folders = [*filter(None, sys.path), str(Path(isaacgymenvs_lite.__file__).parents[1])]
-    return os.pathsep.join(dict.fromkeys(os.path.abspath(folder) for folder in folders))
+    folders = [os.path.abspath(folder) for folder in sys.path if folder]
+    package = str(Path(isaacgymenvs_lite.__file__).parents[1])
+    # This one may have found it in the folder that was the current one.
+    return os.pathsep.join(folders if package in folders else [package, *folders])
 
 
 def main() -> None:

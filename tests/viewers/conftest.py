@@ -38,6 +38,14 @@ def make_env() -> Iterator[Callable[..., Any]]:
         env.close()
 
 
+class KeyedTask:
+    """A task that lists the keys that it receives."""
+
+    def __init__(self) -> None:
+        self.pressed: list[str] = []
+        self.on_key = self.pressed.append
+
+
 def frames_of(path: Path) -> tuple[np.ndarray, float]:
     """Return the pictures (T, height, width, 3) of a video, and how many there are in a second."""
     with av.open(str(path)) as container:

@@ -9,12 +9,7 @@ import pytest
 
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
-
-
-class KeyedTask:
-    def __init__(self) -> None:
-        self.pressed: list[str] = []
-        self.on_key = self.pressed.append
+from tests.viewers.conftest import KeyedTask
 
 
 @pytest.fixture

@@ -93,13 +93,13 @@ def test_either_end_may_go_first(ends, sockets):
     task.close()
     assert page.receive().has_ended
     page.send_key("up")
-    assert task.keys() == []
+    assert task.pressed_keys() == []
 
 
 def test_a_task_does_without_its_page(ends, sockets):
     task, _ = ends
     sockets[1].close()
-    assert task.keys() == []
+    assert task.pressed_keys() == []
     assert not task.send_state(np.zeros(2))
     assert not task.send_model(model_of(0.7))
     assert task.wait_for_start(1.0) is None
@@ -109,12 +109,12 @@ def test_a_task_does_not_trust_what_a_page_sends(ends, sockets):
     task, page = ends
     for packet in (b"up", b"\xff\x00", b"x" * 1000, b"down"):
         sockets[1].send(packet)
-    first, *others, last = task.keys()
+    first, *others, last = task.pressed_keys()
     assert (first, last) == ("up", "down")
     assert max(map(len, others)) <= 16
     for _ in range(200):
         page.send_key("up")
-    assert len(task.keys()) == 64
+    assert len(task.pressed_keys()) == 64
 
 
 def test_the_start_is_reported_or_waited_for_in_vain(ends):
@@ -123,4 +123,4 @@ def test_the_start_is_reported_or_waited_for_in_vain(ends):
         task.wait_for_start(0.05)
     page.tell_start(port=8080, token="é")
     assert task.wait_for_start(1.0) == json.loads('{"port": 8080, "token": "\\u00e9"}')
-    assert task.keys() == []
+    assert task.pressed_keys() == []

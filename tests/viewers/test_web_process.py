@@ -80,7 +80,7 @@ def test_a_viewer_that_cannot_be_imported_is_one_line(model, tmp_path, monkeypat
 def test_a_process_that_fails_at_its_start_is_one_line(model, tmp_path, monkeypatch, capfd):
     (tmp_path / "mujoco.py").write_text("raise SystemExit(7)")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ConfigError, match=r"did not start \(exit status 7\)"):
+    with pytest.raises(ConfigError, match=r"ended before it served a page \(exit status 7\)"):
         PageProcess(model, "localhost", 0)
     assert capfd.readouterr() == ("", "")
 

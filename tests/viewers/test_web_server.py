@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -57,7 +58,8 @@ def test_the_reference_is_drawn_with_the_newest_model(link):
     plugin = PagePlugin(link[1])
     for radius_m in (0.5, 0.7):
         model = mujoco.MjModel.from_xml_string(XML.format(radius_m))
-        plugin.viewer = viewer = SimpleNamespace(model=model, extra_geoms=[])
+        viewer: Any = SimpleNamespace(model=model, extra_geoms=[])
+        plugin.viewer = viewer
         plugin.on_model(messages.PostModelEvent(model, mujoco.MjData(model)))
         plugin.on_reference(ReferenceSnapshot(np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))))
         plugin.add_robot(messages.UpdateEvent())

@@ -13,17 +13,9 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.viewers.window import Keys
-from tests.viewers.conftest import assert_is_a_video, frames_of
+from tests.viewers.conftest import KeyedTask, assert_is_a_video, frames_of
 
 ESCAPE = 256
-
-
-class KeyedTask:
-    """A task that lists the keys that it receives."""
-
-    def __init__(self) -> None:
-        self.pressed: list[str] = []
-        self.on_key = self.pressed.append
 
 
 def test_what_the_keys_mean():
