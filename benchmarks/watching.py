@@ -1,10 +1,11 @@
 """What it costs to be watched: recording, drawing, and the page in the browser.
 
-    python -m benchmarks.viewers [--task HumanoidAMP] [--num-envs 1024] [--envs-shown 1]
+    python -m benchmarks.watching [--task HumanoidAMP] [--num-envs 1024] [--envs-shown 1]
 
 - recording: time that a control step takes longer while a video of it is recorded;
 - drawing: CPU time of one video of 100 pictures, drawn without a display and encoded;
-- page: share of a CPU that `viewer=web` takes while nobody looks on, without the task's own steps.
+- page: time until browsers can connect with `viewer=web`; then, while none does, the share of a CPU
+  and the memory that it takes in its process and in the task's, without the task's own steps.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def main() -> None:
         f"{args.task}, {args.num_envs} envs, {args.envs_shown} shown:"
         f" recording {1e3 * record_s:.3f} ms of a step's {1e3 * (step_s + record_s):.2f} ms;"
         f" drawing {_NUM_PICTURES} pictures {draw_cpu_s:.1f} s of CPU time in {draw_s:.1f} s;"
-        f" page {_page_share(env):.0%} of a CPU"
+        f" page {_page(env)}"
     )
     env.close()
 
@@ -78,18 +79,41 @@ def _record(env: VecTask, recorder: PoseRecorder) -> tuple[float, float]:
     return statistics.median(steps_s), statistics.median(records_s)
 
 
-def _page_share(env: VecTask) -> float:
-    """Return the CPU time per second of a page whose task makes 100 steps a second."""
+def _page(env: VecTask) -> str:
+    """Return what a page takes whose task makes 100 steps a second."""
+    memory_mb, start_s = _memory_mb(os.getpid()), time.perf_counter()
     page = WebPage(env, "localhost", 0, real_time=False)
     try:
+        opened_s = time.perf_counter() - start_s
         time.sleep(1.0)
-        start_s, start_cpu_s = time.perf_counter(), time.process_time()
+        pids = (page.process.pid, os.getpid())
+        before_s = [_cpu_s(pid) for pid in pids]
+        start_s = time.perf_counter()
         while time.perf_counter() - start_s < _PAGE_S:
             page.after_step()
             time.sleep(0.01)
-        return (time.process_time() - start_cpu_s) / (time.perf_counter() - start_s)
+        passed_s = time.perf_counter() - start_s
+        used_s = [_cpu_s(pid) - before for pid, before in zip(pids, before_s, strict=True)]
+        there, here = (f"{seconds / passed_s:.0%} of a CPU" for seconds in used_s)
+        grown_mb = _memory_mb(os.getpid()) - memory_mb
+        return (
+            f"opens in {opened_s:.1f} s; {there} and {_memory_mb(pids[0]):.0f} MB in its process,"
+            f" {here} and {grown_mb:.0f} MB in the task's"
+        )
     finally:
         page.close()
+
+
+def _cpu_s(pid: int) -> float:
+    """Return the CPU time of a process in s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory_mb(pid: int) -> float:
+    """Return the memory of a process, without what it shares with others, in MB."""
+    total, shared = Path(f"/proc/{pid}/statm").read_text().split()[1:3]
+    return (int(total) - int(shared)) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 class StepListener(Protocol):
     """Called after each control step: a video writer, a window. One of `VecTask.listeners`.
 
-    It reads the task and changes nothing in it. If it has a true attribute `keeps_playing`, a
-    player goes on after its last episode.
+    It reads the task and changes nothing in it, except that a viewer passes keys to `on_key`. If it
+    has a true attribute `keeps_playing`, a player goes on after its last episode.
     """
 
     def after_step(self) -> None:

@@ -17,6 +17,7 @@ import torch
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.rendering.scene import Track
 from isaacgymenvs_lite.rendering.tracks import TrackMaker
+from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
 
 Pose = npt.NDArray[np.float64]
 
@@ -26,7 +27,6 @@ _PHASE_STEPS = 6
 # m, from the character to its reference, in the world's horizontal axes: seen from the right of a
 # character that walks along x, the reference is behind it.
 _OFFSET_M = (0.0, 1.0)
-_OPACITY = 0.35
 
 
 def reference_track(env: Any, like: Track) -> Track:
@@ -139,32 +139,3 @@ class ReferenceOverlay:
         pose = self._clips.track(motion_id, range(now, now + 1))[0]
         pose[:2] = qpos[:2] + _OFFSET_M
         return pose
-
-
-class RobotOverlay:
-    """Adds a translucent robot to a scene.
-
-    Args:
-        model: of the scene; the robot is the tree of its first joint.
-    """
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model = model
-        self._data = mujoco.MjData(model)
-        self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._root = int(model.jnt_bodyid[0])
-
-    def add_to(self, scene: mujoco.MjvScene, qpos: Pose) -> None:
-        """Add the robot at joint positions `qpos` (nq,) to a scene."""
-        model, data = self._model, self._data
-        data.qpos[: len(qpos)] = qpos
-        mujoco.mj_kinematics(model, data)
-        first = scene.ngeom
-        moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
-        mujoco.mjv_addGeoms(model, data, self._option, self._perturbation, moving, scene)
-        for index in range(first, scene.ngeom):
-            geom = scene.geoms[index]
-            body = int(model.geom_bodyid[geom.objid])
-            of_robot = int(model.body_rootid[body]) == self._root
-            geom.rgba[3] = _OPACITY if of_robot else 0.0
-            geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)

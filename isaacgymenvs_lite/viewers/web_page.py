@@ -1,17 +1,14 @@
 """A task in a browser: MuJoCo's web viewer, served on one port during a training or a play.
 
-The viewer runs in its own thread and draws in the browser; it receives a state up to 30 times a
-second. It listens at localhost by default; elsewhere its address has a secret token.
+A process of its own serves the page, and browsers draw it; the task sends a state up to 30 times a
+second and never waits. The page is at localhost by default; elsewhere its address has a secret
+token.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import copy
-import gc
-import importlib
-import io
+import importlib.util
 import logging
 import socket
 import time
@@ -24,16 +21,20 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
+from isaacgymenvs_lite.viewers.task_keys import TaskKeys
+from isaacgymenvs_lite.viewers.web_process import PageProcess, missing_viewer, no_listening
 
 log = logging.getLogger(__name__)
 
-# Limit of the states that are sent to browsers.
+# Limit of the states that are sent to the page.
 _PICTURES_PER_S = 30.0
-_MAX_GEOMS = 200
 
 
 class WebPage:
     """Shows environment 0 of a task in browsers; a `StepListener`.
+
+    Keys that are pressed in the page reach the task's `on_key`. If the page's process ends, the
+    task goes on without it.
 
     Args:
         env: the task; the reference of one that imitates is shown beside the character.
@@ -44,7 +45,7 @@ class WebPage:
 
     Attributes:
         url: address of the page, with its token if other machines reach it.
-        server: the running server.
+        process: serves the page.
 
     Raises:
         ConfigError: the port is taken, the viewer is not installed, or a host is misspelt.
@@ -60,38 +61,36 @@ class WebPage:
         allowed_hosts: Sequence[str] = (),
     ) -> None:
         check_page(host, port, allowed_hosts)
-        self._env = env
+        self._keys = TaskKeys(env)
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
-        self._whole: mujoco.MjModel = copy.copy(env.simulation.model)
-        self._ground = TerrainWindow(self._whole)
+        self._model: mujoco.MjModel = copy.copy(env.simulation.model)
+        self._ground = TerrainWindow(self._model)
         self._ground.move(self._read_pose(0)[:2])
-        self._model = copy.copy(self._whole)
-        self._data = mujoco.MjData(self._model)
+        self._has_new_ground = False
         self._reference = ReferenceOverlay.for_task(env, self._model)
-        self._scene = mujoco.MjvScene(self._model, _MAX_GEOMS)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
-        from isaacgymenvs_lite.viewers.web_server import start_server  # imports all of the viewer
-
-        self.server = start_server(self._model, host, port, allowed_hosts)
+        self.process = PageProcess(self._model, host, port, allowed_hosts)
+        self._is_open = True
         name = socket.gethostname() if host == "0.0.0.0" else host
-        self.url = f"http://{name}:{self.server.port}/"
+        self.url = f"http://{name}:{self.process.port}/"
         who = "every user of this machine can"
-        if self.server.token:
-            self.url += f"?token={self.server.token}"
+        if self.process.token:
+            self.url += f"?token={self.process.token}"
             who = "whoever has this address can; it is not encrypted"
-        atexit.register(self.close)  # a thread that still runs when Python ends crashes it
         self.render()
         log.info("watch it at %s (%s)", self.url, who)
 
     @property
     def keeps_playing(self) -> bool:
-        """Whether the server runs: browsers may come and go."""
-        return self.server.handle.is_running()
+        """Whether the page is served: browsers may come and go."""
+        return self._is_open and self.process.is_running()
 
     def after_step(self) -> None:
-        """Show the new state if the last one was long enough ago."""
+        """Pass on keys, and show the new state if the last one was long enough ago."""
+        for key in self.process.link.pressed_keys():
+            self._keys.press(key)
         now = time.monotonic()
         if now >= self._next_picture_s:
             self._next_picture_s = now + 1.0 / _PICTURES_PER_S
@@ -101,27 +100,25 @@ class WebPage:
             self._next_step_s = max(self._next_step_s, now) + self._pace_s
 
     def render(self) -> None:
-        """Show the current state."""
-        if not self.server.handle.is_running():
+        """Show the current state, unless the page is busy with those before."""
+        if not self._is_open:
+            return
+        if not self.process.is_running():
+            how = self.process.how_it_ended()
+            log.warning("viewer=web: the page ended (%s); the run goes on without it", how)
+            self.close()
             return
         qpos = self._read_pose(0)
-        self._data.qpos[:] = qpos
-        if self._ground.move(qpos[:2]):
-            self._model = copy.copy(self._whole)  # a new object, so that browsers fetch it
-        if self._reference is not None:
-            self._scene.ngeom = 0
-            self._reference.add_to(self._scene, qpos)
-            self.server.overlay.geoms = list(self._scene.geoms[: self._scene.ngeom])
-        self.server.handle.sync(self._model, self._data)
+        self._has_new_ground |= self._ground.move(qpos[:2])
+        if self._has_new_ground:
+            self._has_new_ground = not self.process.link.send_model(self._model)
+        reference = None if self._reference is None else self._reference.pose(qpos)
+        self.process.link.send_state(qpos, reference)
 
     def close(self) -> None:
-        """End the server; a second call does nothing."""
-        atexit.unregister(self.close)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.handle.close()
-        # A viewer that is freed while the next page runs destroys that page's native state.
-        self.server.overlay.viewer = None
-        gc.unfreeze()  # see start_server
+        """End the page; a second call does nothing."""
+        self._is_open = False
+        self.process.close()
 
 
 def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
@@ -132,14 +129,12 @@ def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
             is misspelt, or the viewer is not installed.
     """
     try:
-        importlib.import_module("mujoco.studio.web_viewer")
+        is_installed = importlib.util.find_spec("mujoco.studio.web_viewer") is not None
+        from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
     except ImportError as error:
-        raise ConfigError(
-            f"viewer=web needs MuJoCo's web viewer, which cannot be imported ({error}); pip install"
-            " mujoco-studio"
-        ) from error
-    from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
-
+        raise ConfigError(missing_viewer(error)) from error
+    if not is_installed:
+        raise ConfigError(missing_viewer("it is not installed"))
     read_hosts(allowed_hosts)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -148,7 +143,4 @@ def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
             trial.listen()
         except (OSError, UnicodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else None
-            raise ConfigError(
-                f"viewer_port={port}: cannot listen at {host[:80]}:{port} ({reason or error});"
-                " choose another port, 0 takes a free one"
-            ) from error
+            raise ConfigError(no_listening(host, port, reason or error)) from error

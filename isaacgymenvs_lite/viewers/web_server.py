@@ -1,43 +1,144 @@
-"""MuJoCo's web viewer in a thread, guarded, with additional geoms, and without prints.
+"""MuJoCo's web viewer in the process of a page: guarded, and with a robot beside the character.
 
-It imports all of `mujoco.studio`, so import it where it is needed.
+It imports all of `mujoco.studio`; only `web_process.main` imports it.
 """
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import io
 import logging
 import socket
-import threading
-from collections.abc import Iterable, Iterator
+import string
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-from mujoco.studio import launch_thread, messages, plugin, viewer_protocol, web_viewer
+from mujoco.studio import messages, plugin, viewer_protocol, web_viewer
+from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import web_server
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.view import aim_camera
+from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
 from isaacgymenvs_lite.viewers.web_guard import PageGuard, address_of
+from isaacgymenvs_lite.viewers.web_link import PageEnd, Pose
 
 _START_TIMEOUT_S = 20.0
+_MAX_GEOMS = 200
 # Custom number of a model with the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
-_GUARDING = threading.Lock()
+KEYS = {
+    **{f"{name.capitalize()}Arrow": name for name in ("up", "down", "left", "right")},
+    "Space": "space",
+    **{letter.upper(): letter for letter in string.ascii_lowercase},
+    **{f"N{digit}": digit for digit in string.digits},
+}
+"""The names of `KEY_NAMES`, by those of Dear ImGui."""
 
 
-class OverlayPlugin(plugin.ViewerPlugin):
-    """Adds geoms to the model's picture, and lets the camera follow the robot.
+@dataclass(frozen=True)
+class Page:
+    """A page to which browsers can connect.
 
     Attributes:
-        geoms: to add; replace the list, do not change it.
+        viewer: shows the model.
+        port: where browsers connect.
+        token: secret that browsers need; '' if only this machine reaches the page.
     """
 
-    def __init__(self) -> None:
-        self.geoms: list[mujoco.MjvGeom] = []
+    viewer: viewer_protocol.Viewer
+    port: int
+    token: str
+
+    def serve(self) -> None:
+        """Serve the page until the task ends."""
+        viewer_protocol.run_viewer_loop(self.viewer)
+
+
+def open_page(
+    link: PageEnd, model: mujoco.MjModel, host: str, port: int, allowed_hosts: Iterable[str]
+) -> Page:
+    """Return a page that browsers can open; call it once in a process.
+
+    Args:
+        link: to the task.
+        model: what is shown at first.
+        host: name or address of this machine, where to listen.
+        port: 0 takes a free one.
+        allowed_hosts: see `PageGuard`.
+
+    Raises:
+        OSError: the port is taken, or the server does not start.
+    """
+    _silence_server_log()
+    address = address_of(host)
+    port = port or _free_port(address)
+    guard = PageGuard(host, address, port, allowed_hosts)
+    # MuJoCo's server has no parameter for limits, so its name of `websockets.serve` is replaced. A
+    # version that no longer calls it is not served at all.
+    web_server.serve = guard.serve
+    PageViewer.address = address
+    config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web", http_port=port)
+    endpoint: Any = LinkEndpoint(link)
+    try:
+        viewer = PageViewer(config, endpoint, model=model, plugins=[PagePlugin(link)])
+    except RuntimeError as error:  # MuJoCo's, for a port that was taken meanwhile
+        raise OSError(str(error)) from error
+    if not guard.started.wait(_START_TIMEOUT_S):
+        raise TimeoutError(f"MuJoCo's server did not start within {_START_TIMEOUT_S:.0f} s")
+    return Page(viewer, port, guard.token)
+
+
+@dataclass(frozen=True)
+class ReferenceSnapshot(messages.Snapshot):
+    """The joint positions (nq,) of the robot beside the character; None: there is none."""
+
+    qpos: Pose | None
+
+
+class LinkEndpoint:
+    """The viewer's `ViewerEndpoint`: what the task sends becomes its messages.
+
+    Args:
+        link: to the task.
+    """
+
+    def __init__(self, link: PageEnd) -> None:
+        self._link = link
+        self._states: list[messages.Snapshot] = []
+
+    def get_sim_events(self) -> list[messages.Event]:
+        """Return a new model, or the end; the viewer asks before each picture."""
+        update = self._link.receive()
+        if update.has_ended:
+            return [messages.ExitEvent()]
+        if update.qpos is not None:
+            state = messages.StateSnapshot(update.qpos, int(mujoco.mjtState.mjSTATE_QPOS))
+            self._states = [state, ReferenceSnapshot(update.reference)]
+        return [] if update.model is None else [messages.ModelEvent(update.model)]
+
+    def get_sim_snapshots(self) -> list[messages.Snapshot]:
+        """Return the newest state, once."""
+        states, self._states = self._states, []
+        return states
+
+    def send_to_sim(self, message: messages.Message) -> None:
+        """Drop what a browser would change in the simulation."""
+
+    def close(self) -> None:
+        """Do nothing: the process ends next."""
+
+
+class PagePlugin(plugin.ViewerPlugin):
+    """Adds the robot beside the character, aims the camera, and passes keys on.
+
+    Args:
+        link: to the task.
+    """
+
+    def __init__(self, link: PageEnd) -> None:
+        self._link = link
+        self._reference: Pose | None = None
+        self._overlay: tuple[mujoco.MjvScene, RobotOverlay] | None = None
 
     @messages.handler
     def on_init(self, event: viewer_protocol.ViewerInitEvent) -> None:
@@ -52,13 +153,40 @@ class OverlayPlugin(plugin.ViewerPlugin):
         viewer.render_flags.flags = flags
 
     @messages.handler
-    def on_update(self, event: messages.UpdateEvent) -> None:
-        """Add the geoms to the next picture."""
-        self.viewer.extra_geoms[:] = self.geoms
+    def on_model(self, event: messages.PostModelEvent) -> None:
+        """Forget the robot of the model before."""
+        self._overlay = None
+
+    @messages.handler
+    def on_reference(self, snapshot: ReferenceSnapshot) -> None:
+        """Store the pose for the next picture."""
+        self._reference = snapshot.qpos
+
+    @messages.handler
+    def add_robot(self, event: messages.UpdateEvent) -> None:
+        """Add the robot to the next picture."""
+        geoms: list[mujoco.MjvGeom] = []
+        if self._reference is not None:
+            if self._overlay is None:
+                model = self.viewer.model
+                self._overlay = (mujoco.MjvScene(model, _MAX_GEOMS), RobotOverlay(model))
+            scene, robot = self._overlay
+            scene.ngeom = 0
+            robot.add_to(scene, self._reference)
+            geoms = list(scene.geoms[: scene.ngeom])
+        self.viewer.extra_geoms[:] = geoms
+
+    @messages.handler
+    def send_keys(self, event: messages.UpdateEvent) -> None:
+        """Send the keys that were pressed since the last picture."""
+        for key, name in KEYS.items():
+            # Not with Ctrl and the like, nor again while it is held.
+            if imgui.IsKeyChordPressed(imgui.Key.__members__[key]):
+                self._link.send_key(name)
 
 
-class QuietViewer(web_viewer.WebViewer):
-    """Listens at one address in place of all of them, and prints nothing.
+class PageViewer(web_viewer.WebViewer):
+    """Listens at one address in place of all of them.
 
     Attributes:
         address: where to listen; set it before an instance is made.
@@ -74,94 +202,9 @@ class QuietViewer(web_viewer.WebViewer):
     def _host(self, value: str) -> None:
         """Ignore MuJoCo's choice, every address of the machine."""
 
-    @messages.handler(priority=messages.Priority.INTERNAL)
-    def _on_post_model(self, event: messages.PostModelEvent) -> None:
-        self._update_model()
-
-
-@dataclass(frozen=True)
-class WebServer:
-    """A running server.
-
-    Attributes:
-        handle: receives states.
-        overlay: the additional geoms.
-        port: where browsers connect.
-        token: secret that browsers need; '' if only this machine reaches the page.
-    """
-
-    handle: Any
-    overlay: OverlayPlugin
-    port: int
-    token: str
-
-
-def start_server(
-    model: mujoco.MjModel, host: str, port: int, allowed_hosts: Iterable[str]
-) -> WebServer:
-    """Start the viewer in a thread, and return when browsers can connect.
-
-    Args:
-        model: what is shown.
-        host: name or address of this machine, where to listen.
-        port: 0 takes a free one.
-        allowed_hosts: see `PageGuard`.
-
-    Raises:
-        ConfigError: it does not start, or an allowed host is not one.
-    """
-    _silence_server_log()
-    address = address_of(host)
-    overlay, started = OverlayPlugin(), threading.Event()
-    port = port or _free_port(address)
-    config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web", http_port=port)
-    guard = PageGuard(host, address, port, allowed_hosts)
-
-    def serve(endpoint: Any) -> None:
-        viewer_class = type("Viewer", (QuietViewer,), {"address": address})
-        try:
-            with _served_by(guard):
-                viewer = viewer_class(config, endpoint, model=model, plugins=[overlay])
-        finally:
-            started.set()
-        if guard.started.is_set():
-            viewer_protocol.run_viewer_loop(viewer)
-        else:
-            viewer.close()
-
-    # Python collects garbage in the thread that happens to allocate. In a process with millions of
-    # objects the viewer's thread hung and crashed while it freed objects of other threads. After
-    # `freeze` it frees only objects that are made from now on.
-    gc.collect()
-    gc.freeze()
-    with contextlib.redirect_stdout(io.StringIO()):  # a banner
-        handle = launch_thread.launch_thread(serve)
-        started.wait(_START_TIMEOUT_S)
-    if not guard.started.is_set():
-        gc.unfreeze()
-        raise ConfigError(f"viewer=web: it did not start within {_START_TIMEOUT_S:.0f} s")
-    return WebServer(handle, overlay, port, guard.token)
-
-
-@contextlib.contextmanager
-def _served_by(guard: PageGuard) -> Iterator[None]:
-    """Let the server of MuJoCo's that starts meanwhile run behind the guard.
-
-    It has no parameter for limits, so its name of `websockets.serve` is replaced until its thread
-    has called that. A version that no longer calls it is not served at all.
-    """
-    with _GUARDING:
-        original = web_server.serve
-        web_server.serve = guard.serve
-        try:
-            yield
-            guard.started.wait(_START_TIMEOUT_S / 2)
-        finally:
-            web_server.serve = original
-
 
 def _silence_server_log() -> None:
-    """Keep the server's lines about connections off standard output."""
+    """Keep the server's lines about connections out of the log."""
     server_log = logging.getLogger("WebServer")
     server_log.handlers.clear()
     server_log.propagate = True

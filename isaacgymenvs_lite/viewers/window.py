@@ -17,6 +17,7 @@ from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
+from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
 from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
 
 log = logging.getLogger(__name__)
@@ -24,12 +25,20 @@ log = logging.getLogger(__name__)
 # Control steps of a recording at most; more than a minute of every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
-# GLFW's key codes: letters are their capitals' ASCII codes.
+# GLFW's key codes: of letters and digits the ASCII codes, of letters those of the capitals.
 _ESCAPE = 256
+_NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} | {
+    ord(name.upper()): name for name in KEY_NAMES if len(name) == 1
+}
 
 
 class Keys:
     """The state that Isaac Gym's viewer keys set, passed from the window's thread to the task's.
+
+    Other keys are the task's.
+
+    Args:
+        env: its `on_key` receives them (`VecTask`).
 
     Attributes:
         sync: V: whether the window shows each step, no faster than the simulated time.
@@ -39,10 +48,11 @@ class Keys:
 
     HELP = "V: show every step on / off, R: record on / off, ESC: quit"
 
-    def __init__(self) -> None:
+    def __init__(self, env: Any) -> None:
         self.sync = True
         self.recording = False
         self.quit = False
+        self._task = TaskKeys(env)
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def press(self, key: int) -> None:
@@ -50,7 +60,7 @@ class Keys:
         self._pressed.put(key)
 
     def update(self) -> None:
-        """Apply the keys that were pressed since the last call."""
+        """Apply the keys that were pressed since the last call; call it between two steps."""
         while not self._pressed.empty():
             key = self._pressed.get()
             if key == ord("V"):
@@ -59,6 +69,8 @@ class Keys:
                 self.recording = not self.recording
             elif key == _ESCAPE:
                 self.quit = True
+            else:
+                self._task.press(_NAMES.get(key, ""))
 
 
 class WindowClosedError(Exception):
@@ -84,7 +96,7 @@ class Window:
         check_display()
         from mujoco import viewer  # needs GLFW
 
-        self.keys = Keys()
+        self.keys = Keys(env)
         self._env = env
         self._folder = folder
         self._on_quit = on_quit

@@ -38,6 +38,14 @@ def make_env() -> Iterator[Callable[..., Any]]:
         env.close()
 
 
+class KeyedTask:
+    """A task that lists the keys that it receives."""
+
+    def __init__(self) -> None:
+        self.pressed: list[str] = []
+        self.on_key = self.pressed.append
+
+
 def frames_of(path: Path) -> tuple[np.ndarray, float]:
     """Return the pictures (T, height, width, 3) of a video, and how many there are in a second."""
     with av.open(str(path)) as container:
@@ -53,3 +61,11 @@ def assert_is_a_video(frames: np.ndarray, num_frames: int) -> None:
     # noise of the encoder is a few units, at single pixels
     difference = np.abs(frames[-1].astype(int) - frames[0])
     assert (difference > 30).mean() > 0.001
+
+
+def has_ended(pid: int) -> bool:
+    """Return whether a process has ended, also where nobody has asked for its exit status."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True

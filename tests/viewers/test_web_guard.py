@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
+import os
 import re
 import socket
 import threading
@@ -15,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.http11 import Response
 from websockets.sync.client import connect
 
 from isaacgymenvs_lite.config.compose import compose
@@ -40,7 +44,7 @@ def env() -> Iterator[Any]:
 
 
 class Pages:
-    """Opens one page at a time, as MuJoCo's viewer can only be open once in a process."""
+    """Opens one page at a time, and keeps it for the next test."""
 
     def __init__(self, env: Any) -> None:
         self._env = env
@@ -87,7 +91,11 @@ def get(page: WebPage, path: str = "/model", host: str = "localhost:{}", **heade
         host: the header; {} is the port.
         headers: others; _ in names is -, {} is the port.
     """
-    port = page.server.port
+    return get_from(page.process.port, path, host, **headers)
+
+
+def get_from(port: int, path: str, host: str = "localhost:{}", **headers: str) -> Any:
+    """Return the answer of a server at this machine; as `get`."""
     with contextlib.closing(HTTPConnection("127.0.0.1", port, timeout=10)) as connection:
         connection.putrequest("GET", path, skip_host=True)
         for name, value in {"Host": host, **headers}.items():
@@ -100,7 +108,7 @@ def get(page: WebPage, path: str = "/model", host: str = "localhost:{}", **heade
 
 def open_socket(page: WebPage, path: str, host: str = "localhost:{}", **options) -> Any:
     """Open a WebSocket of the page under any Host."""
-    port = page.server.port
+    port = page.process.port
     url = f"ws://{host.format(port)}{path}"
     raw = socket.create_connection(("127.0.0.1", port), timeout=10)
     return connect(url, sock=raw, max_size=None, **options)
@@ -122,7 +130,7 @@ def test_own_addresses_are_served(local, host):
         assert answer.headers["Access-Control-Allow-Origin"] is None
         assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
-    origin = f"http://{host}".format(local.server.port)
+    origin = f"http://{host}".format(local.process.port)
     assert status_of_socket(local, host=host, origin=origin) == 101
 
 
@@ -151,12 +159,12 @@ def test_other_hosts_are_refused(local, host):
 def test_pages_of_other_sites_are_refused(local, origin):
     assert get(local, Origin=origin).status == 403
     for path in ("/state?sid=a", "/ui?sid=a"):
-        assert status_of_socket(local, path, origin=origin.format(local.server.port)) == 403
+        assert status_of_socket(local, path, origin=origin.format(local.process.port)) == 403
 
 
 def test_a_foreign_host_gets_no_socket(local):
     url = "evil.example:{}"
-    origin = f"http://evil.example:{local.server.port}"
+    origin = f"http://evil.example:{local.process.port}"
     assert status_of_socket(local, host=url, origin=origin) == 403
 
 
@@ -170,7 +178,7 @@ def test_another_sites_page_cannot_embed_the_model(local, site):
 
 
 def test_two_values_of_a_header_are_refused(local):
-    port = local.server.port
+    port = local.process.port
     with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
         host = f"Host: localhost:{port}\r\n"
         raw.sendall(f"GET /model HTTP/1.1\r\n{host}{host}\r\n".encode())
@@ -199,62 +207,93 @@ def test_nothing_can_be_dropped(local):
 
 @pytest.mark.parametrize("method", ["POST", "HEAD", "PUT"])
 def test_other_methods_are_refused(local, method):
-    port = local.server.port
+    port = local.process.port
     with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
         raw.sendall(f"{method} /model HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
         assert b" 405 " in raw.recv(100)
 
 
-def memory_mb() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / MB
+def memory_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / MB
+
+
+@contextlib.contextmanager
+def bounded(pid: int) -> Iterator[None]:
+    """Fail if a process has grown by 200 MB; a few answers may be in memory."""
+    before = memory_mb(pid)
+    yield
+    assert memory_mb(pid) - before < 200
 
 
 @pytest.fixture
-def bounded() -> Iterator[None]:
-    """Fail if the process has grown by 200 MB; a few answers may be in memory."""
-    before = memory_mb()
-    yield
-    assert memory_mb() - before < 200
+def bounded_page(local) -> Iterator[WebPage]:
+    """A page whose memory stays bounded."""
+    with bounded(local.process.pid):
+        yield local
 
 
-@pytest.mark.usefixtures("bounded")
-def test_a_flood_of_messages_ends_its_connection(local):
+def test_a_flood_of_messages_ends_its_connection(bounded_page):
     for path in ("/state?sid=a", "/ui?sid=a"):
-        with open_socket(local, path) as client, pytest.raises(ConnectionClosedError):
+        with open_socket(bounded_page, path) as client, pytest.raises(ConnectionClosedError):
             client.send(b"x" * MB for _ in range(300))
         assert client.close_code == 1009  # message too big
 
 
-@pytest.mark.usefixtures("bounded")
-def test_a_head_without_end_ends_its_connection(local):
-    with socket.create_connection(("127.0.0.1", local.server.port), timeout=10) as raw:
+def test_a_head_without_end_ends_its_connection(bounded_page):
+    port = bounded_page.process.port
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
         raw.sendall(b"GET / HTTP/1.1\r\n")
         with pytest.raises(OSError):
             for number in range(200_000):
                 raw.sendall(b"X-%d: %s\r\n" % (number, b"x" * 1000))
 
 
-@pytest.mark.usefixtures("bounded")
-def test_slow_clients_are_dropped(local, monkeypatch):
-    """They send half a request, or do not read the answer, hundreds at a time."""
+@pytest.fixture
+def impatient(monkeypatch) -> Iterator[int]:
+    """Port of a server behind a guard, in this process, to which a request must come in 0.5 s."""
     monkeypatch.setattr(web_guard, "HEAD_TIMEOUT_S", 0.5)
-    port = local.server.port
-    half = "GET /web_client.wasm HTTP/1.1\r\n"
-    with contextlib.ExitStack() as clients:
-        for request in (half, f"{half}Host: localhost:{port}\r\n\r\n"):
+    listening = socket.create_server(("127.0.0.1", 0))
+    port = listening.getsockname()[1]
+    guard = web_guard.PageGuard("localhost", "127.0.0.1", port, ())
+    loop, stop = asyncio.new_event_loop(), asyncio.Event()
+
+    def answer(connection: Any, request: Any) -> Response:
+        return Response(200, "OK", Headers({"Content-Length": str(8 * MB)}), bytes(8 * MB))
+
+    async def serve() -> None:
+        async with guard.serve(
+            lambda connection: None,
+            process_request=answer,
+            process_response=lambda *_: None,
+            sock=listening,
+        ):
+            await stop.wait()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(serve(),))
+    thread.start()
+    yield port
+    loop.call_soon_threadsafe(stop.set)
+    thread.join()
+    loop.close()
+
+
+def test_slow_clients_are_dropped(impatient):
+    """They send half a request, or do not read the answer, hundreds at a time."""
+    half = "GET / HTTP/1.1\r\n"
+    with bounded(os.getpid()), contextlib.ExitStack() as clients:
+        for request in (half, f"{half}Host: localhost:{impatient}\r\n\r\n"):
             for _ in range(150):
                 raw = clients.enter_context(socket.socket())
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                raw.connect(("127.0.0.1", port))
+                raw.connect(("127.0.0.1", impatient))
                 with contextlib.suppress(OSError):
                     raw.sendall(request.encode())
             time.sleep(0.7)
-    wait_until(lambda: get(local).status == 200)
+    wait_until(lambda: get_from(impatient, "/").status == 200)
 
 
-def test_half_a_request_is_ended(local, monkeypatch):
-    monkeypatch.setattr(web_guard, "HEAD_TIMEOUT_S", 0.3)
-    with socket.create_connection(("127.0.0.1", local.server.port), timeout=10) as raw:
+def test_half_a_request_is_ended(impatient):
+    with socket.create_connection(("127.0.0.1", impatient), timeout=10) as raw:
         raw.sendall(b"GET / HTTP/1.1\r\n")
         with contextlib.suppress(ConnectionError):
             assert raw.recv(100) == b""
@@ -273,11 +312,11 @@ def token_of(page: WebPage) -> str:
 
 
 def test_the_page_for_this_machine_has_no_token(local):
-    assert local.url == f"http://localhost:{local.server.port}/"
+    assert local.url == f"http://localhost:{local.process.port}/"
 
 
 def test_the_page_for_other_machines_names_this_one(public):
-    assert public.url.startswith(f"http://{socket.gethostname()}:{public.server.port}/?token=")
+    assert public.url.startswith(f"http://{socket.gethostname()}:{public.process.port}/?token=")
 
 
 @pytest.mark.parametrize("path", ["/", "/model", "/web_client.js", "/no_such_file"])
@@ -356,7 +395,7 @@ def other_site(tmp_path) -> Iterator[str]:
 def test_a_browser_gets_in_by_the_printed_address_and_another_site_does_not(
     public, other_site, tmp_path
 ):
-    host = f"localhost:{public.server.port}"
+    host = f"localhost:{public.process.port}"
     with Browser(tmp_path / "profile", f"http://{host}/?token={token_of(public)}") as browser:
         # The token is stored, and gone from the address.
         wait_until(lambda: probe(browser, host) == [f"http://{host}/", "open", "200", "basic"])

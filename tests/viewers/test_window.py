@@ -13,13 +13,14 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.viewers.window import Keys
-from tests.viewers.conftest import assert_is_a_video, frames_of
+from tests.viewers.conftest import KeyedTask, assert_is_a_video, frames_of
 
 ESCAPE = 256
 
 
 def test_what_the_keys_mean():
-    keys = Keys()
+    task = KeyedTask()
+    keys = Keys(task)
     assert (keys.sync, keys.recording, keys.quit) == (True, False, False)
     for key in (ord("V"), ord("R"), ord("X")):
         keys.press(key)
@@ -30,6 +31,18 @@ def test_what_the_keys_mean():
         keys.press(key)
     keys.update()
     assert (keys.sync, keys.recording, keys.quit) == (True, False, True)
+    assert task.pressed == ["x"]
+
+
+def test_other_keys_are_the_tasks():
+    task = KeyedTask()
+    keys = Keys(task)
+    # GLFW's codes: the arrows in the order right, left, down, up; then F1 and ;
+    for key in (262, 263, 264, 265, ord(" "), ord("A"), ord("9"), 290, ord(";")):
+        keys.press(key)
+    assert task.pressed == []
+    keys.update()
+    assert task.pressed == ["right", "left", "down", "up", "space", "a", "9"]
 
 
 @pytest.fixture

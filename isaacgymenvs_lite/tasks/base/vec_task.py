@@ -310,8 +310,11 @@ class VecTask(Env):
     def on_key(self, key: str) -> None:
         """React to a key that was pressed in a viewer, between two steps; nothing by default.
 
+        A key that is held counts once. At most 20 keys a second arrive.
+
         Args:
-            key: `up`, `down`, `left`, `right`, `space`, or a lower-case letter or digit.
+            key: `up`, `down`, `left`, `right`, `space`, or a lower-case letter or digit; the
+                window keeps `v` and `r` for itself.
         """
 
     def infos(self) -> dict[str, Any]:

@@ -1,0 +1,76 @@
+"""What MuJoCo's viewer receives; the viewer itself runs in the process of a page only."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco.studio.web_viewer")
+
+from mujoco.studio import messages
+
+from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES
+from isaacgymenvs_lite.viewers.web_link import PageEnd, TaskEnd, make_link
+from isaacgymenvs_lite.viewers.web_server import KEYS, LinkEndpoint, PagePlugin, ReferenceSnapshot
+
+XML = '<mujoco><worldbody><body><freejoint/><geom size="{}"/></body></worldbody></mujoco>'
+
+
+@pytest.fixture
+def link():
+    here, there = make_link()
+    with here, there:
+        yield TaskEnd(here), PageEnd(there)
+
+
+def test_the_viewer_receives_models_states_and_the_end(link):
+    task, page = link
+    model = mujoco.MjModel.from_xml_string(XML.format(0.5))
+    task.send_model(model)
+    page.wait_for_model()
+    endpoint = LinkEndpoint(page)
+    assert endpoint.get_sim_events() == endpoint.get_sim_snapshots() == []
+    qpos = np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))
+    task.send_state(qpos, qpos + 1.0)
+    assert endpoint.get_sim_events() == []
+    state, reference = endpoint.get_sim_snapshots()
+    assert isinstance(state, messages.StateSnapshot)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state.state, state.state_sig)
+    np.testing.assert_array_equal(data.qpos, qpos)
+    assert isinstance(reference, ReferenceSnapshot)
+    np.testing.assert_array_equal(reference.qpos, qpos + 1.0)
+    assert endpoint.get_sim_snapshots() == []
+    task.send_model(mujoco.MjModel.from_xml_string(XML.format(0.7)))
+    (event,) = endpoint.get_sim_events()
+    assert isinstance(event, messages.ModelEvent)
+    assert event.model.geom_size[0, 0] == 0.7
+    task.close()
+    (event,) = endpoint.get_sim_events()
+    assert isinstance(event, messages.ExitEvent)
+
+
+def test_the_reference_is_drawn_with_the_newest_model(link):
+    plugin = PagePlugin(link[1])
+    for radius_m in (0.5, 0.7):
+        model = mujoco.MjModel.from_xml_string(XML.format(radius_m))
+        viewer: Any = SimpleNamespace(model=model, extra_geoms=[])
+        plugin.viewer = viewer
+        plugin.on_model(messages.PostModelEvent(model, mujoco.MjData(model)))
+        plugin.on_reference(ReferenceSnapshot(np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))))
+        plugin.add_robot(messages.UpdateEvent())
+        (geom,) = viewer.extra_geoms
+        np.testing.assert_allclose(geom.pos, (1.0, 2.0, 3.0))
+        assert geom.size[0] == pytest.approx(radius_m)
+        assert geom.rgba[3] == pytest.approx(0.35)
+        plugin.on_reference(ReferenceSnapshot(None))
+        plugin.add_robot(messages.UpdateEvent())
+        assert viewer.extra_geoms == []
+
+
+def test_the_page_sends_every_key_that_tasks_receive():
+    assert sorted(KEYS.values()) == sorted(KEY_NAMES)
