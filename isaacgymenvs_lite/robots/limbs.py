@@ -14,7 +14,9 @@ from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points
 
 # Ends nearer to each other's branch than this part of the robot's size are fingers of one hand.
 _HAND_OF_SIZE = 0.12
-_TOUCH = 0.01  # m above the lowest point
+# Above the lowest point, in m or as a share of the base's height: toes and heel of a jointed foot.
+_TOUCH = 0.01
+_TOUCH_SHARE = 0.02
 
 
 def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
@@ -85,12 +87,16 @@ def _subtree(children: Mapping[int, Sequence[int]], root: int) -> list[int]:
 
 
 def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
-    """Return the bodies whose lowest points are within 1 cm of the robot's lowest one."""
+    """Return the bodies whose lowest points are near the robot's lowest one.
+
+    Near is 1 cm, or 2 % of the base's height above the floor if this is more.
+    """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     lows = lowest_points(model, data)
     lowest = min(lows.values())
+    near = max(_TOUCH, _TOUCH_SHARE * (float(data.xpos[1, 2]) - lowest))
     return tuple(
-        model.body(body).name for body, low in lows.items() if low < lowest + _TOUCH + CLEARANCE
+        model.body(body).name for body, low in lows.items() if low < lowest + near + CLEARANCE
     )

@@ -21,12 +21,19 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError, one_line, printable
 from isaacgymenvs_lite.robots import structure
-from isaacgymenvs_lite.robots.drives import Drive, add_drives, choose_drives, motors_of_file
+from isaacgymenvs_lite.robots.drives import (
+    Drive,
+    action_range,
+    add_drives,
+    choose_drives,
+    motors_of_file,
+)
 from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
-from isaacgymenvs_lite.robots.start_pose import initial_positions, start_pose
+from isaacgymenvs_lite.robots.stance import bend_legs
+from isaacgymenvs_lite.robots.start_pose import initial_positions, start_height, start_pose
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
@@ -43,6 +50,7 @@ class PreparedRobot:
         key_bodies: names of the bodies whose positions are observed, hands and feet mostly.
         contact_bodies: names of the bodies that may touch the floor.
         start_qpos: (Q,) the start pose, on the floor at x = y = 0.
+        action_range_rad: how far an action of 1 should move the drives' targets.
         notes: what was added, left out and fixed, in words.
     """
 
@@ -53,6 +61,7 @@ class PreparedRobot:
     key_bodies: tuple[str, ...]
     contact_bodies: tuple[str, ...]
     start_qpos: npt.NDArray[np.float64]
+    action_range_rad: float
     notes: tuple[str, ...]
 
     @property
@@ -137,13 +146,23 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     if settings.start_rotation is not None:
         root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
         positions = {**positions, model.joint(0).name: root}
-    qpos = start_pose(model, positions, settings.start_height)
+    height = settings.start_height
+    qpos = start_pose(model, positions, height)
+    if settings.start_pose is None and keys.nkey == 0:
+        bent = bend_legs(model, qpos)
+        if bent is not None:
+            qpos = bent
+            qpos[2] = start_height(model, bent) if height is None else height
+        how = "" if bent is None else ", legs bent with each foot below its hip"
+        notes.append(f"start pose: no keyframe in the file: joints at zero within limits{how}")
     patterns = read_drives(settings.drives, f"{where}.drives")
-    drives = choose_drives(model, motors, float(qpos[2]), patterns, f"{where}.drives")
+    moment = float(model.body_subtreemass[0] * 9.81 * qpos[2])
+    drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     key_bodies = key_bodies or limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
+    notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
@@ -157,6 +176,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
         key_bodies=key_bodies,
         contact_bodies=contacts,
         start_qpos=qpos,
+        action_range_rad=action_range(drives, moment),
         notes=tuple(notes),
     )
 

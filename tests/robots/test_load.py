@@ -46,7 +46,8 @@ def test_a_complete_robot():
     # below the knee, which is 0.3 m below the base and turned about x by 0.2 rad.
     np.testing.assert_allclose(robot.start_qpos[7:], [0, 0.2])
     assert robot.start_height == pytest.approx(0.3 + 0.1 * np.cos(0.2) + 0.05 + 0.001, abs=1e-9)
-    assert robot.notes == ("added a floor",)
+    start = "start pose: no keyframe in the file: joints at zero within limits"
+    assert robot.notes == (start, "added a floor")
     assert any("hip, knee" in line for line in robot.describe())
 
 
