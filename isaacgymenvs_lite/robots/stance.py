@@ -22,7 +22,7 @@ _LEAST_LEGS = 4
 _LENGTHS = (0.75, 0.8, 0.85, 0.9, 0.65, 0.55)
 _SHORTEST = 0.1  # of the leg's length: a shorter link is no thigh or shank
 _PARALLEL = 0.95  # cosine of the angle between the axes of a hip and its knee
-_LEVEL = 0.3  # largest vertical component of an axis that swings a leg
+_LATERAL = 0.7  # share of a hinge's axis along y with which it swings a leg fore and aft
 _SPRAWLED_RAD = 0.7  # from the vertical: legs that stand like this are a spider's, and stay
 
 Vector = npt.NDArray[np.float64]
@@ -47,25 +47,28 @@ def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
     """Return the pose with each foot below its hip at 0.75 of the leg's length, or None.
 
     Knees are behind where a leg can bend to both sides. None: the robot has fewer than four legs,
-    stands with them sprawled, or one of them cannot do so within the limits of its joints.
+    stands with them sprawled, one of them cannot do so within the limits of its joints, or not all
+    feet are on the floor then.
 
     Args:
         model: of a robot with a free root.
         qpos: (Q,) the pose to start from, such as zero angles.
     """
-    legs, stands = _legs(model, qpos)
+    legs, on_feet = _legs(model, qpos)
     if len(legs) < _LEAST_LEGS:
         return None
     bent = np.array(qpos)
     for leg in legs:
         plane = _LegPlane.of(model, qpos, leg)
-        if stands and abs(plane.lean()) > _SPRAWLED_RAD:
+        if on_feet and abs(plane.lean()) > _SPRAWLED_RAD:
             return None
         angles = plane.bend(model, qpos)
         if angles is None:
             return None
         bent[model.jnt_qposadr[[leg.hip, leg.knee]]] = angles
-    return bent
+    standing = touching_bodies(model, bent)
+    stands = all(model.body(leg.end).name in standing for leg in legs)
+    return bent if stands else None
 
 
 def _legs(model: mujoco.MjModel, qpos: Vector) -> tuple[list[_Leg], bool]:
@@ -82,8 +85,9 @@ def _legs(model: mujoco.MjModel, qpos: Vector) -> tuple[list[_Leg], bool]:
 
 
 def _leg(model: mujoco.MjModel, data: mujoco.MjData, end: int) -> _Leg | None:
-    level = [joint for joint in _hinges(model, end) if abs(data.xaxis[joint, 2]) < _LEVEL]
-    for hip, knee in zip(level, level[1:], strict=False):
+    """Return the leg of an end: its first hinge across x and the next one that is parallel."""
+    swings = [joint for joint in _hinges(model, end) if abs(data.xaxis[joint, 1]) > _LATERAL]
+    for hip, knee in zip(swings, swings[1:], strict=False):
         if abs(data.xaxis[hip] @ data.xaxis[knee]) > _PARALLEL:
             return _Leg(hip, knee, end)
     return None
