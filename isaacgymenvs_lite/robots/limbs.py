@@ -73,7 +73,9 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
         fixed = [body for body in _subtree(children, link) if model.body_geomnum[body] > 0]
         if not fixed or model.body_weldid[link] == model.body_weldid[1]:
             return []
-        return [max(fixed, key=lambda body: float(np.linalg.norm(data.xpos[body] - data.xpos[link])))]
+        return [
+            max(fixed, key=lambda body: float(np.linalg.norm(data.xpos[body] - data.xpos[link])))
+        ]
 
     return tuple(model.body(end).name for end in ends(1))
 

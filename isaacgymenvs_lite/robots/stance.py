@@ -7,6 +7,7 @@ offsets from it.
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ def _legs(model: mujoco.MjModel, qpos: Vector) -> tuple[list[_Leg], bool]:
 def _leg(model: mujoco.MjModel, data: mujoco.MjData, end: int) -> _Leg | None:
     """Return the leg of an end: its first hinge across x and the next one that is parallel."""
     swings = [joint for joint in _hinges(model, end) if abs(data.xaxis[joint, 1]) > _LATERAL]
-    for hip, knee in zip(swings, swings[1:], strict=False):
+    for hip, knee in itertools.pairwise(swings):
         if abs(data.xaxis[hip] @ data.xaxis[knee]) > _PARALLEL:
             return _Leg(hip, knee, end)
     return None

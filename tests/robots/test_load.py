@@ -112,6 +112,18 @@ def test_scenery_and_objects_are_left_out():
     np.testing.assert_allclose(robot.start_qpos[7:], [0.5, 0.6])
 
 
+def test_bodies_that_overlap_at_the_start_do_not_touch():
+    """Of the laikago: in MuJoCo's hull of the trunk's mesh are the thighs."""
+    leg = LEG.replace('size="0.05" pos="0 0 -0.1"', 'size="0.05" pos="0 0 0.2"')
+    robot = prepared(mjcf(leg=leg))  # the foot's ball is in the base's box
+    assert "overlap in the start pose and do not touch: base and foot" in robot.notes
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.start_qpos
+    data.qpos[2] += 1
+    mujoco.mj_forward(robot.model, data)
+    assert data.ncon == 0
+
+
 def test_all_that_can_touch_touches_the_floor():
     leg = LEG.replace("<geom", '<geom contype="0" conaffinity="4"')
     robot = prepared(mjcf(leg=leg))
