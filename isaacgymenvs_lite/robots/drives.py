@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -36,11 +36,15 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class Motor:
-    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None."""
+    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None.
+
+    A joint that follows another one (`mimic`) has no motor: a drive would pull against the other.
+    """
 
     kp: float | None = None
     kd: float | None = None
     effort: float | None = None
+    follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,8 @@ def _drive(
     if effort is None:
         effort = min(_EFFORT_OF_WEIGHT * weight_moment, _MAX_ACCELERATION * inertia)
     kp, kd = given.kp, given.kd
+    if kp is None and motor.follows:
+        kp = 0.0
     if kp is None:
         kp = motor.kp or _KP_OF_EFFORT * _useful(effort, weight_moment)
         kd = kd if kd is not None else motor.kd
@@ -145,7 +151,13 @@ def _useful(effort: float, weight_moment: float) -> float:
 
 def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
     """Return what a file's actuators and limits of joints say, by name of the joint."""
-    return {model.joint(joint).name: _motor(model, joint) for joint in range(model.njnt)}
+    of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    followers = set(model.eq_obj1id[of_joints & (model.eq_obj2id >= 0)].tolist())
+    motors = {}
+    for joint in range(model.njnt):
+        motor = _motor(model, joint)
+        motors[model.joint(joint).name] = replace(motor, follows=joint in followers)
+    return motors
 
 
 def _motor(model: mujoco.MjModel, joint: int) -> Motor:

@@ -149,6 +149,8 @@ def test_urdf_with_fixed_hand_and_mimic(tmp_path):
     assert robot.layout.dof_names == ("shoulder", "grip")
     assert "joint 'grip' follows 'shoulder'" in robot.notes
     assert robot.drives[0].effort == 7
+    assert robot.drives[0].kp > 0
+    assert (robot.drives[1].kp, robot.drives[1].kd) == (0, 0)  # the other one's drive moves it
     assert robot.model.eq_data[0, :2].tolist() == [0.5, 2.0]
 
 
