@@ -159,12 +159,13 @@ class _LegPlane:
 
     def bend(self, model: mujoco.MjModel, qpos: Vector) -> tuple[float, float] | None:
         """Return the angles of hip and knee that put the foot below the hip, or None."""
-        long, short = abs(self.thigh), abs(self.shank)
-        if min(long, short) < _SHORTEST * (long + short) or long + short == 0:
+        upper, lower = abs(self.thigh), abs(self.shank)
+        if min(upper, lower) <= _SHORTEST * (upper + lower):
             return None
         start = qpos[model.jnt_qposadr[[self.leg.hip, self.leg.knee]]]
         for share in _LENGTHS:
-            cosine = ((share * (long + short)) ** 2 - long**2 - short**2) / (2 * long * short)
+            reach = share * (upper + lower)
+            cosine = (reach**2 - upper**2 - lower**2) / (2 * upper * lower)
             bends = (math.acos(cosine), -math.acos(cosine)) if abs(cosine) <= 1 else ()
             found = []
             for bend in bends:
