@@ -13,24 +13,23 @@ import numpy as np
 from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.settings import DriveSettings
 
-# Full effort at an error of a quarter of a radian: stiffer drives than those of real robots, with
-# which the policy's noise and the targets' lag cost less.
+# Nm/rad of a Nm of effort: full effort at an error of a quarter of a radian.
 _KP_OF_EFFORT = 4.0
-# s, kd of kp: the lag of a drive behind its target. More than a simulation step, so that drives are
-# stable whatever they carry, as MuJoCo integrates damping implicitly.
+# s, kd of kp: the lag of a drive behind its target. With 0.1 s a robot learns to walk far later. It
+# is more than a simulation step, which keeps light links from oscillating.
 _KD_OF_KP = 0.03
-# kg m^2 of rotor and gears for a Nm of effort, where a file says nothing of them: URDF cannot. A G1's
-# motors of 25, 50, 88 and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Light shanks need it: a motor
-# at its limit would spin them up within a simulation step.
+# kg m^2 of rotor and gears for a Nm of effort, where a file has none. A G1's motors of 25, 50, 88
+# and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Without it a motor at its limit spins a light
+# shank up within a simulation step.
 _ARMATURE_OF_EFFORT = 1.5e-4
-# Motors of simulated robots may have any effort; more than this, of weight times height, is no part
-# of walking. A G1's knees have 0.56.
+# Motors of simulated robots may have any effort. What exceeds this share of weight times height
+# adds nothing to the gains; a G1's knees have 0.56.
 _MOST_OF_WEIGHT = 0.6
 # Unknown efforts, likewise. A G1 has 0.35 at the hips and 0.2 at the ankles.
 _EFFORT_OF_WEIGHT = 0.35
 _MAX_ACCELERATION = 5000.0  # rad/s^2, which keeps fingers from the efforts of legs
-# Torque of an action of 1, of the typical drive's effort, as far as rads reach. The noise of AMP's
-# policies (0.055) is then a fifth of the effort; more of it throws a robot over.
+# What the typical drive would answer to an action of 1, in its efforts. The noise of AMP's policies
+# (0.055) is then about a fifth of an effort; twice as much threw a quadruped over.
 _EFFORTS_OF_AN_ACTION = 4.0
 _MAX_ACTION_RAD = 2.0
 

@@ -83,7 +83,7 @@ def test_the_shipped_robots_keep_their_actions():
 
 
 def test_drives_are_stable_whatever_they_carry():
-    """Any targets in steps of 8.3 ms: a toe of 1 g with a motor of 5 Nm, in a file without rotors."""
+    """Any targets in steps of 8.3 ms: a toe of 1 g with a motor of 5 Nm, no rotors in the file."""
     toe = """<body name="toe" pos="0 0 -0.1"><joint name="toe" axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 0 0 -0.02" size="0.003" mass="1e-3"/></body>"""
     leg = LEG.replace("</body></body>", f"</body>{toe}</body>")
