@@ -76,7 +76,7 @@ def choose_drives(
     Args:
         model: the robot.
         motors: what its file says, by joint.
-        weight_moment: the robot's weight times the height of its base above the floor (Nm).
+        weight_moment: the robot's weight times its height above the floor (Nm).
         patterns: names of joints to settings; the first that matches counts.
         where: key of the patterns, for messages.
 
@@ -145,7 +145,7 @@ def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
 
     Args:
         drives: of all joints.
-        weight_moment: of the robot about its feet, weight times height (Nm), see `choose_drives`.
+        weight_moment: see `choose_drives`.
     """
     ratios = [_useful(drive.effort, weight_moment) / drive.kp for drive in drives if drive.kp > 0]
     typical = float(np.median(ratios)) if ratios else _MAX_ACTION_RAD

@@ -146,22 +146,22 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     if settings.start_rotation is not None:
         root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
         positions = {**positions, model.joint(0).name: root}
-    height = settings.start_height
-    qpos = start_pose(model, positions, height)
+    qpos = start_pose(model, positions, settings.start_height)
     if settings.start_pose is None and keys.nkey == 0:
-        bent = bend_legs(model, qpos)
-        if bent is not None:
-            qpos = bent
-            qpos[2] = start_height(model, bent) if height is None else height
-        how = "" if bent is None else ", legs bent with each foot below its hip"
-        notes.append(f"start pose: no keyframe in the file: joints at zero within limits{how}")
+        qpos, more = _found_pose(model, qpos, settings.start_height)
+        notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
-    moment = float(model.body_subtreemass[0] * 9.81 * qpos[2])
+    moment = _weight_moment(model, qpos)
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
-    key_bodies = key_bodies or limb_ends(model, qpos)
+    ends = limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
+    if ends and not set(ends) & set(contacts):
+        notes.append(
+            f"stands on {', '.join(contacts)} and on no end of a limb: if it lies, startRotation"
+            " turns it, and startPose bends it"
+        )
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
@@ -173,12 +173,38 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
         model=final,
         layout=ModelLayout.from_model(final),
         drives=tuple(drives),
-        key_bodies=key_bodies,
+        key_bodies=key_bodies or ends,
         contact_bodies=contacts,
         start_qpos=qpos,
         action_range_rad=action_range(drives, moment),
         notes=tuple(notes),
     )
+
+
+def _found_pose(
+    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], height: float | None
+) -> tuple[npt.NDArray[np.float64], list[str]]:
+    """Return the start pose (Q,) of a robot without a keyframe, and a note."""
+    note = "start pose: no keyframe in the file: joints at zero within limits"
+    bent = bend_legs(model, qpos)
+    if bent is None:
+        return qpos, [note]
+    bent[2] = start_height(model, bent) if height is None else height
+    return bent, [f"{note}, legs bent with each foot below its hip"]
+
+
+def _weight_moment(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
+    """Return the weight times the height (Nm) of the base, or of the mass if this is higher.
+
+    The base of some files is a point on the ground.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.qpos[2] = start_height(model, qpos)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    height = max(float(data.qpos[2]), float(data.subtree_com[1, 2]))
+    return float(model.body_subtreemass[0]) * 9.81 * height
 
 
 def _make_robot(spec: mujoco.MjSpec) -> list[str]:

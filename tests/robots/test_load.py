@@ -124,6 +124,21 @@ def test_bodies_that_overlap_at_the_start_do_not_touch():
     assert data.ncon == 0
 
 
+def test_a_base_on_the_ground_has_the_drives_of_one_above_it():
+    """Of files that begin at `base_footprint`; the mass is at 0.76 of the base's height."""
+    lifted = LEG.replace('pos="0 0 -0.1"><joint', 'pos="0 0 0.35"><joint')
+    on_ground = prepared(mjcf(leg=lifted).replace('mass="2"', 'mass="2" pos="0 0 0.45"'))
+    above = prepared(mjcf())
+    assert on_ground.start_height == pytest.approx(above.start_height - 0.45)
+    assert on_ground.drives[0].effort == pytest.approx(0.76 * above.drives[0].effort, rel=0.01)
+
+
+def test_a_robot_that_lies_is_noted():
+    leg = LEG.replace('pos="0 0 -0.1"', 'pos="0 0 0.4"')
+    (note,) = [note for note in prepared(mjcf(leg=leg)).notes if "startRotation" in note]
+    assert note.startswith("stands on base and on no end of a limb")
+
+
 def test_all_that_can_touch_touches_the_floor():
     leg = LEG.replace("<geom", '<geom contype="0" conaffinity="4"')
     robot = prepared(mjcf(leg=leg))
