@@ -137,31 +137,23 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    positions = initial_positions(keys, settings.start_pose, f"{where}.startPose")
     motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)
     if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
-    if settings.start_rotation is not None:
-        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
-        positions = {**positions, model.joint(0).name: root}
-    qpos = start_pose(model, positions, settings.start_height)
-    if settings.start_pose is None and keys.nkey == 0:
-        qpos, more = _found_pose(model, qpos, settings.start_height)
-        notes += more
+    qpos, more = _start(keys, model, settings, f"{where}.startPose")
+    notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
     moment = _weight_moment(model, qpos)
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
+    notes += _rotors_added(model, drives)
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     ends = limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
-    if ends and not set(ends) & set(contacts):
-        notes.append(
-            f"stands on {', '.join(contacts)} and on no end of a limb: if it lies, startRotation"
-            " turns it, and startPose bends it"
-        )
+    if not set(ends) & set(contacts):
+        notes.append(f"stands on {', '.join(contacts)}, no end of a limb: startRotation turns it")
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
@@ -181,16 +173,40 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     )
 
 
-def _found_pose(
-    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], height: float | None
+def _start(
+    keys: mujoco.MjModel, model: mujoco.MjModel, settings: RobotSettings, where: str
 ) -> tuple[npt.NDArray[np.float64], list[str]]:
-    """Return the start pose (Q,) of a robot without a keyframe, and a note."""
+    """Return the start pose (Q,), and a note on one that is no keyframe and not the user's.
+
+    Args:
+        keys: model of the robot's file, with its keyframes.
+        model: of the robot with its free root.
+        settings: what the user says of it.
+        where: key of the pose, for messages.
+    """
+    positions = initial_positions(keys, settings.start_pose, where)
+    if settings.start_rotation is not None:
+        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
+        positions = {**positions, model.joint(0).name: root}
+    height = settings.start_height
+    qpos = start_pose(model, positions, height)
+    if settings.start_pose is not None or keys.nkey > 0:
+        return qpos, []
     note = "start pose: no keyframe in the file: joints at zero within limits"
     bent = bend_legs(model, qpos)
     if bent is None:
         return qpos, [note]
     bent[2] = start_height(model, bent) if height is None else height
     return bent, [f"{note}, legs bent with each foot below its hip"]
+
+
+def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
+    """Return a note on joints whose file has no armature and whose drive has one."""
+    without = [d for d in drives if model.dof_armature[model.joint(d.joint).dofadr[0]] == 0]
+    added = [drive.armature for drive in without if drive.armature > 0]
+    if not added:
+        return []
+    return [f"rotors' inertia for {len(added)} joints, {min(added):.2g} to {max(added):.2g} kg m^2"]
 
 
 def _weight_moment(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:

@@ -47,7 +47,8 @@ def test_a_complete_robot():
     np.testing.assert_allclose(robot.start_qpos[7:], [0, 0.2])
     assert robot.start_height == pytest.approx(0.3 + 0.1 * np.cos(0.2) + 0.05 + 0.001, abs=1e-9)
     start = "start pose: no keyframe in the file: joints at zero within limits"
-    assert robot.notes == (start, "added a floor")
+    rotors = "rotors' inertia for 2 joints, 0.00074 to 0.00074 kg m^2"
+    assert robot.notes == (start, rotors, "added a floor")
     assert any("hip, knee" in line for line in robot.describe())
 
 
@@ -136,7 +137,7 @@ def test_a_base_on_the_ground_has_the_drives_of_one_above_it():
 def test_a_robot_that_lies_is_noted():
     leg = LEG.replace('pos="0 0 -0.1"', 'pos="0 0 0.4"')
     (note,) = [note for note in prepared(mjcf(leg=leg)).notes if "startRotation" in note]
-    assert note.startswith("stands on base and on no end of a limb")
+    assert note.startswith("stands on base, no end of a limb")
 
 
 def test_all_that_can_touch_touches_the_floor():
