@@ -215,6 +215,7 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
         contact_bodies=settings.feet,
         key_bodies=settings.feet,
         start_rotation=settings.start_rotation,
+        start_pose={},  # legs as the file draws them: `knees` names the side to which they bend
     )
     robot = load_robot(source, of_robot)
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -13,15 +13,25 @@ import numpy as np
 from isaacgymenvs_lite.errors import ConfigError, suggest
 from isaacgymenvs_lite.robots.settings import DriveSettings
 
-# Full effort at an error of a third of a radian, and a time constant of 0.1 s: the ratios of
-# IsaacGymEnvs' HumanoidAMP, with which a robot carries its weight without a controller above.
-_KP_OF_EFFORT = 3.0
-_KD_OF_KP = 0.1
-# A drive is no faster than this, unless it has to carry the robot.
-_MAX_FREQUENCY_HZ = 10.0
-# Unknown efforts: of weight times height. A G1 has 0.35 at the hips and 0.2 at the ankles.
+# Nm/rad of a Nm of effort: full effort at an error of a quarter of a radian.
+_KP_OF_EFFORT = 4.0
+# s, kd of kp: the lag of a drive behind its target. With 0.1 s a robot learns to walk far later. It
+# is more than a simulation step, which keeps light links from oscillating.
+_KD_OF_KP = 0.03
+# kg m^2 of rotor and gears for a Nm of effort, where a file has none. A G1's motors of 25, 50, 88
+# and 139 Nm have 1.4e-4, 1.4e-4, 1.2e-4 and 1.8e-4. Without it a motor at its limit spins a light
+# shank up within a simulation step.
+_ARMATURE_OF_EFFORT = 1.5e-4
+# Motors of simulated robots may have any effort. What exceeds this share of weight times height
+# adds nothing to the gains; a G1's knees have 0.56.
+_MOST_OF_WEIGHT = 0.6
+# Unknown efforts, likewise. A G1 has 0.35 at the hips and 0.2 at the ankles.
 _EFFORT_OF_WEIGHT = 0.35
 _MAX_ACCELERATION = 5000.0  # rad/s^2, which keeps fingers from the efforts of legs
+# What the typical drive would answer to an action of 1, in its efforts. The noise of AMP's policies
+# (0.055) is then about a fifth of an effort; twice as much threw a quadruped over.
+_EFFORTS_OF_AN_ACTION = 4.0
+_MAX_ACTION_RAD = 2.0
 
 _BALL = mujoco.mjtJoint.mjJNT_BALL
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
@@ -29,11 +39,15 @@ _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class Motor:
-    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None."""
+    """What a file says of a joint's motor: kp, kd and effort in the joint's units, or None.
+
+    A joint that follows another one (`mimic`) has no motor: a drive would pull against the other.
+    """
 
     kp: float | None = None
     kd: float | None = None
     effort: float | None = None
+    follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -50,19 +64,19 @@ class Drive:
 def choose_drives(
     model: mujoco.MjModel,
     motors: Mapping[str, Motor],
-    height: float,
+    weight_moment: float,
     patterns: Mapping[str, DriveSettings],
     where: str,
 ) -> list[Drive]:
     """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
 
     Without any of the user's, a position actuator of the file gives kp and kd. Otherwise kp follows
-    from the effort of the joint or its motor, which else follows from the weight.
+    from the effort of the joint or its motor, which else follows from the weight; kd from kp.
 
     Args:
         model: the robot.
         motors: what its file says, by joint.
-        height: of the robot's base above the floor (m).
+        weight_moment: the robot's weight times its height above the floor (Nm).
         patterns: names of joints to settings; the first that matches counts.
         where: key of the patterns, for messages.
 
@@ -77,7 +91,7 @@ def choose_drives(
     chosen = []
     for joint, name in zip(joints, names, strict=True):
         given = next((d for p, d in patterns.items() if fnmatchcase(name, p)), DriveSettings())
-        chosen.append(_drive(model, joint, motors.get(name, Motor()), height, given))
+        chosen.append(_drive(model, joint, motors.get(name, Motor()), weight_moment, given))
     return chosen
 
 
@@ -99,29 +113,58 @@ def _check_patterns(
 
 
 def _drive(
-    model: mujoco.MjModel, joint: int, motor: Motor, height: float, given: DriveSettings
+    model: mujoco.MjModel, joint: int, motor: Motor, weight_moment: float, given: DriveSettings
 ) -> Drive:
     dof = int(model.jnt_dofadr[joint])
     count = 3 if model.jnt_type[joint] == _BALL else 1
     inertia = float(np.max(model.dof_M0[dof : dof + count]))
-    weight = float(model.body_subtreemass[0]) * 9.81
     effort = given.effort or motor.effort
     if effort is None:
-        effort = min(_EFFORT_OF_WEIGHT * weight * height, _MAX_ACCELERATION * inertia)
+        effort = min(_EFFORT_OF_WEIGHT * weight_moment, _MAX_ACCELERATION * inertia)
     kp, kd = given.kp, given.kd
+    if kp is None and motor.follows:
+        kp = 0.0
     if kp is None:
-        stiffest = inertia * (2 * math.pi * _MAX_FREQUENCY_HZ) ** 2
-        kp = motor.kp or min(_KP_OF_EFFORT * effort, max(_KP_OF_EFFORT * weight * height, stiffest))
+        kp = motor.kp or _KP_OF_EFFORT * _useful(effort, weight_moment)
         kd = kd if kd is not None else motor.kd
     if kd is None:
         kd = _KD_OF_KP * kp
-    armature = float(model.dof_armature[dof]) if given.armature is None else given.armature
+    armature = given.armature
+    if armature is None:
+        armature = float(model.dof_armature[dof])
+    if given.armature is None and armature == 0 and kp > 0 and motor.kp is None:
+        armature = _ARMATURE_OF_EFFORT * _useful(effort, weight_moment)
     return Drive(model.joint(joint).name, kp, kd, effort, armature)
+
+
+def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
+    """Return how far an action of 1 moves targets (rad), if the user does not say so.
+
+    A typical drive, the median of all, would answer with four times its effort. It is 2 rad at
+    most.
+
+    Args:
+        drives: of all joints.
+        weight_moment: see `choose_drives`.
+    """
+    ratios = [_useful(drive.effort, weight_moment) / drive.kp for drive in drives if drive.kp > 0]
+    typical = float(np.median(ratios)) if ratios else _MAX_ACTION_RAD
+    return min(_EFFORTS_OF_AN_ACTION * typical, _MAX_ACTION_RAD)
+
+
+def _useful(effort: float, weight_moment: float) -> float:
+    return min(effort, _MOST_OF_WEIGHT * weight_moment)
 
 
 def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
     """Return what a file's actuators and limits of joints say, by name of the joint."""
-    return {model.joint(joint).name: _motor(model, joint) for joint in range(model.njnt)}
+    of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    followers = set(model.eq_obj1id[of_joints & (model.eq_obj2id >= 0)].tolist())
+    motors = {}
+    for joint in range(model.njnt):
+        motor = _motor(model, joint)
+        motors[model.joint(joint).name] = replace(motor, follows=joint in followers)
+    return motors
 
 
 def _motor(model: mujoco.MjModel, joint: int) -> Motor:

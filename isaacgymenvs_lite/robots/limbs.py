@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -14,7 +14,9 @@ from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points
 
 # Ends nearer to each other's branch than this part of the robot's size are fingers of one hand.
 _HAND_OF_SIZE = 0.12
-_TOUCH = 0.01  # m above the lowest point
+# Above the lowest point, in m or as a share of the base's height: toes and heel of a jointed foot.
+_TOUCH = 0.01
+_TOUCH_SHARE = 0.02
 
 
 def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
@@ -39,8 +41,9 @@ def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tup
 def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     """Return the last bodies of all limbs: hands, feet; a head or tail with joints of its own.
 
-    A limb is a chain with at least one joint. Bodies without shapes are frames, not ends; the
-    fingers of a hand count as the hand.
+    A limb is a chain with at least one joint. Of the bodies that are fixed to its last link
+    (rotors, shoulders, sensors, feet) the farthest one with a shape is the end; the fingers of a
+    hand count as the hand.
 
     Args:
         model: of a robot with a free root.
@@ -51,32 +54,51 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
     mujoco.mj_kinematics(model, data)
     size = float(np.ptp(data.xpos[1:], axis=0).max())
     children: dict[int, list[int]] = {}
-    for body in range(1, model.nbody):
-        children.setdefault(int(model.body_parentid[body]), []).append(body)
+    # A link's frame on a fixed joint may carry joints further down, a rotor's never does.
+    carries_joints = model.body_jntnum > 0
+    for body in range(model.nbody - 1, 0, -1):
+        parent = int(model.body_parentid[body])
+        children.setdefault(parent, []).insert(0, body)
+        carries_joints[parent] |= carries_joints[body]
 
     def ends(body: int) -> list[int]:
-        # A housing that is fixed to a link beside the next joint is no end.
-        own = children.get(body, [])
-        moving = [child for child in own if model.body_weldid[child] != model.body_weldid[body]]
-        below = [end for child in moving or own for end in ends(child)]
+        limbs = [child for child in children.get(body, []) if carries_joints[child]]
+        below = [end for limb in limbs for end in ends(limb)]
         far = np.linalg.norm(data.xpos[below] - data.xpos[body], axis=1).max() if below else 0.0
         if len(below) > 1 and far < _HAND_OF_SIZE * size and model.body_parentid[body] != 0:
             return [body]
-        if below:
-            return below
-        moves = model.body_weldid[body] != model.body_weldid[1]
-        return [body] if moves and model.body_geomnum[body] > 0 else []
+        return below or tip(body)
+
+    def tip(link: int) -> list[int]:
+        fixed = [body for body in _subtree(children, link) if model.body_geomnum[body] > 0]
+        if not fixed or model.body_weldid[link] == model.body_weldid[1]:
+            return []
+        return [
+            max(fixed, key=lambda body: float(np.linalg.norm(data.xpos[body] - data.xpos[link])))
+        ]
 
     return tuple(model.body(end).name for end in ends(1))
 
 
+def _subtree(children: Mapping[int, Sequence[int]], root: int) -> list[int]:
+    """Return a body and all bodies below it, parents first."""
+    found = [root]
+    for body in found:
+        found += children.get(body, [])
+    return found
+
+
 def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
-    """Return the bodies whose lowest points are within 1 cm of the robot's lowest one."""
+    """Return the bodies whose lowest points are near the robot's lowest one.
+
+    Near is 1 cm, or 2 % of the base's height above the floor if this is more.
+    """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     lows = lowest_points(model, data)
     lowest = min(lows.values())
+    near = max(_TOUCH, _TOUCH_SHARE * (float(data.xpos[1, 2]) - lowest))
     return tuple(
-        model.body(body).name for body, low in lows.items() if low < lowest + _TOUCH + CLEARANCE
+        model.body(body).name for body, low in lows.items() if low < lowest + near + CLEARANCE
     )

@@ -21,12 +21,19 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError, one_line, printable
 from isaacgymenvs_lite.robots import structure
-from isaacgymenvs_lite.robots.drives import Drive, add_drives, choose_drives, motors_of_file
+from isaacgymenvs_lite.robots.drives import (
+    Drive,
+    action_range,
+    add_drives,
+    choose_drives,
+    motors_of_file,
+)
 from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
-from isaacgymenvs_lite.robots.start_pose import initial_positions, start_pose
+from isaacgymenvs_lite.robots.stance import bend_legs
+from isaacgymenvs_lite.robots.start_pose import initial_positions, start_height, start_pose
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
@@ -43,6 +50,7 @@ class PreparedRobot:
         key_bodies: names of the bodies whose positions are observed, hands and feet mostly.
         contact_bodies: names of the bodies that may touch the floor.
         start_qpos: (Q,) the start pose, on the floor at x = y = 0.
+        action_range_rad: how far an action of 1 should move the drives' targets.
         notes: what was added, left out and fixed, in words.
     """
 
@@ -53,6 +61,7 @@ class PreparedRobot:
     key_bodies: tuple[str, ...]
     contact_bodies: tuple[str, ...]
     start_qpos: npt.NDArray[np.float64]
+    action_range_rad: float
     notes: tuple[str, ...]
 
     @property
@@ -128,22 +137,24 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
-    positions = initial_positions(keys, settings.start_pose, f"{where}.startPose")
     motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)
     if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
-    if settings.start_rotation is not None:
-        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
-        positions = {**positions, model.joint(0).name: root}
-    qpos = start_pose(model, positions, settings.start_height)
+    qpos, more = _start(keys, model, settings, f"{where}.startPose")
+    notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
-    drives = choose_drives(model, motors, float(qpos[2]), patterns, f"{where}.drives")
+    moment = _weight_moment(model, qpos)
+    drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
+    notes += _rotors_added(model, drives)
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
-    key_bodies = key_bodies or limb_ends(model, qpos)
+    ends = limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
+    if not set(ends) & set(contacts):
+        notes.append(f"stands on {', '.join(contacts)}, no end of a limb: startRotation turns it")
+    notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
@@ -154,11 +165,62 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
         model=final,
         layout=ModelLayout.from_model(final),
         drives=tuple(drives),
-        key_bodies=key_bodies,
+        key_bodies=key_bodies or ends,
         contact_bodies=contacts,
         start_qpos=qpos,
+        action_range_rad=action_range(drives, moment),
         notes=tuple(notes),
     )
+
+
+def _start(
+    keys: mujoco.MjModel, model: mujoco.MjModel, settings: RobotSettings, where: str
+) -> tuple[npt.NDArray[np.float64], list[str]]:
+    """Return the start pose (Q,), and a note on one that is no keyframe and not the user's.
+
+    Args:
+        keys: model of the robot's file, with its keyframes.
+        model: of the robot with its free root.
+        settings: what the user says of it.
+        where: key of the pose, for messages.
+    """
+    positions = initial_positions(keys, settings.start_pose, where)
+    if settings.start_rotation is not None:
+        root = np.array([0, 0, 0, *wxyz_from_xyzw(torch.tensor(settings.start_rotation))])
+        positions = {**positions, model.joint(0).name: root}
+    height = settings.start_height
+    qpos = start_pose(model, positions, height)
+    if settings.start_pose is not None or keys.nkey > 0:
+        return qpos, []
+    note = "start pose: no keyframe in the file: joints at zero within limits"
+    bent = bend_legs(model, qpos)
+    if bent is None:
+        return qpos, [note]
+    bent[2] = start_height(model, bent) if height is None else height
+    return bent, [f"{note}, legs bent with each foot below its hip"]
+
+
+def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
+    """Return a note on joints whose file has no armature and whose drive has one."""
+    without = [d for d in drives if model.dof_armature[model.joint(d.joint).dofadr[0]] == 0]
+    added = [drive.armature for drive in without if drive.armature > 0]
+    if not added:
+        return []
+    return [f"rotors' inertia for {len(added)} joints, {min(added):.2g} to {max(added):.2g} kg m^2"]
+
+
+def _weight_moment(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
+    """Return the weight times the height (Nm) of the base, or of the mass if this is higher.
+
+    The base of some files is a point on the ground.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.qpos[2] = start_height(model, qpos)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    height = max(float(data.qpos[2]), float(data.subtree_com[1, 2]))
+    return float(model.body_subtreemass[0]) * 9.81 * height
 
 
 def _make_robot(spec: mujoco.MjSpec) -> list[str]:

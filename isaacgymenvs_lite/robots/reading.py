@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 import mujoco
 
-from isaacgymenvs_lite.errors import ConfigError, one_line, printable
+from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
 from isaacgymenvs_lite.robots.mesh_files import MESH_SUFFIXES, AssetFiles, is_small_png
 from isaacgymenvs_lite.robots.xml_files import MAX_ELEMENTS, find_below, read_xml, robot_folders
 
@@ -193,6 +193,21 @@ def _take_mjcf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
                 del material.attrib["texture"]
             for layer in [one for one in material if one.get("texture") in dropped]:
                 material.remove(layer)
+    _drop_unknown_materials(root, notes)
+
+
+def _drop_unknown_materials(root: ET.Element, notes: list[str]) -> None:
+    """Remove the names of materials that the file does not define: colours only."""
+    known = {asset.get("name") for asset in root.findall("asset/material")}
+    unknown = [
+        element
+        for element in root.iter()
+        if element.tag in ("geom", "site", "spatial") and "material" in element.attrib
+        if element.get("material") not in known
+    ]
+    names = sorted({element.attrib.pop("material") for element in unknown})
+    if names:
+        notes.append(f"left out materials that the file does not define: {listed(names)}")
 
 
 def _leave_out(root: ET.Element, notes: list[str]) -> None:

@@ -22,7 +22,7 @@ class DriveSettings:
     effort: float | None = setting(None, above=0, maximum=_MAX_GAIN)
     """Largest torque in Nm, in both directions."""
     armature: float | None = setting(None, minimum=0, maximum=_MAX_GAIN)
-    """Inertia of the motor's rotor at the joint in kg m^2; null leaves the file's."""
+    """Inertia of the motor's rotor at the joint in kg m^2; null: the file's, else by the effort."""
 
 
 @dataclass(frozen=True, kw_only=True)

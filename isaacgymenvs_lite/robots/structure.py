@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
 _EQUALITY = mujoco.mjtEq
+_OVERLAP = 0.002  # m, by which bodies that touch in a start pose may overlap
 
 
 def name_everything(spec: mujoco.MjSpec) -> list[str]:
@@ -153,6 +156,33 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
             spec.delete(equality)
             notes.append(f"released '{names[0] if names else '?'}', which was held in the world")
     return notes
+
+
+def part_overlapping_bodies(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: npt.NDArray[np.float64]
+) -> list[str]:
+    """Exclude contacts of bodies that overlap in the start pose; return notes.
+
+    MuJoCo takes the convex hulls of meshes, in which a trunk often holds the thighs.
+
+    Args:
+        spec: of the robot, changed.
+        model: `spec`, compiled.
+        qpos: (Q,) the start pose.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    found = {
+        tuple(sorted(int(model.geom_bodyid[geom]) for geom in contact.geom))
+        for contact in data.contact
+        if contact.dist < -_OVERLAP
+    }
+    pairs = [(model.body(one).name, model.body(other).name) for one, other in sorted(found) if one]
+    for one, other in pairs:
+        spec.add_exclude(bodyname1=one, bodyname2=other)
+    together = _listed(f"{one} and {other}" for one, other in pairs)
+    return [f"overlap in the start pose and do not touch: {together}"] if pairs else []
 
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:

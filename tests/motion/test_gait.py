@@ -154,8 +154,10 @@ def test_legs_are_found_in_any_order(tmp_path) -> None:
 )
 def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
     places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
-    own = load_robot(quadruped_of(tmp_path, places))
-    clip = make_gait(own, GaitSettings(speed=0.3, seconds=0.5, knees=knees))
+    settings = GaitSettings(speed=0.3, seconds=0.5, knees=knees)
+    clip = load_robot_npz(
+        write_gait(str(quadruped_of(tmp_path, places)), str(tmp_path / "out.npz"), settings)
+    )
     # A knee is behind where the shank turns forward: a negative angle about y (to the left).
     angles = clip.dof_pos[:, [2, 5, 8, 11]]
     assert (np.sign(angles) == [front, front, rear, rear]).all()

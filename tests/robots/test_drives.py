@@ -6,7 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from isaacgymenvs_lite.robots.load import prepare_robot
+from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot, prepare_robot
+from isaacgymenvs_lite.robots.settings import RobotSettings
+from isaacgymenvs_lite.schema import read_section
 from tests.robots.texts import LEG, mjcf
 
 
@@ -24,34 +27,90 @@ def test_position_actuators_of_the_file_give_the_gains():
     assert (hip.kp, hip.kd, hip.effort) == (120, 16, 10)  # gear counts twice for gains
 
 
+def prepared(effort: float) -> PreparedRobot:
+    leg = LEG.replace('name="knee"', f'name="knee" actuatorfrcrange="-{effort} {effort}"')
+    return prepare_robot(mujoco.MjSpec.from_string(mjcf(leg=leg)))
+
+
+def weight_moment(robot: PreparedRobot) -> float:
+    return float(robot.model.body_subtreemass[0]) * 9.81 * robot.start_height
+
+
 def test_motors_give_the_effort():
-    one = '<motor joint="hip" gear="40" ctrlrange="-0.5 0.5"/>'
+    one = '<motor joint="hip" gear="4" ctrlrange="-0.5 0.5"/>'
     hip, _knee = drives(mjcf(rest=actuators(one)))
-    assert hip.effort == 20
-    assert hip.kp == pytest.approx(60)
-    assert hip.kd == pytest.approx(6)
+    assert (hip.effort, hip.kp) == (2, 8)
+    assert hip.kd == pytest.approx(0.24)
 
 
 def test_limits_of_joints_give_the_effort():
-    leg = LEG.replace('name="knee"', 'name="knee" actuatorfrcrange="-9 9"')
-    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf(leg=leg)))
-    assert robot.drives[1].effort == 9
+    robot = prepared(effort=3)
+    assert robot.drives[1].effort == 3
     assert not robot.model.jnt_actfrclimited.any()  # the drive's own limit counts
 
 
 def test_without_efforts_the_weight_counts():
     robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()))
-    weight = robot.model.body_subtreemass[0] * 9.81
     hip = robot.drives[0]
-    assert hip.effort == pytest.approx(0.35 * weight * robot.start_height)
-    assert hip.kp == pytest.approx(3 * hip.effort)
+    assert hip.effort == pytest.approx(0.35 * weight_moment(robot))
+    assert hip.kp == pytest.approx(4 * hip.effort)
 
 
 def test_efforts_beyond_reason_do_not_make_gains_beyond_reason():
-    leg = LEG.replace('name="knee"', 'name="knee" actuatorfrcrange="-1e5 1e5"')
-    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf(leg=leg)))
+    robot = prepared(effort=1e5)
     assert robot.drives[1].effort == 1e5
-    assert robot.drives[1].kp < 1000
+    assert robot.drives[1].kp == pytest.approx(4 * 0.6 * weight_moment(robot))
+
+
+@pytest.mark.parametrize(
+    ("gains", "wanted"),
+    [
+        ({}, 1.0),  # the project's own: four times an effort in Nm for an error of 1 rad
+        ({"*": {"kp": 10.0, "effort": 2.0}}, 0.8),
+        ({"*": {"kp": 0.5, "effort": 2.0}}, 2.0),  # the most
+    ],
+)
+def test_an_action_of_one_is_worth_four_efforts(gains, wanted):
+    settings = read_section(RobotSettings, {"drives": gains}, "robot")
+    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
+    assert robot.action_range_rad == pytest.approx(wanted)
+
+
+def test_the_shipped_robots_keep_their_actions():
+    assert load_robot(assets_dir() / "mjcf/g1.xml").action_range_rad == 2.0
+    quadruped = load_robot(assets_dir() / "mjcf/quadruped.xml")
+    assert quadruped.action_range_rad == pytest.approx(4 * 23.7 / 100)
+
+
+def test_drives_are_stable_whatever_they_carry():
+    """Any targets in steps of 8.3 ms: a toe of 1 g with a motor of 5 Nm, no rotors in the file."""
+    toe = """<body name="toe" pos="0 0 -0.1"><joint name="toe" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.02" size="0.003" mass="1e-3"/></body>"""
+    leg = LEG.replace("</body></body>", f"</body>{toe}</body>")
+    one = '<motor joint="toe" ctrlrange="-5 5"/>'
+    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf(leg=leg, rest=actuators(one))))
+    assert robot.drives[2].armature == pytest.approx(1.5e-4 * 5)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    model.opt.timestep = 0.0083
+    data.qpos[:] = robot.start_qpos
+    rng = np.random.default_rng(0)
+    fastest = 0.0
+    for _ in range(100):
+        data.ctrl[:] = robot.start_qpos[7:] + rng.uniform(-1, 1, 3) * robot.action_range_rad
+        mujoco.mj_step(model, data, 4)
+        fastest = max(fastest, float(np.abs(data.qvel).max()))
+    assert fastest < 100
+    assert not any(warning.number for warning in data.warning)
+
+
+@pytest.mark.parametrize(
+    ("joint", "gains"),
+    [('armature="0.2"', ""), ("", '<position joint="hip" kp="30" forcerange="-5 5"/>')],
+)
+def test_rotors_and_gains_of_the_file_stay(joint, gains):
+    leg = LEG.replace('<joint name="hip"', f'<joint name="hip" {joint}')
+    hip, _knee = drives(mjcf(leg=leg, rest=actuators(gains)))
+    assert hip.armature == (0.2 if joint else 0.0)
 
 
 def test_ball_joints_have_three_drives_in_the_order_of_the_degrees_of_freedom():

@@ -46,7 +46,9 @@ def test_a_complete_robot():
     # below the knee, which is 0.3 m below the base and turned about x by 0.2 rad.
     np.testing.assert_allclose(robot.start_qpos[7:], [0, 0.2])
     assert robot.start_height == pytest.approx(0.3 + 0.1 * np.cos(0.2) + 0.05 + 0.001, abs=1e-9)
-    assert robot.notes == ("added a floor",)
+    start = "start pose: no keyframe in the file: joints at zero within limits"
+    rotors = "rotors' inertia for 2 joints, 0.00074 to 0.00074 kg m^2"
+    assert robot.notes == (start, rotors, "added a floor")
     assert any("hip, knee" in line for line in robot.describe())
 
 
@@ -111,6 +113,33 @@ def test_scenery_and_objects_are_left_out():
     np.testing.assert_allclose(robot.start_qpos[7:], [0.5, 0.6])
 
 
+def test_bodies_that_overlap_at_the_start_do_not_touch():
+    """Of the laikago: in MuJoCo's hull of the trunk's mesh are the thighs."""
+    leg = LEG.replace('size="0.05" pos="0 0 -0.1"', 'size="0.05" pos="0 0 0.2"')
+    robot = prepared(mjcf(leg=leg))  # the foot's ball is in the base's box
+    assert "overlap in the start pose and do not touch: base and foot" in robot.notes
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.start_qpos
+    data.qpos[2] += 1
+    mujoco.mj_forward(robot.model, data)
+    assert data.ncon == 0
+
+
+def test_a_base_on_the_ground_has_the_drives_of_one_above_it():
+    """Of files that begin at `base_footprint`; the mass is at 0.76 of the base's height."""
+    lifted = LEG.replace('pos="0 0 -0.1"><joint', 'pos="0 0 0.35"><joint')
+    on_ground = prepared(mjcf(leg=lifted).replace('mass="2"', 'mass="2" pos="0 0 0.45"'))
+    above = prepared(mjcf())
+    assert on_ground.start_height == pytest.approx(above.start_height - 0.45)
+    assert on_ground.drives[0].effort == pytest.approx(0.76 * above.drives[0].effort, rel=0.01)
+
+
+def test_a_robot_that_lies_is_noted():
+    leg = LEG.replace('pos="0 0 -0.1"', 'pos="0 0 0.4"')
+    (note,) = [note for note in prepared(mjcf(leg=leg)).notes if "startRotation" in note]
+    assert note.startswith("stands on base, no end of a limb")
+
+
 def test_all_that_can_touch_touches_the_floor():
     leg = LEG.replace("<geom", '<geom contype="0" conaffinity="4"')
     robot = prepared(mjcf(leg=leg))
@@ -136,6 +165,8 @@ def test_urdf_with_fixed_hand_and_mimic(tmp_path):
     assert robot.layout.dof_names == ("shoulder", "grip")
     assert "joint 'grip' follows 'shoulder'" in robot.notes
     assert robot.drives[0].effort == 7
+    assert robot.drives[0].kp > 0
+    assert (robot.drives[1].kp, robot.drives[1].kd) == (0, 0)  # the other one's drive moves it
     assert robot.model.eq_data[0, :2].tolist() == [0.5, 2.0]
 
 

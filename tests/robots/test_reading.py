@@ -10,7 +10,7 @@ import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.robots.reading import MAX_BODIES, read_robot, read_robot_file
-from tests.robots.texts import TETRAHEDRON, mjcf, urdf, written
+from tests.robots.texts import LEG, TETRAHEDRON, mjcf, urdf, written
 
 MESH = '<asset><mesh file="{}"/></asset>'
 
@@ -171,3 +171,10 @@ def test_textures_without_a_small_png_are_left_out(tmp_path):
     robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
     assert robot.spec.compile().ntex == 0
     assert "t, u" in robot.notes[0]
+
+
+def test_materials_that_the_file_does_not_define_are_left_out(tmp_path):
+    leg = LEG.replace("<geom", '<geom material="geom"')
+    robot = read_robot_file(written(tmp_path / "r.xml", mjcf(leg=leg)))
+    robot.spec.compile()
+    assert robot.notes == ("left out materials that the file does not define: geom",)

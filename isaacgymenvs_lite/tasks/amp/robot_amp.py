@@ -37,8 +37,9 @@ class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
     """Bodies that may touch the floor, names or patterns; (): what touches it in the start pose."""
     termination_height: float | None = setting(None, key="terminationHeight", above=0)
     """A touched robot with a body below this height (m) fell; null: a share of the start height."""
-    action_scale: float = setting(2.0, key="actionScale", above=0, maximum=100)
-    """Targets of the drives are the start pose + actionScale * action, in rad."""
+    action_scale: float | None = setting(None, key="actionScale", above=0, maximum=100)
+    """Targets of the drives are the start pose + actionScale * action, in rad; null: found from
+    their gains and efforts."""
     enforce_effort_limits: bool = setting(True, key="enforceEffortLimits")
     """Limit the drives' torques to the robot's efforts."""
     asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
@@ -68,12 +69,17 @@ class RobotAMP(HumanoidAMP):
         """Return the model of the robot on a floor; log what was taken and added."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
-        _log_once(tuple(self._robot.describe()))
+        scale = f"actionScale: {self._action_scale_rad():.3g} rad"
+        _log_once((*self._robot.describe(), scale))
         friction = self.env_cfg.plane.dynamic_friction
         model = compile_spec(self._robot.spec, path, self.sim_cfg, friction)
         set_actuators(model, self.env_cfg)
         self._skeleton = Skeleton.from_model(model, str(path))
         return model
+
+    def _action_scale_rad(self) -> float:
+        given = self.env_cfg.action_scale
+        return self._robot.action_range_rad if given is None else given
 
     def key_body_names(self) -> tuple[str, ...]:
         """Return the bodies whose positions are observed."""
@@ -103,7 +109,7 @@ class RobotAMP(HumanoidAMP):
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
         """Return offset and scale (D,) of PD targets: the start pose, and `actionScale`."""
         offset = self.default_pose()[1].to(lower)
-        return offset, torch.full_like(offset, self.env_cfg.action_scale)
+        return offset, torch.full_like(offset, self._action_scale_rad())
 
 
 @functools.lru_cache(maxsize=1)

@@ -127,6 +127,9 @@ def test_actions_move_the_targets_from_the_start_pose(make_walker):
     torch.testing.assert_close(task.compute_controls(torch.zeros(4, 8)), start.expand(4, 8))
     moved = task.compute_controls(torch.ones(4, 8)) - start
     torch.testing.assert_close(moved, torch.full((4, 8), 0.5))
+    # Drives that are found answer to 1 rad with four efforts, which an action of 1 is worth.
+    scale = make_walker().action_scaling().scale
+    torch.testing.assert_close(scale, torch.ones(8))
 
 
 def test_a_robot_stands_in_its_start_pose_and_its_feet_are_no_fall(make_walker):
