@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError, suggest
@@ -27,6 +26,7 @@ from isaacgymenvs_lite.motion.formats.robot_clip import (
     looks_like_joint_clip,
     read_joint_clip,
 )
+from isaacgymenvs_lite.motion.joint_clip import QuatOrder
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_dofs
 from isaacgymenvs_lite.motion.skeleton import (
     SHIPPED_NUM_DOFS,
@@ -49,8 +49,8 @@ class JointFileSettings:
 
     fps: float | None = None
     """Frames per second of a table without a rate; None: as usual for its form."""
-    quat_order: Literal["xyzw", "wxyz"] = "xyzw"
-    """"wxyz": the file's quaternions are not in the order of its format."""
+    quat_order: QuatOrder | None = None
+    """Of the file's quaternions; None: see `read_joint_clip`."""
     by_order: bool = False
     """The order of the joints counts, not their names."""
 
