@@ -40,7 +40,7 @@ _DATASET_SUFFIXES = (".yaml", ".yml")
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 # Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
 _MAX_REPEATED_POSES = 160_000
-_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
+_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,9 +70,16 @@ def shipped_robot_motions_dir() -> Path:
 
 def shipped_motions() -> list[str]:
     """Return the names, without suffix, of the clips that come with the project."""
-    return sorted(
-        {path.stem for path in shipped_motions_dir().glob("*") if path.suffix in _GUESSED_SUFFIXES}
-    )
+    return _clips_in(shipped_motions_dir())
+
+
+def shipped_robot_motions() -> list[str]:
+    """Return the names, without suffix, of the robots' clips that come with the project."""
+    return _clips_in(shipped_robot_motions_dir())
+
+
+def _clips_in(folder: Path) -> list[str]:
+    return sorted({path.stem for path in folder.glob("*") if path.suffix in _GUESSED_SUFFIXES})
 
 
 def load_clips(
@@ -190,10 +197,11 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
                     return path
     looked = " and ".join(str(folder.absolute()) for folder in folders)
     where = "" if Path(name).is_absolute() else f" in {looked}"
-    shipped = shipped_motions()
+    shipped, of_robots = shipped_motions(), shipped_robot_motions()
     raise MotionFileError(
-        f"motion file '{name}' not found{where}{suggest(Path(name).stem, shipped)}; "
-        f"shipped clips: {', '.join(shipped) or 'none'}; {PREFIX}<name> for DeepMimic's"
+        f"motion file '{name}' not found{where}{suggest(Path(name).stem, (*shipped, *of_robots))}; "
+        f"shipped clips: {', '.join(shipped) or 'none'}; of robots: {', '.join(of_robots)}; "
+        f"{PREFIX}<name> for DeepMimic's"
     )
 
 
@@ -241,7 +249,8 @@ def _load_file(
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if path.suffix not in readers:
-        hint = f"; convert it first: {_CONVERT}" if path.suffix == ".bvh" else ""
+        of_whom = "mapping=NAME" if skeletons[0].has_simple_joints else "robot=FILE"
+        hint = f"; convert it first: {_CONVERT} {of_whom}" if path.suffix == ".bvh" else ""
         raise MotionFileError(
             f"{path}: a clip ends in {', '.join((*readers, *PICKLES))} and a data set in .yaml, "
             f"found '{path.suffix}'{hint}"

@@ -63,6 +63,11 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
     with reading(path, "table of a robot's joint angles"):
         lines, file_fps = read_lines(Path(path))
         width = len(lines[0])
+        if width == 1:
+            raise MotionFileError(
+                f"{path}: has one column, expected several with commas between them; the first "
+                f"line begins with '{lines[0][0][:40]}'"
+            )
         if width > MAX_COLUMNS or max(map(len, lines[0])) > MAX_COLUMN_LENGTH:
             raise MotionFileError(
                 f"{path}: the first line has {width} columns of up to {max(map(len, lines[0]))} "

@@ -217,6 +217,7 @@ def test_wrong_rate_is_reported(tmp_path, caplog):
     ("content", "match"),
     [
         ("1,2,3\n1,2,3\n", "3 columns and no header"),
+        ("1;2;3\n1;2;3\n", "has one column, expected several with commas .* begins with '1;2;3'"),
         ("0,0,1,0,0,0,1,0\n0,0,1,0,0,0,1\n", "row 2 has 7 values"),
         ("0,0,1,0,0,0,1,nan\n0,0,1,0,0,0,1,0\n", "NaN"),
         ("0,0,1,0,0,0,2,0\n0,0,1,0,0,0,1,0\n", "no unit quaternion"),
