@@ -271,6 +271,7 @@ def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings)
         if shipped_humanoid_with(skeleton.body_names) is None:
             raise
         raise MotionFileError(f"{error}; {ROBOT_HINT}") from error
+    joints.check_limits(skeleton.dof_limits)
     qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
     return clip_from_qpos(str(path), joints.fps, skeleton, qpos)
 
