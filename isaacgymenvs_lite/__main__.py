@@ -15,6 +15,7 @@ PACKAGE = "isaacgymenvs_lite"
 COMMANDS = (
     *("train", "check", "demo", "report", "export", "policies", "workflows", "alias"),
     *(
+        "motion.robot",
         "motion.view",
         "motion.plot",
         "motion.strip",

@@ -185,6 +185,11 @@ class BodyStates(Protocol):
         """(N, 13) position, quaternion xyzw, linear and angular velocity."""
         ...
 
+    @property
+    def dof_pos(self) -> Tensor:
+        """(N, D) rad, angles of hinges and rotation vectors of ball joints."""
+        ...
+
 
 class ReferenceEnv(Env, Protocol):
     """A task whose motion is compared with its reference motions."""

@@ -265,19 +265,27 @@ def _write_robot_pickles(folder: Path) -> list[Path]:
     frames = np.hstack((clip.root_pos, clip.root_rot[:, :3], clip.dof_pos)).tolist()
     keys = ("fps", "root_pos", "root_rot", "dof_pos")
     written = []
-    for name, data in (
-        ("gmr", {key: getattr(clip, key) for key in keys}),
-        ("mimickit", {"fps": 30, "loop_mode": 0, "frames": frames}),
+    for name, protocol, data in (
+        ("gmr", 4, {key: getattr(clip, key) for key in keys}),
+        ("gmr_5", 5, {key: getattr(clip, key) for key in keys}),
+        ("mimickit", 4, {"fps": 30, "loop_mode": 0, "frames": frames}),
     ):
         written.append(folder / f"{name}.pkl")
-        written[-1].write_bytes(pickle.dumps(data, protocol=4))
+        written[-1].write_bytes(pickle.dumps(data, protocol=protocol))
     return written
 
 
 KINDS = (
     Kind("robot_csv", ".csv", _write_robot_csv, read_joint_clip, mutate_text, hostile.csv),
-    Kind("robot_npz", ".npz", _write_robot_npz, read_joint_clip, mutate_npz, hostile.npz),
-    Kind("robot_pickle", ".pkl", _write_robot_pickles, read_joint_clip, mutate_pickle),
+    Kind("robot_npz", ".npz", _write_robot_npz, read_joint_clip, mutate_npz, hostile.robot_npz),
+    Kind(
+        "robot_pickle",
+        ".pkl",
+        _write_robot_pickles,
+        read_joint_clip,
+        mutate_pickle,
+        hostile.robot_pickles,
+    ),
     Kind("npz", ".npz", _write_npz, _play, mutate_npz, hostile.npz, _convert),
     Kind("poselib", ".npy", _write_poselib, _play, mutate_object_npy, hostile.poselib, _convert),
     Kind(

@@ -9,6 +9,7 @@ import io
 import json
 import pickle
 import struct
+import warnings
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -98,36 +99,64 @@ def datasets(canary: Path) -> _Files:
 
 
 def npz(canary: Path) -> _Files:
-    """Yield archives."""
-    yield "zip_bomb_unread_key", _archive({"unread": b"\0" * (1024 * _MB // 4)})
-    header = _npy_header("<f4", (2**28,))
-    yield "promise", _archive({"fps": header})
-    yield "bomb", _archive({"local_rotation": header + b"\0" * (256 * _MB)})
-    yield "huge_shape", _archive({"fps": _npy_header("<f8", (2**62, 8))})
-    yield "negative_shape", _archive({"fps": _npy_header("<f8", (-1,))})
-    yield "no_size", _archive({"body_names": _npy_header("<U0", (2**60,))})
-    yield "no_size_2", _archive({"body_names": _npy_header("<U0", (10**9, 3))})
-    yield "wide_names", _archive({"body_names": _npy_header("<U100000000", (2,))})
-    yield "bool_shape", _archive({"fps": _npy_header("<f8", (True,)) + b"\0" * 8})
-    yield "many_dimensions", _archive({"fps": _npy_header("<f8", (1,) * 64) + b"\0" * 8})
-    yield "too_many_dimensions", _archive({"fps": _npy_header("<f8", (1,) * 90) + b"\0" * 8})
-    yield "object", _archive({"fps": _npy_header("|O", ()) + _code(canary)})
-    yield "nested_type", _archive({"fps": _npy_text("[" * 3000)})
-    yield "code_in_header", _archive({"fps": _npy_text("__import__('os').abort()")})
-    yield "long_header", _archive({"fps": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1)})
-    yield "version", _archive({"fps": b"\x93NUMPY\x09\x00" + b"\0" * 100})
-    yield "no_npy", _archive({"fps": b"text", "body_names": b""})
-    yield "many_members", _archive({f"k{i}": b"" for i in range(40_000)})
+    """Yield archives of a humanoid's clip."""
+    yield from _archives(canary, _HUMANOIDS, "body_names")
+    yield "zip_bomb_unread_key", _archive(_HUMANOIDS, {"unread": b"\0" * (256 * _MB)})
+    bomb = _npy_header("<f4", (2**28,)) + b"\0" * (256 * _MB)
+    yield "bomb", _archive(_HUMANOIDS, {"local_rotation": bomb})
+
+
+def robot_npz(canary: Path) -> _Files:
+    """Yield archives of a robot's clip."""
+    yield from _archives(canary, _ROBOTS, "joint_names")
+    tracking = {"fps": _npy(np.array([50])), "joint_pos": _npy(np.zeros((3, 2)))}
+    places = _npy_header("|i1", (2, 4_000_000, 3)) + b"\0" * 24_000_000
+    turns = _npy_header("|i1", (2, 4_000_000, 4)) + b"\1" * 32_000_000
+    yield "bodies", _archive(tracking, {"body_pos_w": places, "body_quat_w": turns})
+    yield "number_types", _archive(_ROBOTS, {"dof_pos": _npy(np.zeros((2, 2 * 10**7), np.int8))})
+    twice = io.BytesIO(_archive(_ROBOTS, {}))
+    with warnings.catch_warnings(), zipfile.ZipFile(twice, "a") as archive:
+        warnings.simplefilter("ignore")  # of the double name
+        archive.writestr("fps.npy", _npy(np.array(1e300)))
+    yield "twice", twice.getvalue()
+
+
+def _archives(canary: Path, small: dict[str, bytes], names: str) -> _Files:
+    """Yield archives with the members of a valid clip, some of them replaced by hostile ones."""
+
+    def archive(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+        return _archive(small, members, method)
+
+    yield "promise", archive({"fps": _npy_header("<f4", (2**28,))})
+    yield "huge_shape", archive({"fps": _npy_header("<f8", (2**62, 8))})
+    yield "negative_shape", archive({"fps": _npy_header("<f8", (-1,))})
+    yield "no_size", archive({names: _npy_header("<U0", (2**60,))})
+    yield "no_size_2", archive({names: _npy_header("<U0", (10**9, 3))})
+    yield "wide_names", archive({names: _npy_header("<U100000000", (2,))})
+    yield "bool_shape", archive({"fps": _npy_header("<f8", (True,)) + b"\0" * 8})
+    yield "many_dimensions", archive({"fps": _npy_header("<f8", (1,) * 64) + b"\0" * 8})
+    yield "too_many_dimensions", archive({"fps": _npy_header("<f8", (1,) * 90) + b"\0" * 8})
+    yield "object", archive({"fps": _npy_header("|O", ()) + _code(canary)})
+    yield "nested_type", archive({"fps": _npy_text("[" * 3000)})
+    yield "code_in_header", archive({"fps": _npy_text("__import__('os').abort()")})
+    yield "long_header", archive({"fps": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1)})
+    yield "version", archive({"fps": b"\x93NUMPY\x09\x00" + b"\0" * 100})
+    yield (
+        "many_names",
+        archive({names: _npy_header("<U1", (10**7,)) + b"a\0\0\0" * (10**7)}),
+    )
+    yield "no_npy", archive({"fps": b"text", names: b""})
+    yield "many_members", archive({f"k{i}": b"" for i in range(40_000)})
     yield "object_file", b"\x93NUMPY\x01\x00" + _code(canary)
     yield "pickle", _code(canary)
     yield "single_array", _npy_header("<f8", (2**28,))
-    yield "odd_names", _archive({"\x1b[31m\n/../../fps": b"", "x" * 60_000: b""})
+    yield "odd_names", archive({"\x1b[31m\n/../../fps": b"", "x" * 60_000: b""})
     yield "empty", b""
     for method in (12, 14):  # bzip2, lzma
-        yield f"method_{method}", _archive({"fps": b"\0" * (4 * _MB)}, method)
+        yield f"method_{method}", archive({"fps": b"\0" * (4 * _MB)}, method)
     yield (
         "lzma_dictionary",
-        _patched(_archive({"fps": bytes(1000)}, 14), b"\x5d", struct.pack("<BI", 0x5D, 2**32 - 1)),
+        _patched(archive({"fps": bytes(1000)}, 14), b"\x5d", struct.pack("<BI", 0x5D, 2**32 - 1)),
     )
 
 
@@ -191,6 +220,24 @@ def poselib(canary: Path) -> _Files:
     yield "header_nested", _npy_text("(" * 9000)
     yield "numbers", _npy_header("<f8", (2**30,))
     yield "empty", b""
+
+
+def robot_pickles(canary: Path) -> _Files:
+    """Yield pickles: those of poselib without the header, and what only protocol 5 has."""
+    header = _npy_header("|O", ())
+    for name, content in poselib(canary):
+        yield name, content.removeprefix(header)
+    yield "code_5", pickle.dumps(_Touch(canary), protocol=5)
+    for name, size in (("buffer", 10**10), ("longer_buffer", 2**64 - 1)):
+        yield name, b"\x80\x05\x96" + struct.pack("<Q", size) + b"."
+    yield "buffers_elsewhere", b"\x80\x05\x97\x98."
+    buffer = b"cnumpy._core.numeric\n_frombuffer\n("
+    yield "buffer_of_lists", buffer + b"]]]]tR."
+    yield "buffer_of_itself", buffer + b"C\0cnumpy\ndtype\n(X\2\0\0\0f8tR(K\0tX\1\0\0\0CtRq\1h\1b."
+    texts = ["x" * (4 * _MB), *("y" for _ in range(10**5))]
+    yield "texts", pickle.dumps({"fps": 30, "frames": texts}, protocol=4)
+    numbers = np.zeros((10**5, 1000), np.int8)
+    yield "number_types", pickle.dumps({"fps": 30, "frames": numbers}, protocol=5)
 
 
 def json_clips(canary: Path) -> _Files:
@@ -356,12 +403,20 @@ def _npy_text(header: str) -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
-def _archive(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
-    """Return an archive with these members; those of a valid clip are small."""
+def _archive(
+    small: dict[str, bytes], members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED
+) -> bytes:
+    """Return an archive with the members of a valid clip, `small`, and these in their place."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", method, compresslevel=1) as out:
-        for key, content in (_SMALL | members).items():
+        for key, content in (small | members).items():
             out.writestr(f"{key}.npy", content)
+    return stream.getvalue()
+
+
+def _npy(value: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, value)
     return stream.getvalue()
 
 
@@ -370,20 +425,18 @@ def _patched(data: bytes, old: bytes, new: bytes) -> bytes:
     return data[:place] + new + data[place + len(new) :]
 
 
-def _small_members() -> dict[str, bytes]:
-    members = {}
-    for key, value in {
-        "fps": np.array(30.0),
-        "body_names": np.array(["a"]),
-        "parent_indices": np.array([-1]),
-        "local_translation": np.zeros((1, 3)),
-        "local_rotation": np.tile((0.0, 0.0, 0.0, 1.0), (3, 1, 1)),
-        "root_translation": np.zeros((3, 3)),
-    }.items():
-        stream = io.BytesIO()
-        np.save(stream, value)
-        members[key] = stream.getvalue()
-    return members
-
-
-_SMALL = _small_members()
+_HUMANOIDS = {
+    "fps": _npy(np.array(30.0)),
+    "body_names": _npy(np.array(["a"])),
+    "parent_indices": _npy(np.array([-1])),
+    "local_translation": _npy(np.zeros((1, 3))),
+    "local_rotation": _npy(np.tile((0.0, 0.0, 0.0, 1.0), (3, 1, 1))),
+    "root_translation": _npy(np.zeros((3, 3))),
+}
+_ROBOTS = {
+    "fps": _npy(np.array(30.0)),
+    "joint_names": _npy(np.array(["a", "b"])),
+    "root_pos": _npy(np.zeros((3, 3))),
+    "root_rot": _npy(np.tile((0.0, 0.0, 0.0, 1.0), (3, 1))),
+    "dof_pos": _npy(np.zeros((3, 2))),
+}

@@ -28,7 +28,12 @@ from isaacgymenvs_lite.checkpoints.run_config import (
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
-from isaacgymenvs_lite.motion.loader import shipped_motions, shipped_motions_dir
+from isaacgymenvs_lite.motion.loader import (
+    shipped_motions,
+    shipped_motions_dir,
+    shipped_robot_motions,
+    shipped_robot_motions_dir,
+)
 from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
@@ -250,9 +255,10 @@ def _shipped_clip(clip: str) -> str:
     file = Path(clip)
     if is_package_name(clip):
         return clip
-    ours = file.parent in (Path(), shipped_motions_dir())
-    if not ours or file.stem not in shipped_motions():
-        choices = f"{', '.join(shipped_motions())}, {PREFIX}<name>"
+    names = (*shipped_motions(), *shipped_robot_motions())
+    ours = file.parent in (Path(), shipped_motions_dir(), shipped_robot_motions_dir())
+    if not ours or file.stem not in names:
+        choices = f"{', '.join(names)}, {PREFIX}<name>"
         raise ConfigError(
             f"the policy imitates {clip}, which does not ship with the project; name the clip"
             f" to show beside it with clip=NAME: {choices}"

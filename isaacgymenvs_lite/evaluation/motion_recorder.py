@@ -12,13 +12,18 @@ from isaacgymenvs_lite.env_interface import ReferenceEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
-from isaacgymenvs_lite.motion.kinematics import local_rotations
+from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
+from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 
 log = logging.getLogger(__name__)
 
 
 class MotionRecorder:
     """Records the first episode of environment 0 of a task with reference motions.
+
+    A humanoid's clip has the rotations of its bodies, a robot's the coordinates of its joints, as
+    the clips of `motion.convert`.
 
     Args:
         env: the task.
@@ -43,38 +48,60 @@ class MotionRecorder:
             )
         self._rotations: list[Tensor] = []
         self._positions: list[Tensor] = []
+        self._dofs: list[Tensor] = []
         self._done = False
 
     def step(self, dones: Tensor) -> None:
         """Store a control step; the file is written when the episode ends."""
         if self._done:
             return
-        self._rotations.append(self._env.simulation.body_rot[0].clone())
-        self._positions.append(self._env.simulation.root_states[0, :3].clone())
+        simulation = self._env.simulation
+        self._rotations.append(simulation.body_rot[0].clone())
+        self._positions.append(simulation.root_states[0, :3].clone())
+        self._dofs.append(simulation.dof_pos[0].clone())
         if bool(dones[0] != 0):
             self._done = True
             self._write()
 
     def _write(self) -> None:
-        skeleton = self._env.motion_lib.skeleton
-        if len(self._rotations) < 2:
+        num_frames = len(self._positions)
+        if num_frames < 2:
             log.warning("the episode to record had one step only: nothing is written")
             return
-        rotations = torch.stack(self._rotations).double().numpy()
-        clip = MotionClip.from_poses(
+        if self._env.motion_lib.skeleton.has_simple_joints:
+            save_npz(self._path, self._clip_of_bodies())
+        else:
+            save_robot_npz(self._path, self._clip_of_joints())
+        distance_m = torch.linalg.vector_norm((self._positions[-1] - self._positions[0])[:2]).item()
+        log.info(
+            "recorded %d steps into %s: %.2f m/s along the ground",
+            num_frames,
+            self._path,
+            distance_m / ((num_frames - 1) * self._env.dt),
+        )
+
+    def _clip_of_bodies(self) -> MotionClip:
+        skeleton = self._env.motion_lib.skeleton
+        return MotionClip.from_poses(
             str(self._path),
             1.0 / self._env.dt,
             skeleton.body_names,
             skeleton.parent_indices,
             skeleton.local_translation,
-            local_rotations(skeleton.parent_indices, rotations),
-            torch.stack(self._positions).double().numpy(),
+            local_rotations(skeleton.parent_indices, _stacked(self._rotations)),
+            _stacked(self._positions),
         )
-        save_npz(self._path, clip)
-        distance_m = torch.linalg.vector_norm((self._positions[-1] - self._positions[0])[:2]).item()
-        log.info(
-            "recorded %d steps into %s: %.2f m/s along the ground",
-            clip.num_frames,
-            self._path,
-            distance_m / clip.length_s,
+
+    def _clip_of_joints(self) -> JointClip:
+        return JointClip(
+            str(self._path),
+            1.0 / self._env.dt,
+            _stacked(self._positions),
+            _stacked([of_bodies[0] for of_bodies in self._rotations]),
+            _stacked(self._dofs),
+            self._env.motion_lib.skeleton.dof_names,
         )
+
+
+def _stacked(steps: list[Tensor]) -> FloatArray:
+    return torch.stack(steps).double().numpy()

@@ -17,13 +17,13 @@ MAX_PLACE_M = 10_000.0
 """From the origin: beyond it single precision has steps of 1 mm."""
 MAX_POSES = 2_000_000
 """Frames times bodies: 37 minutes of 15 bodies at 60 fps; velocities take 300 bytes of each."""
-_MAX_BODIES = 500
+MAX_BODIES = 500
 _MAX_BONE_M = 10.0
 _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
 # 160 turns of a wheel's hinge.
 MAX_JOINT_RAD = 1_000.0
-_MAX_DOFS = 3 * _MAX_BODIES
+_MAX_DOFS = 3 * MAX_BODIES
 # How far the length of a stored quaternion may be from 1.
 _UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
@@ -195,10 +195,10 @@ class MotionClip:
 
     def _check_shapes(self) -> None:
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
-        if bodies > _MAX_BODIES or frames * bodies > MAX_POSES:
+        if bodies > MAX_BODIES or frames * bodies > MAX_POSES:
             raise MotionFileError(
                 f"{self.name}: has {frames} frames of {bodies} bodies, expected at most "
-                f"{_MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
+                f"{MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
             )
         dofs = np.zeros((frames, 0)) if self.dof_pos is None else self.dof_pos
         num_dofs = np.shape(dofs)[-1] if np.ndim(dofs) else 0

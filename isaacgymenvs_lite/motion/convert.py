@@ -23,7 +23,7 @@ For a clip of a robot:
     mapping=g1            g1 or a YAML file of the robot's bodies; for .bvh also mapping=cmu,g1
                           (default: by the names of bodies)
     file_fps=50           of a table IN without a frame rate (default: 30, BONES-SEED 120)
-    quat_order=wxyz       if the quaternions of IN are not in its format's order
+    quat_order=wxyz       or xyzw, if the quaternions of IN are not in the order of its form
     by_order=True         joints of IN count by their order, not by their names
 """
 
@@ -47,6 +47,7 @@ from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
+from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS
 from isaacgymenvs_lite.motion.loader import JointFileSettings, load_single_clip
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_skeleton
@@ -112,8 +113,8 @@ class ConvertSettings:
     """The robot's MJCF or URDF; '': OUT is a clip of a shipped humanoid."""
     file_fps: float | None = setting(None, above=0)
     """Frames per second of a robot's table without a rate; None: as usual for its form."""
-    quat_order: str = setting("xyzw", choices=("xyzw", "wxyz"))
-    """Of the quaternions in a robot's file, if they are not in its format's order."""
+    quat_order: str | None = setting(None, choices=QUAT_ORDERS)
+    """Of the quaternions in a robot's file; None: as usual for its form, or as its bodies show."""
     by_order: bool = setting(False)
     """Whether the joints of a robot's file count by their order, not by their names."""
     overwrite: bool = setting(False)
@@ -185,7 +186,7 @@ def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Sk
 def _joint_file(settings: ConvertSettings) -> JointFileSettings:
     return JointFileSettings(
         fps=settings.file_fps,
-        quat_order="wxyz" if settings.quat_order == "wxyz" else "xyzw",
+        quat_order=next((order for order in QUAT_ORDERS if order == settings.quat_order), None),
         by_order=settings.by_order,
     )
 

@@ -11,6 +11,7 @@ import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,12 +29,16 @@ from isaacgymenvs_lite.utils import rotations
 
 _log = logging.getLogger(__name__)
 
-_MAX_JOINTS = 500
+QuatOrder = Literal["xyzw", "wxyz"]
+QUAT_ORDERS: tuple[QuatOrder, ...] = ("xyzw", "wxyz")
+MAX_JOINTS = 500
 _MAX_SPEED_M_S, _MAX_SPEED_RAD_S = 1_000.0, 100_000.0
 _UNIT_TOLERANCE = 1e-3
 # What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
+# Beyond a joint's limits: what is reported, and what no file in radians has.
+_ODD_EXCESS_RAD, _MAX_EXCESS_RAD = 0.1, 2.0 * np.pi
 # A root is upright where its z axis is within 60 degrees of the world's.
 _UPRIGHT_COSINE = 0.5
 _HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
@@ -51,6 +56,8 @@ class JointClip:
         root_rot: (T, 4) xyzw, rotation of the root body to the world.
         dof_pos: (T, D) rad, angles of hinges, and rotation vectors of ball joints.
         joint_names: D names, or None where the file has none.
+        file_quat_order: the order in which the quaternions of the file were read; None: it holds
+            other rotations.
     """
 
     name: str
@@ -59,6 +66,7 @@ class JointClip:
     root_rot: FloatArray
     dof_pos: FloatArray
     joint_names: tuple[str, ...] | None = None
+    file_quat_order: QuatOrder | None = "xyzw"
 
     @property
     def num_frames(self) -> int:
@@ -106,9 +114,9 @@ class JointClip:
                 "expected (frames, joints)"
             )
         frames, dofs = self.num_frames, self.num_dofs
-        if not 1 <= dofs <= _MAX_JOINTS or frames * dofs > MAX_POSES:
+        if not 1 <= dofs <= MAX_JOINTS or frames * dofs > MAX_POSES:
             raise MotionFileError(
-                f"{self.name}: has {frames} frames of {dofs} joints, expected 1 to {_MAX_JOINTS} "
+                f"{self.name}: has {frames} frames of {dofs} joints, expected 1 to {MAX_JOINTS} "
                 f"joints and at most {MAX_POSES:,} angles; cut it into several clips"
             )
         if frames < 2:
@@ -179,13 +187,31 @@ class JointClip:
         if lying <= 0.5:
             return []
         text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
-        if _upright_share(_from_wxyz(self.root_rot)) > 0.5:
-            return [f"{text}, but not if its quaternions are wxyz: read it with quat_order='wxyz'"]
+        for order in QUAT_ORDERS if self.file_quat_order else ():
+            if _upright_share(self.reread(order).root_rot) > 0.5:
+                text += (
+                    f", but not if the quaternions of the file are {order}: motion.convert reads"
+                    f" them so with quat_order={order}"
+                )
         return [text]
 
-    def with_quaternions_from_wxyz(self) -> JointClip:
-        """Return the clip with the numbers of `root_rot` read as wxyz."""
-        return dataclasses.replace(self, root_rot=_from_wxyz(self.root_rot))
+    def reread(self, quat_order: QuatOrder) -> JointClip:
+        """Return the clip with the quaternions of its file read in this order.
+
+        Raises:
+            MotionFileError: the file holds other rotations.
+        """
+        if self.file_quat_order is None:
+            raise MotionFileError(
+                f"{self.name}: holds no quaternions, so that quat_order={quat_order} has no"
+                " meaning; leave it out"
+            )
+        if quat_order == self.file_quat_order:
+            return self
+        quaternions = torch.from_numpy(np.ascontiguousarray(self.root_rot))
+        is_wxyz = quat_order == "wxyz"
+        rotation = (rotations.xyzw_from_wxyz if is_wxyz else rotations.wxyz_from_xyzw)(quaternions)
+        return dataclasses.replace(self, root_rot=rotation.numpy(), file_quat_order=quat_order)
 
     def fitted_to(self, joint_names: Sequence[str], by_order: bool = False) -> JointClip:
         """Return the clip with the joints of a robot in its order.
@@ -228,15 +254,32 @@ class JointClip:
                 dof_pos[:, column] = self.dof_pos[:, ours[name]]
         return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
 
+    def check_limits(self, dof_limits: FloatArray) -> None:
+        """Check the joints against the limits (D, 2) rad of a robot, in its order; log an excess.
+
+        Raises:
+            MotionFileError: a joint is so far beyond its limits that its unit is another one.
+        """
+        excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
+        joint = int(excess_rad.max(axis=0).argmax())
+        worst_rad = float(excess_rad.max())
+        if worst_rad <= _ODD_EXCESS_RAD:
+            return
+        low, high = dof_limits[joint]
+        name = self.joint_names[joint] if self.joint_names else f"joint {joint}"
+        text = (
+            f"{self.name}: {name} leaves its limits ({low:.3g} to {high:.3g} rad) by up to"
+            f" {worst_rad:.3g} rad"
+        )
+        if worst_rad > _MAX_EXCESS_RAD:
+            raise MotionFileError(f"{text}; is the unit degrees?")
+        _log.warning("%s; a policy cannot follow there", text)
+
 
 def _upright_share(root_rot: FloatArray) -> float:
     """Return the share of rotations (T, 4) that keep z within 60 degrees of the world's."""
     x, y = root_rot[:, 0], root_rot[:, 1]
     return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT_COSINE).mean())
-
-
-def _from_wxyz(quaternions: FloatArray) -> FloatArray:
-    return rotations.xyzw_from_wxyz(torch.from_numpy(np.ascontiguousarray(quaternions))).numpy()
 
 
 def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError, suggest
@@ -27,6 +26,7 @@ from isaacgymenvs_lite.motion.formats.robot_clip import (
     looks_like_joint_clip,
     read_joint_clip,
 )
+from isaacgymenvs_lite.motion.joint_clip import QuatOrder
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_dofs
 from isaacgymenvs_lite.motion.skeleton import (
     SHIPPED_NUM_DOFS,
@@ -40,7 +40,7 @@ _DATASET_SUFFIXES = (".yaml", ".yml")
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 # Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
 _MAX_REPEATED_POSES = 160_000
-_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz mapping=NAME"
+_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +49,8 @@ class JointFileSettings:
 
     fps: float | None = None
     """Frames per second of a table without a rate; None: as usual for its form."""
-    quat_order: Literal["xyzw", "wxyz"] = "xyzw"
-    """"wxyz": the file's quaternions are not in the order of its format."""
+    quat_order: QuatOrder | None = None
+    """Of the file's quaternions; None: see `read_joint_clip`."""
     by_order: bool = False
     """The order of the joints counts, not their names."""
 
@@ -70,9 +70,16 @@ def shipped_robot_motions_dir() -> Path:
 
 def shipped_motions() -> list[str]:
     """Return the names, without suffix, of the clips that come with the project."""
-    return sorted(
-        {path.stem for path in shipped_motions_dir().glob("*") if path.suffix in _GUESSED_SUFFIXES}
-    )
+    return _clips_in(shipped_motions_dir())
+
+
+def shipped_robot_motions() -> list[str]:
+    """Return the names, without suffix, of the robots' clips that come with the project."""
+    return _clips_in(shipped_robot_motions_dir())
+
+
+def _clips_in(folder: Path) -> list[str]:
+    return sorted({path.stem for path in folder.glob("*") if path.suffix in _GUESSED_SUFFIXES})
 
 
 def load_clips(
@@ -190,10 +197,11 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
                     return path
     looked = " and ".join(str(folder.absolute()) for folder in folders)
     where = "" if Path(name).is_absolute() else f" in {looked}"
-    shipped = shipped_motions()
+    shipped, of_robots = shipped_motions(), shipped_robot_motions()
     raise MotionFileError(
-        f"motion file '{name}' not found{where}{suggest(Path(name).stem, shipped)}; "
-        f"shipped clips: {', '.join(shipped) or 'none'}; {PREFIX}<name> for DeepMimic's"
+        f"motion file '{name}' not found{where}{suggest(Path(name).stem, (*shipped, *of_robots))}; "
+        f"shipped clips: {', '.join(shipped) or 'none'}; of robots: {', '.join(of_robots)}; "
+        f"{PREFIX}<name> for DeepMimic's"
     )
 
 
@@ -241,7 +249,8 @@ def _load_file(
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if path.suffix not in readers:
-        hint = f"; convert it first: {_CONVERT}" if path.suffix == ".bvh" else ""
+        of_whom = "mapping=NAME" if skeletons[0].has_simple_joints else "robot=FILE"
+        hint = f"; convert it first: {_CONVERT} {of_whom}" if path.suffix == ".bvh" else ""
         raise MotionFileError(
             f"{path}: a clip ends in {', '.join((*readers, *PICKLES))} and a data set in .yaml, "
             f"found '{path.suffix}'{hint}"
@@ -262,6 +271,7 @@ def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings)
         if shipped_humanoid_with(skeleton.body_names) is None:
             raise
         raise MotionFileError(f"{error}; {ROBOT_HINT}") from error
+    joints.check_limits(skeleton.dof_limits)
     qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
     return clip_from_qpos(str(path), joints.fps, skeleton, qpos)
 

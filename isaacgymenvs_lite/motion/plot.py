@@ -115,7 +115,8 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     try:
         figure.savefig(path, dpi=120)
     except (OSError, ValueError) as error:  # ValueError: an unknown format
-        raise ConfigError(f"out={settings.out}: cannot be written ({error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"out={settings.out}: cannot be written ({reason})") from error
     log.info("%s: wrote %s", clip.name, path)
     return path
 

@@ -57,7 +57,9 @@ class LimitedUnpickler(_PythonUnpickler):
     """
 
     stack: list[Any]
+    append: Callable[[Any], None]
     pop_mark: Callable[[], list[Any]]
+    read: Callable[[int], bytes]
     key_types: ClassVar[tuple[type, ...]] = (str, int)
     error: ClassVar[type[ValueError]] = ValueError
     max_instructions: ClassVar[int] = 1_000_000

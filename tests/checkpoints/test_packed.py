@@ -16,6 +16,7 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
+from isaacgymenvs_lite.motion.loader import shipped_robot_motions_dir
 from isaacgymenvs_lite.runner import load_player
 
 
@@ -110,6 +111,9 @@ def test_a_clip_of_this_machine_only_is_refused_or_replaced(edited_run, shipped_
         pack_policy(checkpoint, "tiny", clip="wlak")
     info = read_policy_info(pack_policy(checkpoint, "tiny", clip="run"))
     assert info.clip == info.settings["task.env.motion_file"] == "run"
+    # a robot's, by the path that a run has of it
+    clip = str(shipped_robot_motions_dir() / "g1_walk.npz")
+    assert read_policy_info(pack_policy(checkpoint, "tiny", clip=clip)).clip == "g1_walk.npz"
 
 
 @pytest.mark.parametrize("name", ["", "last", "Walk", "../walk", "a b", ".walk"])
@@ -150,3 +154,16 @@ def test_a_shipped_policy_plays_anywhere(name):
     fixed = ("test=True", f"checkpoint={name}", "num_envs=2", "num_threads=1", "rl_device=cpu")
     actions, _ = play(compose([*playing_overrides(name), *fixed]))
     assert torch.stack(actions).isfinite().all()
+
+
+def test_the_shipped_g1_walks_for_three_seconds():
+    fixed = ("test=True", "checkpoint=g1_walk", "num_envs=4", "num_threads=1", "rl_device=cpu")
+    with load_player(compose([*playing_overrides("g1_walk"), *fixed, "seed=1"])) as player:
+        obs, env = player.env.reset(), player.env
+        start = env.simulation.root_states[:, :2].clone()
+        for _ in range(90):
+            obs, _, dones, _ = env.step(player.act(obs))
+            assert not dones.any()
+        gone_m = (env.simulation.root_states[:, :2] - start).norm(dim=-1)
+    # the clip has 0.97 m/s
+    assert float(gone_m.min()) > 2.0 and float(gone_m.max()) < 4.5

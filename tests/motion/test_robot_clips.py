@@ -18,9 +18,10 @@ from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.body_order import fit_to_skeleton
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
-from isaacgymenvs_lite.motion.formats.joint_csv import load_joint_csv, save_joint_csv
 from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
+from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
+from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.mirror import mirror_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.qpos import (
@@ -31,6 +32,7 @@ from isaacgymenvs_lite.motion.qpos import (
     qpos_from_clip,
     rotations_from_dofs,
 )
+from isaacgymenvs_lite.motion.robot_clips import joints_of_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
@@ -248,7 +250,8 @@ def test_files_keep_joint_coordinates(tmp_path: Path, robot: Skeleton, clip: Mot
     read = load_npz(save_npz(tmp_path / "robot.npz", clip))
     for field in dataclasses.fields(clip)[1:]:
         np.testing.assert_array_equal(getattr(read, field.name), getattr(clip, field.name))
-    table = load_joint_csv(save_joint_csv(tmp_path / "robot.csv", clip, robot), [robot])
+    path = save_robot_csv(tmp_path / "robot.csv", joints_of_clip(clip, robot))
+    table, _ = load_single_clip(path, [robot])
     assert table.dof_pos is not None
     assert clip.dof_pos is not None
     np.testing.assert_allclose(table.dof_pos, clip.dof_pos, atol=1e-9)

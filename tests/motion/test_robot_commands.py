@@ -14,6 +14,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import convert as command
 from isaacgymenvs_lite.motion import plot, strip, view
+from isaacgymenvs_lite.motion import robot as robot_command
 from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
@@ -188,6 +189,7 @@ def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (("g1_wlk", "a.npz", G1), "of robots: g1_run, g1_walk, quadruped_trot; deepmimic:<name>"),
         (("walk", "a.npz", "robot=mjcf/h1.xml"), "robot=mjcf/h1.xml: no such file in "),
         (("walk", "a.npz", "robot=/no/h1.xml"), "give an MJCF or URDF, or a shipped one: mjcf/am"),
         (("walk", "a.npy", G1), "found '.npy'; choices: .npz, .csv"),
@@ -251,6 +253,20 @@ def test_a_plot_of_a_robots_clip(g1: Skeleton, g1_joints: JointClip) -> None:
     contacts = plot.foot_contacts(load_single_clip("g1_walk", [g1])[0], feet)
     assert sorted(contacts) == ["left_ankle_roll_link", "right_ankle_roll_link"]
     assert all(0.3 < foot.mean() < 0.75 for foot in contacts.values())
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_robot_is_checked_without_a_clip(caplog, line_of) -> None:
+    import PIL.Image
+
+    write_biped()
+    with caplog.at_level("INFO"):
+        assert robot_command.main(["biped.urdf", "out=start.png"]) == 0
+    assert "contact bodies: left_foot, right_foot" in caplog.text
+    assert "base 'base' got a free joint" in caplog.text
+    with PIL.Image.open("start.png") as image:
+        assert image.size == (2 * 200, 320)
+    assert "robot=h1.xml: no such file in " in line_of(robot_command.main, "h1.xml")
 
 
 @pytest.mark.parametrize("main", [view.main, plot.main])

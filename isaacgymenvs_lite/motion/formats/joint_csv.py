@@ -1,8 +1,8 @@
-"""Clips as tables of joint angles (`.csv`), for spreadsheets, pandas and other programs.
+"""Clips of the humanoids as tables of joint angles (`.csv`), for spreadsheets, pandas and others.
 
 The header names each column and its unit: `time [s]`, `root_x [m]`, ..., `root_qx`, ..., then
 every degree of freedom of the humanoid, such as `abdomen_x [rad]`. docs/motion_formats.md
-describes them.
+describes them. `formats.robot_csv` has the tables of robots.
 """
 
 from __future__ import annotations
@@ -25,12 +25,7 @@ from isaacgymenvs_lite.motion.formats.files import (
     written_clip,
 )
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import (
-    clip_from_qpos,
-    dofs_of_clip,
-    qpos_from_dofs,
-    rotations_from_dofs,
-)
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, rotations_from_dofs
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
 TIME = "time"
@@ -46,7 +41,8 @@ _FPS_LINE = re.compile(r"#\s*fps\s*[:=]\s*(?P<fps>\S+)\s*", re.IGNORECASE)
 _STEP_TOLERANCE = 0.1
 # The humanoid with sword and shield has 39 columns.
 MAX_COLUMNS, MAX_COLUMN_LENGTH = 200, 200
-_MAX_LINES = 200_000
+# A cell takes 60 bytes until it is a number.
+_MAX_LINES, _MAX_CELLS = 200_000, 3_000_000
 
 
 def save_joint_csv(path: str | Path, clip: MotionClip, skeleton: Skeleton) -> Path:
@@ -125,9 +121,6 @@ def _clip(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionClip:
             f"{MAX_JOINT_RAD:g}"
         )
     root = np.stack([column[name] for name in POSITION], axis=-1)
-    if not skeleton.has_simple_joints:
-        poses = qpos_from_dofs(skeleton, root, root_rotation, dofs)
-        return clip_from_qpos(str(path), fps, skeleton, poses)
     return MotionClip.from_poses(
         str(path),
         fps,
@@ -154,6 +147,10 @@ def read_lines(path: Path) -> tuple[list[list[str]], float | None]:
     comments, kept = [], []
     try:
         text = read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
+        if text.count(",") > _MAX_CELLS:
+            raise MotionFileError(
+                f"{path}: has more than {_MAX_CELLS:,} values; cut it into several clips"
+            )
         for number, line in enumerate(io.StringIO(text, newline=None)):
             if number > _MAX_LINES:
                 raise MotionFileError(

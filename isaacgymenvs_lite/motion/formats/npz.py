@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.clip import MAX_BODIES, MotionClip
 from isaacgymenvs_lite.motion.formats.files import (
     MAX_BINARY_BYTES,
     check_text,
@@ -94,8 +94,8 @@ def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS):
         if key in arrays:
             check_kind(arrays[key], key, "f", path)
-    check_kind(arrays["body_names"], "body_names", "U", path)
-    check_kind(arrays["parent_indices"], "parent_indices", "iu", path)
+    check_kind(arrays["body_names"], "body_names", "U", path, MAX_BODIES)
+    check_kind(arrays["parent_indices"], "parent_indices", "iu", path, MAX_BODIES)
     check_kind(arrays["fps"], "fps", "fiu", path)
     if arrays["fps"].size != 1:
         raise MotionFileError(f"{path}: fps has shape {arrays['fps'].shape}, expected one number")
@@ -119,7 +119,12 @@ def read_arrays(path: str | Path, keys: Collection[str]) -> dict[str, npt.NDArra
     MotionFileError.
     """
     with _opened(Path(path)) as archive:
-        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        members: dict[str, zipfile.ZipInfo] = {}
+        for member in archive.infolist():
+            key = member.filename.removesuffix(".npy")
+            if key in members and key in keys:
+                raise ValueError(f"two arrays of the name {key}")
+            members[key] = member
         members = {key: members[key] for key in keys if key in members}
         if sum(member.file_size for member in members.values()) > MAX_BINARY_BYTES:
             size = MAX_BINARY_BYTES // 2**20
@@ -180,8 +185,17 @@ def _check_keys(arrays: dict[str, npt.NDArray], path: str | Path) -> None:
         )
 
 
-def check_kind(array: npt.NDArray, key: str, kinds: str, path: str | Path) -> None:
-    """Raise a MotionFileError for an array of other than the expected numpy kinds."""
+def check_kind(
+    array: npt.NDArray, key: str, kinds: str, path: str | Path, most: int | None = None
+) -> None:
+    """Raise a MotionFileError for an array of other than the expected numpy kinds.
+
+    `most`: how many items it may have; each becomes an object of Python, or a wider number.
+    """
     words = {"f": "floats", "U": "strings", "iu": "integers", "fiu": "numbers"}
     if array.dtype.kind not in kinds:
         raise MotionFileError(f"{path}: {key} holds {array.dtype}, expected {words[kinds]}")
+    if most is not None and array.size > most:
+        raise MotionFileError(
+            f"{path}: {key} holds {array.size:,} {words[kinds]}, expected at most {most:,}"
+        )

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 import re
+import struct
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -109,6 +111,15 @@ class _PickledArray:
         return _values(self.content, dtype).reshape(self.shape, order=order).copy()
 
 
+def _array_of_buffer(content: Any, dtype: Any, shape: Any, order: Any) -> _PickledArray:
+    """Stand for numpy's _frombuffer, by which protocol 5 names an array."""
+    if _checked(order, str) not in ("C", "F"):
+        raise ValueError("an array whose axes were exchanged; pickle it with protocol 4")
+    array = _PickledArray()
+    array.__setstate__((1, shape, dtype, order == "F", content))
+    return array
+
+
 class _PickledScalar:
     """Stands for a numpy scalar: keeps type and raw content."""
 
@@ -141,6 +152,8 @@ def _allowed_names() -> dict[tuple[str, str], Any]:
     for module in ("numpy.core.multiarray", "numpy._core.multiarray"):  # numpy 1 and numpy 2
         names[module, "_reconstruct"] = _PickledArray
         names[module, "scalar"] = _PickledScalar
+    for module in ("numpy.core.numeric", "numpy._core.numeric"):
+        names[module, "_frombuffer"] = _array_of_buffer
     return names
 
 
@@ -148,6 +161,7 @@ class _RestrictedUnpickler(LimitedUnpickler):
     """Resolves the names of real clips to the classes above and refuses all others."""
 
     _names = _allowed_names()
+    dispatch: ClassVar[dict[int, Any]] = dict(LimitedUnpickler.dispatch)
 
     def __init__(self, stream: io.BytesIO, path: Path) -> None:
         super().__init__(stream)
@@ -167,6 +181,21 @@ class _RestrictedUnpickler(LimitedUnpickler):
                 "get the clip from a source that you trust"
             )
         return found
+
+    def load_bytearray8(self) -> None:
+        """Push the content of an array, of protocol 5; pickle makes room for any size it reads."""
+        (size,) = struct.unpack("<Q", self.read(8))
+        self.append(self.read(size))
+
+    def load_next_buffer(self) -> None:
+        """Refuse an array whose content was not pickled."""
+        raise MotionFileError(
+            f"{self._path}: names arrays whose content is not in the file (out-of-band buffers); "
+            "pickle the clip without buffer_callback"
+        )
+
+    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
+    dispatch[pickle.NEXT_BUFFER[0]] = load_next_buffer
 
     def build(self, instance: Any, state: Any) -> None:
         """Give an array or a type its state."""

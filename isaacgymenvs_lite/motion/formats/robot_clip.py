@@ -6,7 +6,6 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.formats.files import reading
@@ -14,7 +13,7 @@ from isaacgymenvs_lite.motion.formats.joint_csv import COLUMN, POSITION, ROTATIO
 from isaacgymenvs_lite.motion.formats.robot_csv import is_number, load_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import is_robot_npz, load_robot_npz
 from isaacgymenvs_lite.motion.formats.robot_pickle import load_robot_pickle
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS, JointClip, QuatOrder
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, skeleton_for_num_dofs
 
 _log = logging.getLogger(__name__)
@@ -53,7 +52,7 @@ def read_joint_clip(
     path: str | Path,
     fps: float | None = None,
     joint_names: Sequence[str] | None = None,
-    quat_order: Literal["xyzw", "wxyz"] = "xyzw",
+    quat_order: QuatOrder | None = None,
 ) -> JointClip:
     """Read a robot's clip by the content of its file; what looks odd is logged as a warning.
 
@@ -61,7 +60,7 @@ def read_joint_clip(
         path: `.csv`, `.npz` or `.pkl`, see docs/motion_formats.md.
         fps: frames per second of a table that has no rate (by default 30, BONES-SEED 120).
         joint_names: of the file's columns, in place of those that it has or implies.
-        quat_order: "wxyz" for a file whose quaternions are not in the order of its format.
+        quat_order: of the file's quaternions; None: as usual for its form, or as its bodies show.
 
     Raises:
         MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
@@ -71,8 +70,8 @@ def read_joint_clip(
         raise MotionFileError(
             f"{path}: a robot's clip ends in {', '.join(_SUFFIXES)}, found '{path.suffix}'"
         )
-    if quat_order not in ("xyzw", "wxyz"):
-        raise MotionFileError(f"quat_order is {quat_order!r}; choices: xyzw, wxyz")
+    if quat_order not in (None, *QUAT_ORDERS):
+        raise MotionFileError(f"quat_order is {quat_order!r}; choices: {', '.join(QUAT_ORDERS)}")
     with reading(path, "clip of a robot"):
         if path.suffix == ".csv":
             clip = load_robot_csv(path, fps)
@@ -83,8 +82,8 @@ def read_joint_clip(
         if joint_names is not None:
             clip = dataclasses.replace(clip, joint_names=tuple(joint_names))
         clip.validate()
-        if quat_order == "wxyz":
-            clip = clip.with_quaternions_from_wxyz()
+        if quat_order is not None:
+            clip = clip.reread(quat_order)
         for oddity in clip.oddities():
             _log.warning("%s: %s", path, oddity)
     return clip

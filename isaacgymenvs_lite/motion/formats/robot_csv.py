@@ -2,11 +2,13 @@
 
 - Without a header: root position (m), root quaternion xyzw, joint angles (rad), 30 fps. Unitree's
   retargeted LAFAN1 has it (README of unitreerobotics/LAFAN1_Retargeting_Dataset on Hugging Face),
-  and mjlab and whole_body_tracking read it (scripts/csv_to_npz.py).
+  and mjlab and whole_body_tracking read it (scripts/csv_to_npz.py). Kimodo's tables have wxyz
+  (convert_g1_csv_to_proto.py, see below).
 - BONES-SEED: `Frame`, `root_translateX`, ... in cm, `root_rotateX`, ... in degrees about the fixed
   axes x, y, z in this order, then `left_hip_pitch_joint_dof`, ... in degrees, 120 fps. Layout,
-  units and rate are what two public converters use (scripts/motion/bones_seed_csv_to_npz.py of
-  UniLab and sonic2mimic.py of an mjlab fork); the data set itself was not read.
+  units and rate are what public converters use (data/scripts/convert_g1_csv_to_proto.py of
+  NVlabs/ProtoMotions, scripts/motion/bones_seed_csv_to_npz.py of UniLab, sonic2mimic.py of an
+  mjlab fork); the data set itself was not read.
 - This project's: the header of formats.joint_csv with the names of any robot's joints.
 """
 
@@ -61,6 +63,11 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
     with reading(path, "table of a robot's joint angles"):
         lines, file_fps = read_lines(Path(path))
         width = len(lines[0])
+        if width == 1:
+            raise MotionFileError(
+                f"{path}: has one column, expected several with commas between them; the first "
+                f"line begins with '{lines[0][0][:40]}'"
+            )
         if width > MAX_COLUMNS or max(map(len, lines[0])) > MAX_COLUMN_LENGTH:
             raise MotionFileError(
                 f"{path}: the first line has {width} columns of up to {max(map(len, lines[0]))} "
@@ -133,6 +140,7 @@ def _bones(names: list[str], table: FloatArray, fps: float, path: str | Path) ->
         rotations.quat_from_euler_xyz(*angles).numpy(),
         np.deg2rad(np.stack([column[name] for name in joints], axis=-1)),
         tuple(name.removesuffix("_dof") for name in joints),
+        file_quat_order=None,
     )
 
 

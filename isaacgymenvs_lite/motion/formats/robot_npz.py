@@ -1,19 +1,25 @@
 """Robots' clips as archives of arrays (`.npz`), in three forms, which differ in their keys.
 
 - mjlab (mujocolab/mjlab, src/mjlab/scripts/csv_to_npz.py) and whole_body_tracking
-  (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps, joint_pos, body_pos_w,
-  body_quat_w wxyz, without names. mjlab has MuJoCo's order of joints, whole_body_tracking has
-  Isaac Lab's, level by level; the mirrored hips of a G1 show which.
-- Isaac Lab's humanoid AMP task (motion_loader.py): fps, dof_names, dof_positions, body_names,
-  body_positions, body_rotations wxyz.
+  (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps (one number in a list),
+  joint_pos, body_pos_w and body_quat_w of all bodies, the root first, without names. mjlab has
+  MuJoCo's order of joints, whole_body_tracking has Isaac Lab's, level by level; the mirrored hips
+  of a G1 show which.
+- Isaac Lab's humanoid AMP task (isaac-sim/IsaacLab, isaaclab_tasks/direct/humanoid_amp/motions/
+  motion_loader.py): fps, dof_names, dof_positions, body_names, body_positions, body_rotations.
 - This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
 
-mjlab's script was read. The layouts of whole_body_tracking and of Isaac Lab's task were written
-from memory and were not compared with a file.
+Quaternions of the first two are wxyz; Isaac Lab 3 writes xyzw. A body that does not move within the
+root shows which: only with the right order it stays in its place.
+
+Read for this: mjlab's script, the script of whole_body_tracking in the copy of
+ZhengmaoHe/whole_body_tracking (the original was not to be had), and Isaac Lab's loader. No file of
+theirs was.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,10 +29,16 @@ import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.clip import MAX_BODIES, MAX_POSES
 from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
 from isaacgymenvs_lite.motion.formats.npz import array_names, check_kind, read_arrays
 from isaacgymenvs_lite.motion.formats.robot_joints import G1_29, G1_29_BREADTH_FIRST
-from isaacgymenvs_lite.motion.joint_clip import JointClip
+from isaacgymenvs_lite.motion.joint_clip import (
+    MAX_JOINTS,
+    QUAT_ORDERS,
+    JointClip,
+    QuatOrder,
+)
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 
@@ -40,6 +52,10 @@ _FORMS = (_OWN_KEYS, _TRACKING_KEYS, _ISAAC_KEYS)
 _EXPECTED = "archive of a robot's clip"
 # In single precision, of distances of 0.2 m anywhere within 100 m of the origin.
 _SAME_DISTANCE_M = 1e-3
+# A body nearer to the root than this does not show how the root is turned; so many frames do.
+_MIN_ARM_M, _COMPARED_FRAMES = 0.01, 256
+# Of an array: four numbers for each pose of a body, and some bodies beside those with joints.
+_MAX_NUMBERS = 8 * MAX_POSES
 
 
 def is_robot_npz(path: str | Path) -> bool:
@@ -65,7 +81,7 @@ def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -
                 + " or ".join(", ".join(form) for form in _FORMS)
             )
         for key in form:
-            check_kind(arrays[key], key, "fiu", path)
+            check_kind(arrays[key], key, "fiu", path, _MAX_NUMBERS)
         fps, *parts = (arrays[key] for key in form)
         if fps.size != 1:
             raise MotionFileError(f"{path}: fps has shape {fps.shape}, expected one number")
@@ -73,22 +89,27 @@ def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -
         if form is _OWN_KEYS:
             _check_version(arrays, path)
             position, rotation, dof_pos = map(native_floats, parts)
-        else:
-            dof_pos, body_pos_w, body_quat_w = parts
-            body_pos_w, body_quat_w = _without_world(body_pos_w, body_quat_w, path)
-            position = native_floats(body_pos_w[:, 0])
-            quaternions = np.ascontiguousarray(native_floats(body_quat_w[:, 0]))
-            rotation = rotations.xyzw_from_wxyz(torch.from_numpy(quaternions)).numpy()
-            dof_pos = native_floats(dof_pos)
-            if names is None and dof_pos.ndim == 2 and dof_pos.shape[1] == len(G1_29):
-                names = _order_of_g1(native_floats(body_pos_w), path)
-        return JointClip(str(path), float(fps.item()), position, rotation, dof_pos, names)
+            return JointClip(str(path), float(fps.item()), position, rotation, dof_pos, names)
+        dof_pos, body_pos_w, body_quat_w = map(native_floats, parts)
+        body_pos_w, body_quat_w = _without_world(body_pos_w, body_quat_w, path)
+        clip = JointClip(
+            str(path),
+            float(fps.item()),
+            body_pos_w[:, 0],
+            rotations.xyzw_from_wxyz(torch.from_numpy(body_quat_w[:, 0].copy())).numpy(),
+            dof_pos,
+            names,
+            file_quat_order="wxyz",
+        )
+        if names is None and dof_pos.ndim == 2 and dof_pos.shape[1] == len(G1_29):
+            clip = dataclasses.replace(clip, joint_names=_order_of_g1(body_pos_w, path))
+        return clip.reread(_quat_order(body_pos_w, body_quat_w))
 
 
 def _names(arrays: dict[str, npt.NDArray], path: str | Path) -> tuple[str, ...] | None:
     for key in _NAME_KEYS:
         if key in arrays:
-            check_kind(arrays[key], key, "U", path)
+            check_kind(arrays[key], key, "U", path, MAX_JOINTS)
             return tuple(str(name) for name in arrays[key].ravel())
     return None
 
@@ -102,17 +123,42 @@ def _check_version(arrays: dict[str, npt.NDArray], path: str | Path) -> None:
 
 
 def _without_world(
-    positions: npt.NDArray, quaternions: npt.NDArray, path: str | Path
-) -> tuple[npt.NDArray, npt.NDArray]:
+    positions: FloatArray, quaternions: FloatArray, path: str | Path
+) -> tuple[FloatArray, FloatArray]:
     """Return the poses without MuJoCo's world body, which some converters write first."""
-    if positions.ndim != 3 or quaternions.ndim != 3 or not positions.shape[1]:
+    shape = positions.shape[:2]
+    fits = positions.shape == (*shape, 3) and quaternions.shape == (*shape, 4)
+    if not fits or 0 in shape or shape[1] > MAX_BODIES:
         raise MotionFileError(
             f"{path}: the bodies' positions and quaternions have shapes {positions.shape} and "
-            f"{quaternions.shape}, expected (frames, bodies, 3) and (frames, bodies, 4)"
+            f"{quaternions.shape}, expected (frames, bodies, 3) and (frames, bodies, 4), at most "
+            f"{MAX_BODIES} bodies"
         )
-    if positions.shape[1] > 1 and not positions[:, 0].any() and not quaternions[:, 0, 1:].any():
+    is_still = not positions[:, 0].any() and (quaternions[:, 0] == quaternions[0, 0]).all()
+    if shape[1] > 1 and is_still:
         return positions[:, 1:], quaternions[:, 1:]
     return positions, quaternions
+
+
+def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:
+    """Return the order of the quaternions (T, B, 4) that the places (T, B, 3) m of bodies show.
+
+    With the right one a body on a joint at its origin has the same place in the root's frame in all
+    frames. Where both orders do, or none, it is the usual one.
+    """
+    sample = slice(None, None, 1 + len(body_pos_w) // _COMPARED_FRAMES)
+    arms_w = (body_pos_w[sample, 1:] - body_pos_w[sample, :1]).astype(np.float64)
+    arms_w = arms_w[:, np.linalg.norm(arms_w[0], axis=-1) > _MIN_ARM_M]
+    root_quat = torch.from_numpy(body_quat_w[sample, :1].astype(np.float64))
+    fitting: list[QuatOrder] = []
+    for order in QUAT_ORDERS:
+        root_rot = rotations.xyzw_from_wxyz(root_quat) if order == "wxyz" else root_quat
+        to_root = rotations.quat_conjugate(root_rot).expand(-1, arms_w.shape[1], -1)
+        arms = rotations.quat_apply(to_root, torch.from_numpy(arms_w))
+        moved_m = (arms - arms[:1]).norm(dim=-1).amax(dim=0)
+        if bool((moved_m < _SAME_DISTANCE_M).any()):
+            fitting.append(order)
+    return fitting[0] if len(fitting) == 1 else "wxyz"
 
 
 def _order_of_g1(body_pos_w: FloatArray, path: str | Path) -> tuple[str, ...]:

@@ -16,7 +16,9 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.clip import MAX_POSES
 from isaacgymenvs_lite.motion.formats.files import reading
+from isaacgymenvs_lite.motion.formats.npz import check_kind
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_pickle
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -25,6 +27,8 @@ from isaacgymenvs_lite.utils import rotations
 _EXPECTED = "pickled dictionary of a robot's clip (GMR's or MimicKit's)"
 _GMR_KEYS = ("fps", "root_pos", "root_rot", "dof_pos")
 _MIMICKIT_KEYS = ("fps", "frames")
+# Of an array: joints and the root's numbers.
+_MAX_NUMBERS = 2 * MAX_POSES
 
 
 def load_robot_pickle(path: str | Path) -> JointClip:
@@ -57,14 +61,22 @@ def _mimickit(data: dict[str, Any], path: str | Path) -> JointClip:
     position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
     turns = torch.from_numpy(np.ascontiguousarray(exp_map))
     rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
-    return JointClip(str(path), _fps(data, path), position, rotation, dof_pos)
+    fps = _fps(data, path)
+    return JointClip(str(path), fps, position, rotation, dof_pos, file_quat_order=None)
 
 
 def _floats(data: dict[str, Any], key: str, path: str | Path) -> FloatArray:
-    array = np.asarray(data[key])
-    if array.dtype.kind not in "fiu":
-        raise MotionFileError(f"{path}: {key} holds {array.dtype}, expected numbers")
-    return array.astype(np.float64)
+    value = data[key]
+    if not isinstance(value, np.ndarray):
+        # Of a list with texts or dictionaries numpy makes an array that is far larger.
+        rows = value if isinstance(value, list) else [value]
+        for row in rows:
+            items = row if isinstance(row, list) else [row]
+            if not all(isinstance(item, (int, float)) for item in items):
+                raise MotionFileError(f"{path}: {key} is no array and no list of numbers")
+        value = np.asarray(value)
+    check_kind(value, key, "fiu", path, _MAX_NUMBERS)
+    return value.astype(np.float64)
 
 
 def _fps(data: dict[str, Any], path: str | Path) -> float:

@@ -1,8 +1,10 @@
 import io
 import os
 import pickle
+import struct
 import subprocess
 import sys
+import tracemalloc
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy
+from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
 
 
 def write_npy(path: Path, pickled: bytes) -> Path:
@@ -40,7 +42,8 @@ class Call:
 
 
 @pytest.mark.parametrize(
-    ("protocol", "numpy_module"), [(3, b"numpy.core"), (3, b"numpy._core"), (4, b"numpy._core")]
+    ("protocol", "numpy_module"),
+    [(3, b"numpy.core"), (3, b"numpy._core"), (4, b"numpy._core"), (5, b"numpy._core")],
 )
 def test_plain_content_comes_back(tmp_path: Path, protocol: int, numpy_module: bytes) -> None:
     content: OrderedDict[str, Any] = OrderedDict(
@@ -130,6 +133,35 @@ def test_malformed_programs_fail_and_change_nothing(tmp_path: Path, program: byt
     assert "\n" not in str(raised.value)
     good = write_npy(tmp_path / "good.npy", pickled_array({"a": np.arange(3.0)}))
     np.testing.assert_array_equal(load_object_npy(good)["a"], [0.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # 10 GB in a file of 300 bytes; pickle itself would make room for them
+        ((struct.pack("<Q", 48), struct.pack("<Q", 10**10)), "pickle exhausted before end"),
+        ((b"K\x02K\x03\x86", b"K\x02K\xff\x86"), r"of shape \(2, 255\) in 48 bytes"),
+        ((b"\x8c\x01C", b"\x8c\x01K"), "axes were exchanged"),
+        ((b"\x8c\x02f8", b"\x8c\x02O8"), "an array of type '<O8'"),
+    ],
+)
+def test_buffers_of_protocol_5_that_lie_are_refused(tmp_path: Path, change, message) -> None:
+    pickled = pickle.dumps({"a": np.arange(6.0).reshape(2, 3)}, protocol=5)
+    assert pickled.count(change[0]) == 1
+    path = tmp_path / "clip.pkl"
+    path.write_bytes(pickled.replace(*change))
+    tracemalloc.start()
+    with pytest.raises(MotionFileError, match=message):
+        load_pickle(path, "clip")
+    assert tracemalloc.get_traced_memory()[1] < 2**29
+    tracemalloc.stop()
+
+
+def test_buffers_beside_the_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "clip.pkl"
+    path.write_bytes(pickle.dumps(np.arange(6.0), protocol=5, buffer_callback=[].append))
+    with pytest.raises(MotionFileError, match=r"out-of-band buffers.*without buffer_callback"):
+        load_pickle(path, "clip")
 
 
 def test_object_arrays_inside_are_refused(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
+import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ import pytest
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.formats.robot_clip import looks_like_joint_clip, read_joint_clip
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
+from isaacgymenvs_lite.motion.formats.robot_joints import G1_29, G1_29_BREADTH_FIRST
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 
@@ -76,7 +80,7 @@ def write_pickle(path, data, protocol=4, numpy_1=False):
     return path
 
 
-@pytest.mark.parametrize(("protocol", "numpy_1"), [(4, False), (3, True)])
+@pytest.mark.parametrize(("protocol", "numpy_1"), [(5, False), (4, False), (3, True)])
 def test_gmr(tmp_path, protocol, numpy_1):
     keys = ("root_pos", "root_rot", "dof_pos")
     data = {"fps": 50, **dict(zip(keys, arrays(6), strict=True)), "local_body_pos": None}
@@ -138,15 +142,70 @@ def test_round_trip(tmp_path, form):
     assert looks_like_joint_clip(path)
 
 
-def test_wxyz_is_reported_and_swapped(tmp_path, caplog):
+@pytest.mark.parametrize("suffix", [".csv", ".pkl", ".npz"])
+def test_wxyz_is_reported_and_swapped(tmp_path, caplog, suffix):
     position, rotation, dofs = arrays(12)
-    table = np.hstack((position, np.roll(rotation, 1, axis=1), dofs))
-    path = write_rows(tmp_path / "a.csv", table)
+    wxyz = np.roll(rotation, 1, axis=1)
+    path = tmp_path / f"a{suffix}"
+    data = {"fps": 30, "root_pos": position, "root_rot": wxyz, "dof_pos": dofs}
+    if suffix == ".csv":
+        write_rows(path, np.hstack((position, wxyz, dofs)))
+    elif suffix == ".pkl":
+        write_pickle(path, data)
+    else:
+        np.savez(path, **data)
     read_joint_clip(path)
-    assert "quat_order='wxyz'" in caplog.text
+    assert "lies on its side or upside down in 100% of the frames" in caplog.text
+    assert "not if the quaternions of the file are wxyz" in caplog.text
+    assert "quat_order=wxyz" in caplog.text
     caplog.clear()
     check(read_joint_clip(path, quat_order="wxyz"), arrays(12), 30.0)
+    check(read_joint_clip(path, quat_order="wxyz").reread("xyzw"), (position, wxyz, dofs), 30.0)
     assert not caplog.text
+
+
+def bodies_of_a_walk(frames=8):
+    """A root that sways while it walks to the side, and two bodies of which one is fixed to it."""
+    angle = np.linspace(0.0, 0.2, frames)
+    # about z by 90 degrees, then about the root's own x by `angle`
+    rotation = np.sqrt(0.5) * np.stack(
+        (np.sin(angle / 2), np.sin(angle / 2), np.cos(angle / 2), np.cos(angle / 2)), axis=-1
+    )
+    root = np.stack((0.0 * angle, angle, 0.0 * angle + 0.8), axis=-1)
+    # 0.1 m to the left of the root and 0.1 m below it, by hand
+    left = np.stack((-np.cos(angle) - np.sin(angle), 0.0 * angle), axis=-1)
+    height = np.sin(angle) - np.cos(angle)
+    hip = root + 0.1 * np.concatenate((left, height[:, None]), axis=-1)
+    moved = hip + np.linspace([0.0, 0.0, 0.0], [0.0, 0.1, 0.0], frames)
+    return root, rotation, np.stack((root, hip, moved), axis=1)
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+@pytest.mark.parametrize("world", [0, 1])
+def test_bodies_show_the_order_of_their_quaternions(tmp_path, order, world, caplog):
+    root, rotation, bodies = bodies_of_a_walk()
+    quaternions = np.repeat(rotation[:, None], 3, axis=1)
+    still = [0.0, 0.0, 0.0, 1.0]
+    if world:
+        bodies = np.insert(bodies, 0, 0.0, axis=1)
+        quaternions = np.insert(quaternions, 0, still, axis=1)
+    if order == "wxyz":
+        quaternions = np.roll(quaternions, 1, axis=-1)
+    path = tmp_path / "a.npz"
+    dofs = np.zeros((len(root), 2))
+    np.savez(path, fps=[50], joint_pos=dofs, body_pos_w=bodies, body_quat_w=quaternions)
+    check(read_joint_clip(path), (root, rotation, dofs), 50.0)
+    assert not caplog.text
+    # what the user says counts
+    other = read_joint_clip(path, quat_order="xyzw" if order == "wxyz" else "wxyz")
+    assert np.abs(other.root_rot - rotation).max() > 0.5
+
+
+def test_an_order_of_quaternions_for_a_file_without_them(tmp_path):
+    frames = np.zeros((3, 7)).tolist()
+    path = write_pickle(tmp_path / "a.pkl", {"fps": 30, "frames": frames})
+    with pytest.raises(MotionFileError, match=r"no quaternions, so that quat_order=wxyz"):
+        read_joint_clip(path, quat_order="wxyz")
 
 
 def test_wrong_rate_is_reported(tmp_path, caplog):
@@ -158,6 +217,7 @@ def test_wrong_rate_is_reported(tmp_path, caplog):
     ("content", "match"),
     [
         ("1,2,3\n1,2,3\n", "3 columns and no header"),
+        ("1;2;3\n1;2;3\n", "has one column, expected several with commas .* begins with '1;2;3'"),
         ("0,0,1,0,0,0,1,0\n0,0,1,0,0,0,1\n", "row 2 has 7 values"),
         ("0,0,1,0,0,0,1,nan\n0,0,1,0,0,0,1,0\n", "NaN"),
         ("0,0,1,0,0,0,2,0\n0,0,1,0,0,0,1,0\n", "no unit quaternion"),
@@ -171,9 +231,103 @@ def test_broken_tables(tmp_path, content, match):
         read_joint_clip(path)
 
 
-def test_archive_of_objects_is_refused(tmp_path):
-    path = tmp_path / "a.npz"
+BOTH_ORDERS = {
+    # the indices of a public converter of whole_body_tracking's files, joint by joint of MuJoCo's
+    "left leg": (0, 3, 6, 9, 13, 17),
+    "right leg": (1, 4, 7, 10, 14, 18),
+    "waist": (2, 5, 8),
+    "left arm": (11, 15, 19, 21, 23, 25, 27),
+    "right arm": (12, 16, 20, 22, 24, 26, 28),
+}
+
+
+def test_the_order_of_isaac_lab():
+    places = [place for limb in BOTH_ORDERS.values() for place in limb]
+    assert [G1_29_BREADTH_FIRST.index(name) for name in G1_29] == places
+
+
+def parts(**changed):
     position, rotation, dofs = arrays(3)
-    np.savez(path, fps=30, root_pos=position, root_rot=rotation, dof_pos=dofs.astype(object))
-    with pytest.raises(MotionFileError, match="holds objects"):
+    return {"fps": 30, "root_pos": position, "root_rot": rotation, "dof_pos": dofs} | changed
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (parts(dof_pos=np.zeros((4, 3)).astype(object)), "holds objects"),
+        (parts(dof_pos=np.zeros(4)), r"dof_pos has shape \(4,\)"),
+        (parts(dof_pos=np.array(["a"] * 4)), "dof_pos holds <U1, expected numbers"),
+        (parts(root_pos=np.zeros((4, 3, 2))), r"root_pos has shape \(4, 3, 2\)"),
+        (parts(dof_pos=np.zeros((0, 3))), "has 0 frames|holds 0 frame"),
+        (parts(fps=[30, 60]), r"fps has shape \(2,\)"),
+        (parts(joint_names=np.arange(3)), "joint_names holds int64, expected strings"),
+        (parts(joint_names=["a"] * 3), "has 3 names of joints \\(1 different"),
+        (parts(joint_names=["a"] * 10**6), "joint_names holds 1,000,000 strings, expected at most"),
+        (parts(dof_pos=np.zeros((2, 2 * 10**7), np.int8)), "dof_pos holds 40,000,000 numbers"),
+        (parts(version=7), "of another format version"),
+        ({"fps": 30}, "holds fps, expected"),
+    ],
+)
+def test_broken_archives(tmp_path, content, match):
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, **content)
+    with pytest.raises(MotionFileError, match=match) as raised:
         read_joint_clip(path)
+    assert len(str(raised.value)) <= 500 and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "match"),
+    [
+        ({"body_pos_w": np.zeros((4, 3))}, r"have shapes \(4, 3\)"),
+        ({"body_quat_w": np.zeros((3, 2, 4))}, r"\(3, 2, 4\), expected"),
+        ({"body_pos_w": np.zeros((4, 0, 3)), "body_quat_w": np.zeros((4, 0, 4))}, "have shapes"),
+        ({"body_pos_w": np.full((4, 2, 3), np.nan)}, "root_pos holds 12 number"),
+        (
+            {"body_pos_w": np.zeros((1, 10**6, 3)), "body_quat_w": np.zeros((1, 10**6, 4))},
+            "at most 500 bodies",
+        ),
+    ],
+)
+def test_broken_bodies(tmp_path, bodies, match):
+    path = tmp_path / "a.npz"
+    quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (4, 2, 1))
+    whole = {"body_pos_w": np.zeros((4, 2, 3)), "body_quat_w": quaternions}
+    np.savez_compressed(path, fps=[50], joint_pos=arrays(3)[2], **(whole | bodies))
+    with pytest.raises(MotionFileError, match=match):
+        read_joint_clip(path)
+
+
+def test_an_archive_with_an_array_twice_is_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, **parts())
+    stream = io.BytesIO()
+    np.save(stream, np.zeros((4, 3)))
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("dof_pos.npy", stream.getvalue())
+    with pytest.raises(MotionFileError, match="two arrays of the name dof_pos"):
+        read_joint_clip(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (parts(dof_pos=[["1", "2", "3"]] * 4), "dof_pos is no array and no list of numbers"),
+        # one long text and many short ones: numpy's array of them has 10 GB
+        ({"fps": 30, "frames": ["x" * 10**6] + ["y"] * 10**4}, "frames is no array and no list"),
+        ({"fps": 30, "frames": [[0.0] * 8, [0.0] * 9]}, "inhomogeneous"),
+        ({"fps": 30, "frames": [[10**400] * 8] * 2}, "that can be read|expected numbers"),
+        ({"fps": {}, "frames": [[0.0] * 8] * 2}, "fps is no array and no list"),
+        (parts(dof_pos=np.zeros((10**4, 1000), np.int8)), "dof_pos holds 10,000,000 numbers"),
+        ([1, 2], "holds list, expected the keys"),
+        ({}, "holds dict, expected the keys"),
+    ],
+)
+def test_broken_pickles(tmp_path, content, match):
+    path = write_pickle(tmp_path / "a.pkl", content)
+    tracemalloc.start()
+    with pytest.raises(MotionFileError, match=match) as raised:
+        read_joint_clip(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**29
+    tracemalloc.stop()
+    assert len(str(raised.value)) <= 500 and "\n" not in str(raised.value)

@@ -1,0 +1,75 @@
+"""Checks the file of a robot: python -m isaacgymenvs_lite.motion.robot FILE [out=FILE.png].
+
+    python -m isaacgymenvs_lite.motion.robot mjcf/g1.xml               # what is taken and added
+    python -m isaacgymenvs_lite.motion.robot /robots/g1.urdf out=start.png
+
+FILE is an MJCF or URDF: absolute, relative to the working directory, or a name in assets/. It is
+read as task=RobotAMP reads it, and not changed. The picture shows the start pose from the right and
+from the front; it needs an OpenGL library that works without a screen, EGL or OSMesa.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.motion.robot_file import load_clip_robot, view_of
+from isaacgymenvs_lite.motion.strip import draw_poses, save_png
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.utils.optional_packages import require
+
+log = logging.getLogger(__name__)
+
+_AZIMUTHS_DEG = (90.0, 180.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotCheckSettings:
+    """Arguments of the command."""
+
+    out: str = setting("")
+    """The PNG to write; '': none."""
+
+
+def check_robot(file: str, settings: RobotCheckSettings) -> None:
+    """Log what is taken of a robot's file and added to it; draw its start pose if asked to.
+
+    Raises:
+        UserError: the file cannot be used, or the picture cannot be drawn or written.
+    """
+    if settings.out:
+        require("PIL", "writing pictures")
+    robot = load_clip_robot(file)
+    for line in robot.prepared.describe():
+        log.info("%s", line)
+    if settings.out:
+        pose = robot.prepared.start_qpos[None]
+        views = [view_of(robot, azimuth_deg) for azimuth_deg in _AZIMUTHS_DEG]
+        panels = [draw_poses(robot.prepared.model, pose, view) for view in views]
+        path = save_png(settings.out, np.concatenate(panels, axis=1))
+        log.info("wrote %s", path)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isaacgymenvs_lite.motion.robot", description=__doc__
+    )
+    parser.add_argument("file", metavar="FILE", help="an MJCF or URDF of a robot")
+    words = argparse.Namespace()
+    return run_command(
+        parser,
+        RobotCheckSettings,
+        lambda settings: check_robot(words.file, settings),
+        arguments,
+        words,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
