@@ -68,6 +68,7 @@ class RobotAMP(HumanoidAMP):
         """Return the model of the robot on a floor; log what was taken and added."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
+        self._spec = self._robot.spec
         _log_once(tuple(self._robot.describe()))
         friction = self.env_cfg.plane.dynamic_friction
         model = compile_spec(self._robot.spec, path, self.sim_cfg, friction)
