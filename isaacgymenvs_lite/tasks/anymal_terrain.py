@@ -38,6 +38,7 @@ from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
     compute_anymal_terrain_reward,
     noise_widths,
 )
+from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode
@@ -138,7 +139,7 @@ class AnymalTerrain(VelocityTrackingTask):
             self._draw_friction(*learn.friction_range)
         self._noise_widths = noise_widths(learn).to(self.device)
         self._air_time_dt = self.sim_cfg.dt if learn.air_time_as_published else self.control_dt_s
-        self.push_interval = int(learn.push_interval_s / self.control_dt_s + 0.5)
+        self.push_interval = push_interval(learn.push_interval_s, self.control_dt_s)
 
     def _draw_friction(self, low: float, high: float) -> None:
         """Give the robots one of a hundred coefficients of friction, in turn."""
@@ -188,11 +189,8 @@ class AnymalTerrain(VelocityTrackingTask):
 
     def _push(self) -> None:
         """Give the bases another velocity over the ground, in place of the one they have."""
-        sim = self.simulation
-        env_ids = torch.arange(self.num_envs, device=self.device)
-        root = sim.root_states.clone()
-        root[:, 7:9] = uniform(env_ids, -_PUSH_M_S, _PUSH_M_S, (2,))
-        sim.write_state(env_ids, root, sim.dof_pos, sim.dof_vel)
+        velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
+        set_planar_velocities(self.simulation, velocities_w)
 
     def _steer(self) -> None:
         """Command the yaw rates that lead to the commanded headings."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import torch
@@ -15,10 +16,21 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
 from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.tasks.amp.deployable_observations import (
+    add_noise,
+    compute_frame,
+    history_groups,
+    noise_widths,
+    push_frame,
+)
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
+from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
+from isaacgymenvs_lite.tasks.base.action_delay import ActionDelay
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
+from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
+from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
 from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
 
@@ -28,7 +40,7 @@ _ROOT = 7  # numbers of the free joint in qpos: position, quaternion wxyz
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotAMPConfig(HumanoidAMPConfig, RobotSettings):
+class RobotAMPConfig(HumanoidAMPConfig, RobotSettings, RealismSettings):
     """`task.env` of RobotAMP: HumanoidAMP's keys and a robot's; null means found in the model."""
 
     motion_file: str = setting("g1_walk.npz")
@@ -52,6 +64,9 @@ class RobotAMP(HumanoidAMP):
     """A robot that is given by its file; bodies, drives and start pose are found or set by keys.
 
     Differs from HumanoidAMP: PD targets are offsets from the start pose, and efforts are limited.
+    With `observations: deployable` the policy observes what a robot measures, see
+    `deployable_observations`, and an asymmetric critic all of the state; the AMP observation stays
+    the same. Noise is on the policy's frames alone.
 
     Raises:
         ConfigError: a file or key that cannot be used, see `robots.load.load_robot`.
@@ -63,6 +78,12 @@ class RobotAMP(HumanoidAMP):
     actor_name = "robot"
     num_dofs_of_assets = ()
     not_stored = (*HumanoidAMP.not_stored, "_robot", "_skeleton")
+
+    def read_settings(self, env: dict[str, Any]) -> RobotAMPConfig:
+        """As the base, and check the keys that depend on each other."""
+        config: RobotAMPConfig = super().read_settings(env)
+        check_realism(config, env)
+        return config
 
     def build_model(self) -> mujoco.MjModel:
         """Return the model of the robot on a floor; log what was taken and added."""
@@ -105,6 +126,109 @@ class RobotAMP(HumanoidAMP):
         """Return offset and scale (D,) of PD targets: the start pose, and `actionScale`."""
         offset = self.default_pose()[1].to(lower)
         return offset, torch.full_like(offset, self.env_cfg.action_scale)
+
+    # --- what a robot measures, and what disturbs it -----------------------------------------
+
+    def character_observation_groups(self) -> dict[str, int]:
+        """As the base, or `history_groups`."""
+        if not self.env_cfg.is_deployable:
+            return super().character_observation_groups()
+        return history_groups(self._layout.num_dofs, self.env_cfg.history_steps)
+
+    def states_size(self) -> int:
+        """As the base, or see `compute_states`."""
+        if not self.env_cfg.is_deployable:
+            return super().states_size()
+        own = self._num_amp_obs_per_step() + self._layout.num_dofs + 1
+        return own + self.get_task_obs_size()
+
+    def allocate_buffers(self) -> None:
+        """Add the policy's frames (N, H, F), newest first, and the delay of the actions."""
+        super().allocate_buffers()
+        cfg, num_dofs, n = self.env_cfg, self._layout.num_dofs, self.num_envs
+        self._frames: Tensor | None = None
+        self._noise_widths: Tensor | None = None
+        self._delay: ActionDelay | None = None
+        self.push_interval = push_interval(cfg.push_interval_s, self.control_dt_s)
+        if cfg.is_deployable:
+            self._start_dof_pos = self.default_pose()[1]
+            size = sum(history_groups(num_dofs, 1).values())
+            self._frames = torch.zeros(n, cfg.history_steps, size, device=self.device)
+        if any(cfg.observation_noise.widths.values()):
+            widths = noise_widths(cfg.observation_noise.widths, num_dofs)
+            self._noise_widths = widths.to(self.device)
+        if cfg.action_delay[1] > 0:
+            self._delay = ActionDelay(*cfg.action_delay, n, self.num_actions, self.device)
+
+    def pre_physics_step(self, actions: Tensor) -> None:
+        """As the base; push the robots first, if it is due."""
+        if self.env_cfg.push_robots and self.control_steps % self.push_interval == 0:
+            self._push()
+        super().pre_physics_step(actions)
+
+    def _push(self) -> None:
+        """Change the velocities of the bases over the ground."""
+        if self.control_steps == 0:
+            return
+        largest = self.env_cfg.push_velocity
+        change = uniform(self.reset_buf, -largest, largest, (2,))
+        set_planar_velocities(self.simulation, self.simulation.root_states[:, 7:9] + change)
+
+    def compute_controls(self, actions: Tensor) -> Tensor:
+        """As the base, of the actions that take effect now; a delay stores those that came."""
+        return super().compute_controls(actions if self._delay is None else self._delay(actions))
+
+    def update_state(self) -> None:
+        """Take the newest frames into the history."""
+        super().update_state()
+        if self._frames is not None:
+            push_frame(self._frames, self._measure(None, self.actions))
+
+    def reset_state(self, env_ids: Tensor) -> None:
+        """As the base; draw delays, and fill the history with the first frame."""
+        super().reset_state(env_ids)
+        if self._delay is not None:
+            self._delay.reset(env_ids)
+        if self._frames is not None:
+            first = self._measure(env_ids, torch.zeros_like(self.actions[env_ids]))
+            first = first.unsqueeze(1).expand(-1, self._frames.shape[1], -1)
+            self._frames.index_copy_(0, env_ids, first)
+
+    def _measure(self, env_ids: Tensor | None, last_action: Tensor) -> Tensor:
+        """Return frames with noise of all robots, or of `env_ids` (n,)."""
+        root_states, dof_pos, dof_vel, _ = self._character_states(env_ids)
+        frame = compute_frame(root_states, dof_pos, dof_vel, self._start_dof_pos, last_action)
+        return frame if self._noise_widths is None else add_noise(frame, self._noise_widths)
+
+    def _observe_character(self, env_ids: Tensor | None) -> Tensor:
+        """As the base, or the frames of the last control steps, newest first."""
+        if self._frames is None:
+            return super()._observe_character(env_ids)
+        frames = self._frames if env_ids is None else self._frames.index_select(0, env_ids)
+        return frames.flatten(1)
+
+    def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
+        """Return what the critic of a `deployable` policy observes, (n, numStates).
+
+        The full observation of the character without noise, the clamped action of the last step
+        (D), the delay of the episode's actions (1, control steps), and the goal.
+        """
+        if self._frames is None:
+            return observations
+        rows = slice(None) if env_ids is None else env_ids
+        parts = [super()._observe_character(env_ids), self._frames[rows, 0, -self.num_actions :]]
+        delay = torch.zeros_like(observations[:, :1])
+        parts.append(delay if self._delay is None else delay + self._delay.steps[rows].unsqueeze(1))
+        return torch.cat((*parts, observations[:, self._frames[0].numel() :]), dim=-1)
+
+    def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
+        """As the base, whatever the policy observes."""
+        if self._frames is None:
+            return super().current_amp_features(env_ids)
+        if self.num_states == 0:
+            return self._amp_features(self._character_states(env_ids))
+        features = self.states_buf[:, : self._num_amp_obs_per_step()]  # the critic's first part
+        return features if env_ids is None else features.index_select(0, env_ids)
 
 
 @functools.lru_cache(maxsize=1)

@@ -61,7 +61,7 @@ class MjcfTask(VecTask):
         self._layout = ModelLayout.from_model(self._model)
         self.set_sizes()
         env["numObservations"], env["numActions"] = self.num_observations, self.num_actions
-        env["numStates"] = self.num_observations if self.env_cfg.asymmetric_observations else 0
+        env["numStates"] = self.states_size() if self.env_cfg.asymmetric_observations else 0
         env.setdefault("clipActions", self.env_cfg.clip_actions)
         env.setdefault("controlFrequencyInv", self.env_cfg.control_freq_inv)
         super().__init__(cfg, *args, **kwargs)
@@ -108,6 +108,10 @@ class MjcfTask(VecTask):
 
     def set_sizes(self) -> None:
         """Set `num_observations` and `num_actions` if they depend on the model."""
+
+    def states_size(self) -> int:
+        """Return how many numbers an asymmetric critic observes, see `compute_states`."""
+        return self.num_observations
 
     def simulator_calls(self) -> int:
         """Return the simulator calls of `sim.dt` in a control step."""

@@ -322,6 +322,15 @@ class VecTask(Env):
         """Return the observations (n, numObs) of environments (n,) that start an episode."""
         return self.compute_obs().index_select(0, env_ids)
 
+    def compute_states(self, env_ids: Tensor | None, observations: Tensor) -> Tensor:
+        """Return what an asymmetric critic observes (n, numStates), in tasks that have one.
+
+        Args:
+            env_ids: (n,) of these environments; None: of all.
+            observations: (n, numObs) of them, without noise; the result by default.
+        """
+        return observations
+
     def add_sensor_noise(self, observations: Tensor) -> Tensor:
         """Return what the policy observes of observations (n, numObs): by default the same."""
         return observations
@@ -470,7 +479,7 @@ class VecTask(Env):
         """Write the observations of all environments, or of `env_ids` (n,), into `obs_buf`."""
         observations = self.compute_obs() if env_ids is None else self.compute_obs_of(env_ids)
         if self.num_states > 0:
-            _write_rows(self.states_buf, env_ids, observations)
+            _write_rows(self.states_buf, env_ids, self.compute_states(env_ids, observations))
         _write_rows(self.obs_buf, env_ids, self.add_sensor_noise(observations))
 
     def compute_reward(self) -> None:

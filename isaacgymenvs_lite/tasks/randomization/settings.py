@@ -111,6 +111,8 @@ def read_plan(params: Mapping[str, Any], actors: Collection[str]) -> Randomizati
     gravity = sim.get("gravity")
     unsupported = [f"sim_params.{key}" for key in sim if key == "rest_offset"]
     entries = params.get("actor_params") or {}
+    if isinstance(entries, Mapping):  # null takes out an actor that a file below has
+        entries = {actor: groups for actor, groups in entries.items() if groups is not None}
     _check_names(entries, actors, f"{WHERE}.actor_params", "actor")
     attributes: dict[tuple[str, str], AttributeSettings] = {}
     colour = False
