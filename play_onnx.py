@@ -32,6 +32,8 @@ def read_policy(file):
     about = {key: json.loads(stored.get(key, "null")) for key in (*KEYS, "key_bodies")}
     if missing := [key for key in KEYS if about[key] is None]:
         stop(f"{file} has no {missing[0]}: export a policy of RobotAMP or HumanoidAMP anew")
+    if about["action_scaling"]["unit"] != "rad":
+        stop(f"{file} acts by torques: this script has position drives")
     return policy, about
 
 
@@ -58,28 +60,29 @@ class Robot:
         self.base = self.data.body(about["root"]["body"])
         self.root = self.data.joint(int(self.model.body(self.base.id).jntadr[0]))  # a free joint
         self.joints = [self.data.joint(name) for name in names]
-        for joint, described in zip([self.root, *self.joints], [about["root"], *about["joints"]]):
+        for joint, described in zip(
+            [self.root, *self.joints], [about["root"], *about["joints"]], strict=True
+        ):
             joint.qpos[:] = described["default_qpos" if stands else "start_qpos"]
             joint.qvel[:] = 0.0 if stands else described["start_qvel"]
         defaults = [np.array(joint["default_qpos"], float) for joint in about["joints"]]
         self.default_angles = np.hstack([angles_and_features(qpos)[0] for qpos in defaults])
         self.key_bodies = [self.data.body(name) for name in about["key_bodies"]]
-        frames = {part["name"]: part["frame"] for part in about["observations"]}
-        self.hides_heading = frames.get("root_rot_tan_norm") == "heading"
+        self.frames = {part["name"]: part["frame"] for part in about["observations"]}
 
-    def observe(self, action, command):
+    def observe(self, last_action, command):
         """Return the parts of observations by name; _w: in the world frame, _b: in the base's."""
         mujoco.mj_kinematics(self.model, self.data)
         lin_vel_w, ang_vel_b = self.root.qvel[:3], self.root.qvel[3:]
         to_world = self.base.xmat.reshape(3, 3)  # from the base frame
         x, y = to_world[:2, 0] / max(np.hypot(*to_world[:2, 0]), 1e-9)  # where the base faces
         to_heading = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])  # from the world frame
+        is_local = self.frames.get("root_rot_tan_norm") == "heading"
+        rotation = to_heading @ to_world if is_local else to_world
         positions = [angles_and_features(joint.qpos) for joint in self.joints]
         parts = {
             "root_height": self.base.xpos[2:],
-            "root_rot_tan_norm": tan_norm(
-                to_heading @ to_world if self.hides_heading else to_world
-            ),
+            "root_rot_tan_norm": rotation.T[[0, 2]],  # the base's x axis and z axis
             "root_lin_vel": to_heading @ lin_vel_w,
             "root_ang_vel": to_heading @ to_world @ ang_vel_b,
             "dof_pos": [features for _, features in positions],
@@ -88,7 +91,7 @@ class Robot:
             "root_ang_vel_b": ang_vel_b,
             "gravity_b": -to_world[2],
             "dof_pos_offset": np.hstack([angles for angles, _ in positions]) - self.default_angles,
-            "last_action": action,
+            "last_action": last_action,
             "command": command,
         }
         return {name: np.hstack([[], *values]) for name, values in parts.items()}
@@ -113,33 +116,7 @@ def angles_and_features(qpos):
     vector, matrix = np.zeros(3), np.zeros(9)
     mujoco.mju_quat2Vel(vector, qpos, 1.0)
     mujoco.mju_quat2Mat(matrix, qpos)
-    return vector, tan_norm(matrix.reshape(3, 3))
-
-
-def tan_norm(matrix):
-    """Return where a rotation moves the x axis (tangent) and the z axis (normal)."""
-    return matrix.T[[0, 2]].ravel()
-
-
-def play(policy, about, robot, command):
-    """Make control steps without end."""
-    parts, scaling = about["observations"], about["action_scaling"]
-    offset, scale = np.float32(scaling["offset"]), np.float32(scaling["scale"])
-    ages = [part.get("age", 0) for part in parts]  # in control steps
-    frames = deque(maxlen=1 + max(ages))  # the newest first
-    action = np.zeros(len(about["drives"]))
-    for part in parts:
-        if len(robot.observe(action, command).get(part["name"], ())) != part["size"]:
-            stop(f"this script has no observation '{part['name']}' of {part['size']} numbers")
-    while True:
-        frames.appendleft(robot.observe(action, command))
-        # At the start the first frame takes the place of all that were before it.
-        used = [frames[min(age, len(frames) - 1)] for age in ages]
-        values = [frame[part["name"]] for frame, part in zip(used, parts)]
-        (action,) = policy.run(["action"], {"obs": np.hstack(values, dtype=np.float32)[None]})[0]
-        robot.data.ctrl[:] = offset + scale * action
-        mujoco.mj_step(robot.model, robot.data, robot.substeps)
-        yield
+    return vector, matrix.reshape(3, 3).T[[0, 2]].ravel()  # the turned x axis and z axis
 
 
 def stop(reason):
@@ -159,14 +136,30 @@ def main():
     parser.add_argument("--command", type=float, nargs=3, default=(0, 0, 0), metavar="V")
     parser.add_argument("--trace", help=".npz file for qpos, before the first and after each step")
     args = parser.parse_args()
+
     policy, about = read_policy(args.policy)
     scene = args.scene or args.policy.removesuffix(".onnx") + "_scene.xml"
-    robot, rate = Robot(scene, about, args.stand), about["control_rate_hz"]
+    robot = Robot(scene, about, args.stand)
+    parts, rate = about["observations"], about["control_rate_hz"]
+    offset, scale = (np.float32(about["action_scaling"][key]) for key in ("offset", "scale"))
+    action = np.zeros(len(about["drives"]))
+    frame = robot.observe(action, args.command)
+    for part in parts:
+        if len(frame.get(part["name"], ())) != part["size"]:
+            stop(f"this script observes no {part['name']} of {part['size']} numbers")
+    history = deque([frame], maxlen=1 + max(part["age"] for part in parts))  # newest first
     start, trace = robot.root.qpos[:2].copy(), [robot.data.qpos.copy()]
     window = None if args.steps else mujoco.viewer.launch_passive(robot.model, robot.data)
     begin = time.perf_counter()
-    steps = itertools.islice(play(policy, about, robot, args.command), args.steps)
-    for step, _ in enumerate(steps, start=1):
+    for step in range(1, args.steps + 1) if args.steps else itertools.count(1):
+        # At the start the first frame takes the place of those before it.
+        frames = [history[min(part["age"], len(history) - 1)] for part in parts]
+        values = [frame[part["name"]] for frame, part in zip(frames, parts, strict=True)]
+        obs = np.hstack(values, dtype=np.float32)[None]
+        action = np.asarray(policy.run(["action"], {"obs": obs})[0])[0]
+        robot.data.ctrl[:] = offset + scale * action  # the drives' targets, rad
+        mujoco.mj_step(robot.model, robot.data, robot.substeps)
+        history.appendleft(robot.observe(action, args.command))
         trace.append(robot.data.qpos.copy())
         if step % round(rate) == 0 or step == args.steps:
             height, distance = robot.root.qpos[2], np.hypot(*(robot.root.qpos[:2] - start))

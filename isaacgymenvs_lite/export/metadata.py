@@ -77,10 +77,15 @@ def _observations(task: VecTask) -> list[dict[str, Any]]:
     described = task.robot_description()
     frames = described.frames if described else {}
     starts = itertools.accumulate(groups.values(), initial=0)
-    return [
-        {"name": name, "start": start, "size": size, "frame": frames.get(name)}
-        for (name, size), start in zip(groups.items(), starts, strict=False)
-    ]
+    parts = []
+    for (group, size), start in zip(groups.items(), starts, strict=False):
+        # A history has `dof_vel_2` for the `dof_vel` of two control steps before.
+        stem, _, number = group.rpartition("_")
+        is_older = number.isdecimal() and stem in groups
+        name, age = (stem, int(number)) if is_older else (group, 0)
+        frame = frames.get(name)
+        parts.append({"name": name, "age": age, "start": start, "size": size, "frame": frame})
+    return parts
 
 
 def _simulation(task: VecTask) -> dict[str, Any]:

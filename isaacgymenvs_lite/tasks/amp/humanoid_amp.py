@@ -96,7 +96,7 @@ class HumanoidAMP(HumanoidAMPBase):
     def observation_groups(self) -> dict[str, int]:
         """As the base; the goal comes last."""
         size = self.get_task_obs_size()
-        return super().observation_groups() | ({"goal": size} if size else {})
+        return super().observation_groups() | ({self.goal.obs_name: size} if size else {})
 
     def get_task_obs_size(self) -> int:
         """Return how many of the last entries of an observation describe the goal."""

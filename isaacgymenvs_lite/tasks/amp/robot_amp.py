@@ -135,6 +135,11 @@ class RobotAMP(HumanoidAMP):
             return super().character_observation_groups()
         return history_groups(self._layout.num_dofs, self.env_cfg.history_steps)
 
+    def observation_frames(self) -> dict[str, str]:
+        """As the base, and of what a robot measures."""
+        measured = {"root_ang_vel_b": "base", "gravity_b": "base", "dof_pos_offset": "joint"}
+        return super().observation_frames() | measured
+
     def states_size(self) -> int:
         """As the base, or see `compute_states`."""
         if not self.env_cfg.is_deployable:

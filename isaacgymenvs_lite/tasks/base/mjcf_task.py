@@ -94,9 +94,10 @@ class MjcfTask(VecTask):
         Its numbers are the compiled model's: time step, gravity, friction, gains of the actuators.
         None if the task did not keep it.
         """
-        spec, model = self._spec, self._model
-        if spec is None:
+        if self._spec is None:
             return None
+        spec, model = self._spec.copy(), self._model
+        spec.compile()  # `copy_back` compares the model with what the specification compiles to
         spec.copy_back(model)
         for actuator in spec.actuators:  # what `copy_back` leaves as it was
             actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[actuator.id]))
