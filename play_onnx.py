@@ -150,6 +150,8 @@ def main():
     history = deque([frame], maxlen=1 + max(part["age"] for part in parts))  # newest first
     start, trace = robot.root.qpos[:2].copy(), [robot.data.qpos.copy()]
     window = None if args.steps else mujoco.viewer.launch_passive(robot.model, robot.data)
+    if window:  # the camera follows the robot
+        window.cam.type, window.cam.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, robot.base.id
     begin = time.perf_counter()
     for step in range(1, args.steps + 1) if args.steps else itertools.count(1):
         # At the start the first frame takes the place of those before it.

@@ -149,7 +149,7 @@ def write_scene(player: Any, policy: Path) -> Path:
 
 
 def played_by_the_task(task: Any, act: Callable[[Tensor], Tensor]) -> npt.NDArray[np.float64]:
-    """Coordinates qpos (STEPS + 1, Q) of an environment, before the first and after each control step."""
+    """Coordinates qpos (STEPS + 1, Q) of an environment, at first and after each control step."""
     obs = task.reset()["obs"]
     rows = [task.simulation.batch.bind("qpos")[0].copy()]
     for _ in range(STEPS):
