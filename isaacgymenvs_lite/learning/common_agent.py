@@ -64,14 +64,14 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.cpu.parallel import parallelize
-from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
-from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_dataset, take_rows
-from isaacgymenvs_lite.learning.modules.running_mean_std import (
-    RunningMeanStd,
-    count_in_jointly,
-    replace_normalizers,
+from isaacgymenvs_lite.learning.central_value import (
+    fit_datasets,
+    make_central_value,
+    take_models,
 )
+from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
+from isaacgymenvs_lite.learning.diverged import RolloutMask, take_rows
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
 from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, own_rates_kept
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
@@ -81,12 +81,7 @@ LossTerms = dict[str, tuple[float, Tensor]]
 """{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
 weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
 
-_UNSUPPORTED_KEYS = (
-    "central_value_config",
-    "normalize_rms_advantage",
-    "self_play_config",
-    "use_action_masks",
-)
+_UNSUPPORTED_KEYS = ("normalize_rms_advantage", "self_play_config", "use_action_masks")
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
@@ -97,6 +92,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     Attributes:
         scalars: what the agent collects -> its name in TensorBoard.
+        unsupported_keys: of `params.config`, which rl_games has and these agents refuse.
         control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
         train_log: scalars of the current epoch.
 
@@ -111,6 +107,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     """
 
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
+    unsupported_keys: ClassVar[tuple[str, ...]] = _UNSUPPORTED_KEYS
     control_steps_per_action = 1
     stored_episodes = ("dataset",)
 
@@ -130,7 +127,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         config: dict[str, Any] | None = None,
     ) -> None:
         self._section = self._complete_section(given_params(params, config))
-        self._precision = _prepare_settings(self._section["config"])
+        self._precision = _prepare_settings(self._section["config"], self.unsupported_keys)
         # Not A2CAgent's constructor: it builds the model before the agent's own keys are read.
         ContinuousA2CBase.__init__(self, base_name, self._section)
         self._check_batch_size()
@@ -194,15 +191,17 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _build_model(self, mixed_precision: Any) -> None:
         with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
             self.model = self.network.build(self._build_net_config())
+            if self.has_central_value:
+                self.central_value_net = make_central_value(self)
         self.model.to(self.ppo_device)
-        replace_normalizers(self.model)
-        self.executor = parallelize(self.model, self.ppo_device, mixed_precision)
+        self.executor = take_models(self, self.ppo_device, mixed_precision)
+        # As rl_games: beside an asymmetric critic the network's own may still learn.
+        own_learns = bool(self.config.get("use_experimental_cv", True))
+        self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
         self.init_rnn_from_model(self.model)
         if self.is_rnn:
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
-        if self.normalize_value:
-            self.value_mean_std = self.model.value_mean_std
 
     def _build_modules(self) -> None:
         """Build what an agent needs beside the model, which exists."""
@@ -271,6 +270,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             if n > 0:
                 self._fill_next_values(n - 1, result["values"])
             buffer.update_data("obses", n, self.obs["obs"])
+            if self.has_central_value:
+                buffer.update_data("states", n, self.obs["states"])
             for name in self.update_list:
                 buffer.update_data(name, n, result[name])
 
@@ -299,9 +300,21 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Called before each policy step of a rollout."""
 
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Sample actions for observations; values are denormalised."""
+        """Sample actions for observations; values are denormalised.
+
+        They are those of the asymmetric critic, if there is one.
+        """
         with self._acting_in_rollout(obs):
-            return self._evaluate_policy(obs, self._policy_inputs())
+            result = self._evaluate_policy(obs, self._policy_inputs())
+        if self.has_central_value:
+            result["values"] = self._central_values(obs["states"])
+        return result
+
+    def _central_values(self, states: Tensor) -> Tensor:
+        """Return the asymmetric critic's denormalised values (n, values) of states (n, S)."""
+        with torch.no_grad():
+            values: Any = self.get_central_value({"states": states})
+        return values
 
     def _policy_inputs(self) -> dict[str, Tensor]:
         """Return inputs of actor and critic beside the observation, (N, ...) each."""
@@ -404,6 +417,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self.experience_buffer.tensor_dict["next_values"][n].zero_()
         env_ids = (rows & ~terminate).nonzero().flatten()
         inputs = {"obs": self._preproc_obs(self.obs["obs"]), **self._policy_inputs()}
+        if self.has_central_value:
+            inputs["states"] = self.obs["states"]
         queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
         self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
 
@@ -424,8 +439,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
         """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
 
-        The critic is called without the model around it, which would normalise the observation.
+        The critic is called without the model around it, which would normalise the observation. An
+        asymmetric one has `states` in place of them.
         """
+        if self.has_central_value:
+            return self._central_values(obs_dict["states"])
         self.model.eval()
         others = {name: value for name, value in obs_dict.items() if name != "obs"}
         with torch.no_grad():
@@ -456,6 +474,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._before_update(batch)
         self.prepare_dataset(batch)
         self.algo_observer.after_steps()
+        if self.has_central_value:
+            self.train_central_value()
         lr_mul, kls = self._run_mini_epochs()
         self._after_update(batch)
         end = time.perf_counter()
@@ -492,7 +512,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Normalise values and advantages, and pass all rows to the dataset."""
         num_rows = current_group().smallest(self._enough_rows(len(batch_dict["returns"])))
-        fit_dataset(self.dataset, num_rows, self.num_minibatches)
+        fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
         self.dataset.values_dict.update(self._extra_dataset(batch_dict))
@@ -648,15 +668,20 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     ) -> tuple[LossTerms, dict[str, Tensor]]:
         neglogp, mu = result["prev_neglogp"], result["mus"]
         actor = self._actor_loss(rows["old_logp_actions"], neglogp, rows["advantages"], self.e_clip)
-        critic = self._critic_loss(
-            rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
-        )
+        critic = {"critic_loss": torch.zeros_like(rows["returns"])}
+        if self.has_value_loss:
+            critic = self._critic_loss(
+                rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
+            )
         with torch.no_grad():
             kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
         bound = self.bound_loss(mu)
         terms = {
             "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
-            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
+            "critic_loss": (
+                self.critic_coef if self.has_value_loss else 0.0,
+                critic["critic_loss"].mean(),
+            ),
             "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
         }
@@ -780,16 +805,16 @@ def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -
     return params if config is None else config  # type: ignore[return-value]
 
 
-def _prepare_settings(settings: dict[str, Any]) -> Any:
+def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) -> Any:
     """Check and adapt the section `config` for rl_games, in place; return `mixed_precision`.
 
     Raises:
-        ConfigError: a key that this family of agents does not support.
+        ConfigError: a key that the agent does not support.
     """
-    for key in _UNSUPPORTED_KEYS:
+    for key in unsupported:
         if settings.get(key):
             raise ConfigError(
-                f"train.params.config.{key} is not supported by AMP-family agents; remove it"
+                f"train.params.config.{key} is not supported by agents of this kind; remove it"
             )
     mixed_precision = settings.get("mixed_precision", False)
     # rl_games' own switch means CUDA autocast with a gradient scaler; bfloat16 needs no scaler.

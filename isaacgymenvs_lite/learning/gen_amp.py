@@ -59,6 +59,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     stored_episodes = ("schedule",)
+    # Its critic needs the latents.
+    unsupported_keys = (*AMPAgent.unsupported_keys, "central_value_config")
     _amp: GenAMPParams
     _env: SkillEnv
     _latent_dim = ReadOnly("_amp.latent_dim")

@@ -71,6 +71,7 @@ class HRLAgent(CommonAgent):
     }
 
     stored_episodes = ("_noise",)
+    unsupported_keys = (*CommonAgent.unsupported_keys, "central_value_config")
     _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
     _task_size = ReadOnly("llc.num_task_obs", "the task")
     _llc_steps = ReadOnly("_hrl.llc_steps")

@@ -12,18 +12,12 @@ from torch import Tensor
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import diverged_in
+from isaacgymenvs_lite.learning.central_value import fit_datasets, take_models
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
-from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
-from isaacgymenvs_lite.learning.diverged import (
-    EpisodeMeters,
-    RolloutMask,
-    fit_dataset,
-    take_rows,
-)
+from isaacgymenvs_lite.learning.diverged import EpisodeMeters, RolloutMask, take_rows
 from isaacgymenvs_lite.learning.losses import normalize_advantages
-from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.utils.threads import one_torch_thread
@@ -62,16 +56,8 @@ class PPOAgent(PPOSafeguards):
         if self.normalize_advantage:
             self._check_batch_size()
         self._sliced = on_cpu and not self.is_rnn
-        if not on_cpu:
-            return
-        models = [self.model]
-        if self.has_central_value:
-            models.append(self.central_value_net.model)
-        for model in models:
-            replace_normalizers(model)
-            parallelize(model, device, precision)
-        if self.normalize_value:
-            self.value_mean_std = models[-1].value_mean_std
+        if on_cpu:
+            take_models(self, device, precision)
 
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
@@ -119,10 +105,7 @@ class PPOAgent(PPOSafeguards):
                 batch_dict = take_rows(batch_dict, flat)
         if not self.is_rnn:
             num_rows = current_group().smallest(len(batch_dict["returns"]))
-            fit_dataset(self.dataset, num_rows, self.num_minibatches)
-            if self.has_central_value:
-                central = self.central_value_net
-                fit_dataset(central.dataset, num_rows, central.num_minibatches)
+            fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)
         if self.normalize_advantage and current_group().size > 1:
             advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=1)

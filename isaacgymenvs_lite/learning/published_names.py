@@ -48,7 +48,6 @@ class Surface:
 
 
 _LOOP = "the play loop is evaluation.evaluate's: act(obs), _post_step(info) or run() of your own"
-_CENTRAL = "the AMP family has no asymmetric critic"
 _CALLED_BY_LOOP = frozenset(("_env_reset_done", "env_step", "env_reset"))
 _NO_DEBUG = "_record_step(n, infos) gets infos['amp_obs'] of each step"
 _NO_COLOUR = "viewers here do not colour characters by their latents"
@@ -65,14 +64,15 @@ SURFACES = (
             model states last_lr optimizer dataset actions_num actions_low actions_high
             network_path train_result obs dones frame curr_frames epoch_num last_mean_rewards""",
         other={
+            "central_value_net": "a train file with a central_value_config makes one in agents of"
+            " AMP, not of ASE and hierarchies",
+            "use_experimental_cv": "has_value_loss, by the key use_experimental_cv",
             "env_reset(env_ids)": "_env_reset_done() resets, _after_reset(env_ids) gets them",
             "running_mean_std": "model.running_mean_std",
         },
         absent={
             "_get_mean_rewards()": "_track_episodes(rewards, shaped_rewards, infos) fills the"
             " meters that rl_games logs and saves by",
-            "central_value_net": _CENTRAL,
-            "use_experimental_cv": _CENTRAL,
             "model_output_file": "rl_games names the files in nn_dir",
             "_save_intermediate": "every file of save_frequency has its epoch in its name",
         },

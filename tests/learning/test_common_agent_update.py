@@ -10,7 +10,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from tests.learning.conftest import make_training_set
-from tests.tiny import ASYMMETRIC_CRITIC
+from tests.tiny import ASYMMETRIC_CRITIC, TINY_STYLE
 
 
 def counts(agent: Any) -> tuple[float, float, float]:
@@ -286,7 +286,6 @@ def test_without_bound_loss_none_is_counted(make_agent):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("central_value_config", ASYMMETRIC_CRITIC),
         ("self_play_config", "{minibatch_size:16}"),
         ("use_action_masks", "{minibatch_size:16}"),
     ],
@@ -294,6 +293,12 @@ def test_without_bound_loss_none_is_counted(make_agent):
 def test_keys_that_this_family_does_not_support_are_named(key, value, make_agent):
     with pytest.raises(ConfigError, match=rf"train\.params\.config\.{key} is not supported"):
         make_agent(f"+train.params.config.{key}={value}")
+
+
+def test_a_critic_of_latents_cannot_be_asymmetric(make_agent):
+    words = ("task=HumanoidASE", *TINY_STYLE)
+    with pytest.raises(ConfigError, match=r"config\.central_value_config is not supported"):
+        make_agent(*words, f"+train.params.config.central_value_config={ASYMMETRIC_CRITIC}")
 
 
 # --- mixed precision --------------------------------------------------------------------------

@@ -25,7 +25,8 @@ CLASSIC = {
     "lstm": TINY_LSTM,
     "sac": TINY_SAC,
 }
-AMP = {"amp": (), "ase": GEN_AMP}
+CRITIC = ("+task.env.asymmetric_observations=True", asymmetric()[1])
+AMP = {"amp": (), "asymmetric": CRITIC, "ase": GEN_AMP}
 EPOCHS = 2
 
 

@@ -29,6 +29,12 @@ AGENTS = {
     "ppo_randomized": ("task=Ant", *TINY_PPO, SHORT_EPISODES, "task.task.randomize=True"),
     "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO),
     "amp": ("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
+    "robot_amp": (
+        *("task=RobotAMP", *TINY_AMP, SHORT_EPISODES, "task.task.randomize=True"),
+        *("task.env.observations=deployable", "task.env.historySteps=2"),
+        *("task.env.observationNoise.dof_vel=1.5", "task.env.actionDelay=[0,2]"),
+        *("task.env.pushRobots=True", "task.env.pushInterval_s=0.1"),
+    ),
     "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES),
     "lstm": (*TINY_LSTM, *ONE_THREAD, f"{CONFIG}.seq_length=4"),
     "sac": (*TINY_SAC, *ONE_THREAD, SHORT_EPISODES),

@@ -51,6 +51,13 @@ def test_everything_that_is_published_is_read() -> None:
     assert plan.unsupported == ("actor_params.ant.scale",)
 
 
+def test_null_takes_out_an_actor_of_the_file_below() -> None:
+    of_humanoid = {"humanoid": None, "ant": {"dof_properties": {"damping": _UNIFORM}}}
+    assert set(read_plan({"actor_params": of_humanoid}, ["ant"]).actor) == {
+        ("dof_properties", "damping")
+    }
+
+
 @pytest.mark.parametrize(
     ("params", "said"),
     [
