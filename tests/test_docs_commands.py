@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 import yaml
@@ -71,6 +72,7 @@ USERS_FILES = {
             "my_walk.npz",
             "my_script.py",
             "g1.yaml",
+            "policy.onnx",
         )
     ),
 }
@@ -88,6 +90,7 @@ EXTRAS = {
     **{"sb3": "sb3", "skrl": "skrl", "rsl_rl": "rsl-rl"},  # the command workflows
     "isaacgymenvs_lite.demo": "video",
     "isaacgymenvs_lite.export": "export",
+    "play_onnx.py": "export",
     "isaacgymenvs_lite.motion.plot": "docs",
     "isaacgymenvs_lite.motion.strip": "docs",
     "tools.clip_synthesis": "retarget",
@@ -218,6 +221,8 @@ def check_python(words: Sequence[str]) -> None:
     option, *rest = words
     if option == "-m":
         check_module(rest[0], rest[1:])
+    elif option == "play_onnx.py":
+        arguments_of(runpy.run_path, str(ROOT / option), rest)
     else:
         assert option == "train.py"
         check_train(rest)
@@ -297,22 +302,27 @@ def ending(method: str) -> Callable[..., argparse.Namespace]:
 
 def check_module(module: str, words: Sequence[str]) -> None:
     """`python -m module words` is taken by its own parser, and so is what the words name."""
-    argv = sys.argv
-    sys.argv = [module, *words]
-    try:
-        with pytest.raises(Accepted) as caught:
-            runpy.run_module(module, run_name="__main__")
-    except SystemExit as end:
-        pytest.fail(f"{module} ends with {end.code}")
-    finally:
-        sys.argv = argv
-    (found,) = caught.value.args
+    found = arguments_of(runpy.run_module, module, words)
     if ".workflows" in module:
         is_training = "train" in (*words[:2], module.rpartition(".")[2])
         command = read_command(TrainSettings if is_training else PlaySettings, found)
         check_config(compose_task(command.settings.task, command.task_words))
     if module.startswith("benchmarks."):
         check_experiments([*getattr(found, "what", ()), *getattr(found, "targets", ())])
+
+
+def arguments_of(run: Callable[..., object], program: str, words: Sequence[str]) -> Any:
+    """Return what a program's own parser makes of its words."""
+    argv = sys.argv
+    sys.argv = [program, *words]
+    try:
+        with pytest.raises(Accepted) as caught:
+            run(program, run_name="__main__")
+    except SystemExit as end:
+        pytest.fail(f"{program} ends with {end.code}")
+    finally:
+        sys.argv = argv
+    return caught.value.args[0]
 
 
 def check_experiments(words: Sequence[str]) -> None:
@@ -378,6 +388,9 @@ def test_a_command_is_accepted(words):
         "python -m isaacgymenvs_lite.workflows sb3 play task=Ant max_iterations=4",
         "python -m isaacgymenvs_lite.workflows sbb train task=Ant",
         "python -m benchmarks.learning wolk --minutes 3",
+        "python play_onnx.py",
+        "python play_onnx.py policy.onnx --step 3",
+        "python play_onnx.py policy.onnx --command 1",
         "make trian",
         "make demo ARGS=policy=[walk]",
         "pip install -e .[vidoe]",

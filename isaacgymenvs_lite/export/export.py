@@ -18,6 +18,7 @@ from isaacgymenvs_lite.export.configuration import configuration_of
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, make_exportable_policy
 from isaacgymenvs_lite.export.formats import FORMATS, ExportedPolicy
 from isaacgymenvs_lite.export.metadata import describe
+from isaacgymenvs_lite.export.scene import scene_of
 from isaacgymenvs_lite.runner import load_player
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.files import written_for_user
@@ -45,7 +46,8 @@ class ExportSettings:
 def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Path:
     """Write the policy of a checkpoint into one file and return its path.
 
-    The file is run once and compared with the policy.
+    The file is run once and compared with the policy. The model of a robot's task is written beside
+    it, see `scene_of`.
 
     Args:
         settings: of the command.
@@ -65,6 +67,7 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
         with contextlib.redirect_stdout(io.StringIO()):  # rl_games' normalisers print their sizes
             graph = make_exportable_policy(player)
         metadata = describe(cfg, player, graph, load_checkpoint(cfg.checkpoint))
+        scene = scene_of(player.env, path)
     content = kind.write(graph, metadata)
     with written_for_user(path, "out") as partial:
         partial.write_bytes(content)
@@ -76,6 +79,9 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
             )
     log.info("%s: %s", path, _summary(graph))
     log.info("%.2f MiB, differs from the policy by %.1g", len(content) / 2**20, difference)
+    if scene is not None:
+        scene.write()
+        log.info("%s: the robot as it was simulated, for play_onnx.py", scene.path)
     return path
 
 

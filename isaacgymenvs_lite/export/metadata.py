@@ -8,14 +8,19 @@ from collections.abc import Mapping
 from typing import Any
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
+import torch
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite import __version__
 from isaacgymenvs_lite.export.exportable_policy import PolicyGraph, TensorSpec
 from isaacgymenvs_lite.learning.hrl_players import HRLPlayer
+from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.simulation.state_buffers import StateConverter
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Of the keys that `describe` returns."""
 
 
@@ -40,6 +45,7 @@ def describe(
         "frames": int(state.get("frame", 0)),
         "epochs": int(state.get("epoch", 0)),
         "control_rate_hz": 1.0 / task.simulation.dt,
+        "simulation": _simulation(task),
         "inputs": [_described(spec) for spec in graph.inputs],
         "outputs": [_described(spec) for spec in graph.outputs],
         "observations": _observations(task),
@@ -48,6 +54,7 @@ def describe(
         "action_limit": _finite(min(task.clip_actions, 1.0 if player.clip_actions else math.inf)),
         "action_scaling": _action_scaling(task),
         "drives": drives_of(task.simulation.model),
+        **_robot(task),
     }
     if isinstance(player, HRLPlayer):
         described["llc_steps"] = player.llc_steps
@@ -67,11 +74,60 @@ def _finite(limit: float) -> float | None:
 
 def _observations(task: VecTask) -> list[dict[str, Any]]:
     groups = task.observation_groups() or {f"obs_{i}": 1 for i in range(task.num_obs)}
+    described = task.robot_description()
+    frames = described.frames if described else {}
     starts = itertools.accumulate(groups.values(), initial=0)
-    return [
-        {"name": name, "start": start, "size": size}
-        for (name, size), start in zip(groups.items(), starts, strict=False)
-    ]
+    parts = []
+    for (group, size), start in zip(groups.items(), starts, strict=False):
+        # A history has `dof_vel_2` for the `dof_vel` of two control steps before.
+        stem, _, number = group.rpartition("_")
+        is_older = number.isdecimal() and stem in groups
+        name, age = (stem, int(number)) if is_older else (group, 0)
+        frame = frames.get(name)
+        parts.append({"name": name, "age": age, "start": start, "size": size, "frame": frame})
+    return parts
+
+
+def _simulation(task: VecTask) -> dict[str, Any]:
+    option = task.simulation.model.opt
+    return {
+        "timestep_s": option.timestep,
+        "steps_per_action": task.simulation.substeps,
+        "gravity": option.gravity.tolist(),
+        "integrator": mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_").lower(),
+    }
+
+
+def _robot(task: VecTask) -> dict[str, Any]:
+    """Return joints, root and key bodies of the robot; null and empty where the task is silent.
+
+    In MuJoCo's coordinates: position (m) and quaternion wxyz of the root, its velocities in world
+    axes (m/s) and in its own (rad/s); angles of hinges (rad), quaternions wxyz of ball joints.
+    """
+    model, described = task.simulation.model, task.robot_description()
+    layout = ModelLayout.from_model(model)
+    states: dict[str, npt.NDArray[np.float64]] = {}
+    if described is not None:
+        both = (torch.stack(tensors).cpu() for tensors in zip(*described[:2], strict=True))
+        qpos, qvel = StateConverter(model, layout).rows(*both)
+        states = {"default_qpos": qpos[0], "start_qpos": qpos[1], "start_qvel": qvel[1]}
+    joints = []
+    for i in range(model.njnt - len(layout.object_names)):
+        joint = model.joint(i)
+        kind = mujoco.mjtJoint(int(joint.type[0])).name.removeprefix("mjJNT_").lower()
+        described_joint: dict[str, Any] = {"name": joint.name, "type": kind}
+        for key, values in states.items():
+            is_qpos = key.endswith("qpos")
+            first = int((joint.qposadr if is_qpos else joint.dofadr)[0])
+            size = len(joint.qpos0) if is_qpos else len(joint.damping)
+            described_joint[key] = values[first : first + size].tolist()
+        joints.append(described_joint)
+    has_root = layout.has_free_root
+    return {
+        "root": {"body": layout.body_names[0], **joints[0]} if has_root and described else None,
+        "joints": joints[1:] if has_root else joints,
+        "key_bodies": list(described.key_bodies) if described else [],
+    }
 
 
 def _action_names(task: VecTask) -> list[str]:
@@ -92,18 +148,26 @@ def _action_scaling(task: VecTask) -> dict[str, Any] | None:
 def drives_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Return the actuators: name, stiffness, damping (0 of motors), effort limit (None: without).
 
-    In Nm/rad, Nm s/rad and Nm of hinges and ball joints; N/m, N s/m and N of slides.
+    In Nm/rad, Nm s/rad and Nm of hinges and ball joints; N/m, N s/m and N of slides. Of actuators
+    on joints also the joint, its armature (kg m^2, of slides kg) and the first three numbers of the
+    gear: of a ball joint the axis of the torque, in the frame of its body.
     """
     drives = []
     for i in range(model.nu):
         is_servo = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE
         limited = bool(model.actuator_forcelimited[i])
+        is_on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+        joint = int(model.actuator_trnid[i, 0])
+        armature = float(model.dof_armature[model.jnt_dofadr[joint]]) if is_on_joint else None
         drives.append(
             {
                 "name": model.actuator(i).name,
+                "joint": model.joint(joint).name if is_on_joint else None,
+                "gear": model.actuator_gear[i, :3].tolist() if is_on_joint else None,
                 "stiffness": float(model.actuator_gainprm[i, 0]) if is_servo else 0.0,
                 "damping": float(-model.actuator_biasprm[i, 2]) if is_servo else 0.0,
                 "effort_limit": float(model.actuator_forcerange[i, 1]) if limited else None,
+                "armature": armature,
             }
         )
     return drives

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -123,13 +124,29 @@ def test_the_file_earns_what_the_player_earns(
     assert metadata["observation_limit"] == 5.0
     assert metadata["action_limit"] == 1.0
     names = ["cart_pos", "cart_vel", "pole_angle", "pole_vel"]
-    expected_groups = [{"name": n, "start": i, "size": 1} for i, n in enumerate(names)]
+    expected_groups = [
+        {"name": name, "age": 0, "start": i, "size": 1, "frame": None}
+        for i, name in enumerate(names)
+    ]
     assert metadata["observations"] == expected_groups
     assert metadata["actions"] == ["slider_to_cart"]
     assert metadata["action_scaling"] == {"unit": "N", "offset": [0.0], "scale": [100.0]}
     assert metadata["drives"] == [
-        {"name": "slider_to_cart", "stiffness": 0.0, "damping": 0.0, "effort_limit": 1000.0}
+        {
+            "name": "slider_to_cart",
+            "joint": "slider_to_cart",
+            "gear": [1.0, 0.0, 0.0],
+            "stiffness": 0.0,
+            "damping": 0.0,
+            "effort_limit": 1000.0,
+            "armature": 0.0,
+        }
     ]
+    joints = ["slider_to_cart", "cart_to_pole"]
+    assert [joint["name"] for joint in metadata["joints"]] == joints
+    assert [joint["type"] for joint in metadata["joints"]] == ["slide", "hinge"]
+    assert metadata["root"] is None
+    assert not list(tmp_path.glob("*_scene.xml"))  # it is no robot
     json.dumps(metadata)
 
 
@@ -154,6 +171,17 @@ def test_a_shipped_policy_walks(tmp_path) -> None:
     assert metadata["drives"][knee]["stiffness"] == 300.0
     assert metadata["drives"][knee]["effort_limit"] is None
     assert metadata["action_scaling"]["scale"][0] == pytest.approx(np.pi)
+    assert metadata["simulation"]["steps_per_action"] == 4
+    assert metadata["simulation"]["timestep_s"] == pytest.approx(0.0083)
+    assert metadata["key_bodies"] == ["right_hand", "left_hand", "right_foot", "left_foot"]
+    assert metadata["root"]["default_qpos"] == pytest.approx([0, 0, 0.89, 1, 0, 0, 0])
+    assert metadata["root"]["start_qvel"][0] > 0.5  # m/s: the clip walks along x
+    assert [joint["type"] for joint in metadata["joints"][:3]] == ["ball", "ball", "ball"]
+    assert all(joint["default_qpos"] == [1, 0, 0, 0] for joint in metadata["joints"][:3])
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "walk_scene.xml"))
+    assert [drive["name"] for drive in metadata["drives"]] == [
+        model.actuator(i).name for i in range(model.nu)
+    ]
     last = metadata["observations"][-1]
     assert last["start"] + last["size"] == 105
 

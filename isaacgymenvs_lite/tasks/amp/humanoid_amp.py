@@ -26,6 +26,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
+from isaacgymenvs_lite.tasks.base.vec_task import RobotState
 from isaacgymenvs_lite.tasks.goals.goal import Goal
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
@@ -95,7 +96,7 @@ class HumanoidAMP(HumanoidAMPBase):
     def observation_groups(self) -> dict[str, int]:
         """As the base; the goal comes last."""
         size = self.get_task_obs_size()
-        return super().observation_groups() | ({"goal": size} if size else {})
+        return super().observation_groups() | ({self.goal.obs_name: size} if size else {})
 
     def get_task_obs_size(self) -> int:
         """Return how many of the last entries of an observation describe the goal."""
@@ -317,6 +318,15 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
+
+    def first_start(self) -> RobotState | None:
+        """Return the start of the first clip, unless episodes start in the default pose."""
+        if self.env_cfg.state_init == "Default":
+            return None
+        first = torch.zeros(1, dtype=torch.int64, device=self.device)
+        states = self._reference_states(first, first.float(), first)
+        root_state, dof_pos, dof_vel = (rows[0] for rows in states[:3])
+        return RobotState(root_state, dof_pos, dof_vel)
 
     def reset(self) -> dict[str, Tensor]:
         """As the base; starts that were drawn before are dropped, for the seed's sake."""

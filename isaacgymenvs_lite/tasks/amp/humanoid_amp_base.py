@@ -24,7 +24,13 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.vec_task import ActionScaling, Done, ResetMode
+from isaacgymenvs_lite.tasks.base.vec_task import (
+    ActionScaling,
+    Done,
+    ResetMode,
+    RobotDescription,
+    RobotState,
+)
 
 __all__ = [
     "DOF_BODY_IDS",
@@ -115,6 +121,27 @@ class HumanoidAMPBase(MjcfTask):
         """Return targets of the drives in rad, or torques in Nm without `pdControl`."""
         unit = "rad" if self.env_cfg.pd_control else "Nm"
         return ActionScaling(unit, self._action_offset, self._action_scale)
+
+    def robot_description(self) -> RobotDescription:
+        """Return default pose, start, key bodies, and the frames of the observation's parts."""
+        root_state, dof_pos = self.default_pose()
+        default = RobotState(root_state, dof_pos, torch.zeros_like(dof_pos))
+        start = self.first_start() or default
+        return RobotDescription(default, start, self.key_body_names(), self.observation_frames())
+
+    def first_start(self) -> RobotState | None:
+        """Return a state in which an episode can start; None: in the default pose only."""
+        return None
+
+    def observation_frames(self) -> dict[str, str]:
+        """Return the frames of the parts of `compute_humanoid_observations`."""
+        vectors = ("root_lin_vel", "root_ang_vel", "key_body_pos")
+        return {
+            "root_height": "world",
+            "root_rot_tan_norm": "heading" if self.env_cfg.local_root_obs else "world",
+            **dict.fromkeys(vectors, "heading"),
+            **dict.fromkeys(("dof_pos", "dof_vel"), "joint"),
+        }
 
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
         """Return offset and scale (D,) of PD targets for joint limits (D,), rad."""

@@ -90,6 +90,7 @@ class RobotAMP(HumanoidAMP):
         """Return the model of the robot on a floor; log what was taken and added."""
         path = asset_path(self.env_cfg.asset, self.default_asset)
         self._robot = load_robot(path, self.env_cfg, "task.env")
+        self._spec = self._robot.spec
         scale = f"actionScale: {self._action_scale_rad():.3g} rad"
         _log_once((*self._robot.describe(), scale))
         friction = self.env_cfg.plane.dynamic_friction
@@ -139,6 +140,11 @@ class RobotAMP(HumanoidAMP):
         if not self.env_cfg.is_deployable:
             return super().character_observation_groups()
         return history_groups(self._layout.num_dofs, self.env_cfg.history_steps)
+
+    def observation_frames(self) -> dict[str, str]:
+        """As the base, and of what a robot measures."""
+        measured = {"root_ang_vel_b": "base", "gravity_b": "base", "dof_pos_offset": "joint"}
+        return super().observation_frames() | measured
 
     def states_size(self) -> int:
         """As the base, or see `compute_states`."""

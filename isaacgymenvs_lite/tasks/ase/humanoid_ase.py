@@ -84,6 +84,11 @@ class HumanoidASE(HumanoidAMP):
         """See `compute_all_body_observations`."""
         return all_body_observation_groups(len(self._layout.body_names))
 
+    def observation_frames(self) -> dict[str, str]:
+        """Return the frames of the parts of `compute_all_body_observations` that have one."""
+        vectors = ("body_pos", "body_lin_vel", "body_ang_vel")
+        return {"root_height": "world", **dict.fromkeys(vectors, "heading")}
+
     def key_body_names(self) -> tuple[str, ...]:
         """Return the bodies whose positions are in the AMP observation."""
         return self.env_cfg.key_bodies

@@ -49,6 +49,8 @@ class MjcfTask(VecTask):
     default_asset: ClassVar[str]
     published_assets: ClassVar[tuple[str, ...]] = ()
     reset_mode = ResetMode.AFTER_PHYSICS
+    not_stored = ("_spec",)
+    _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:
         env = cfg["env"]
@@ -80,7 +82,27 @@ class MjcfTask(VecTask):
         """Return the compiled model."""
         path = asset_path(self.env_cfg.asset, self.default_asset, self.published_assets)
         friction = self.env_cfg.plane.dynamic_friction
-        return compile_model(path, self.sim_cfg, friction, self.change_spec)
+        return compile_model(path, self.sim_cfg, friction, self._keep_and_change_spec)
+
+    def _keep_and_change_spec(self, spec: mujoco.MjSpec) -> None:
+        self._spec = spec
+        self.change_spec(spec)
+
+    def scene(self) -> mujoco.MjSpec | None:
+        """Return the simulated model as a specification, which can be written as MJCF.
+
+        Its numbers are the compiled model's: time step, gravity, friction, gains of the actuators.
+        None if the task did not keep it.
+        """
+        if self._spec is None:
+            return None
+        spec, model = self._spec.copy(), self._model
+        spec.compile()  # `copy_back` compares the model with what the specification compiles to
+        spec.copy_back(model)
+        for actuator in spec.actuators:  # what `copy_back` leaves as it was
+            actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[actuator.id]))
+            actuator.forcelimited = int(model.actuator_forcelimited[actuator.id])
+        return spec
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
         """Change the task's MJCF before it is compiled; nothing by default."""

@@ -92,6 +92,37 @@ class ActionScaling(NamedTuple):
     scale: Tensor
 
 
+class RobotState(NamedTuple):
+    """A state of one robot, as `SimulationBackend.write_state` takes it.
+
+    Attributes:
+        root_state: (13,).
+        dof_pos: (D,) rad.
+        dof_vel: (D,) rad/s.
+    """
+
+    root_state: Tensor
+    dof_pos: Tensor
+    dof_vel: Tensor
+
+
+class RobotDescription(NamedTuple):
+    """What a program needs to drive the robot of a task, beside the model and `ActionScaling`.
+
+    Attributes:
+        default: the default pose, at rest.
+        start: a state in which an episode of the training can start.
+        key_bodies: whose positions the observation part `key_body_pos` holds, in order.
+        frames: frame of each observation part: `world`; `heading`, world axes turned about z so
+            that the base faces +x; `base`; `joint`.
+    """
+
+    default: RobotState
+    start: RobotState
+    key_bodies: tuple[str, ...]
+    frames: dict[str, str]
+
+
 class Env:
     """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
@@ -175,6 +206,10 @@ class Env:
 
     def action_scaling(self) -> ActionScaling | None:
         """Return what an action means to the actuators; None if that depends on the state."""
+        return None
+
+    def robot_description(self) -> RobotDescription | None:
+        """Return what it takes to drive the robot elsewhere; None if the task has no robot."""
         return None
 
     def set_train_info(self, env_frames: int, *args: Any, **kwargs: Any) -> None:

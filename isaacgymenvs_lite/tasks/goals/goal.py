@@ -40,6 +40,8 @@ class Goal:
 
     num_obs: ClassVar[int] = 0
     """Numbers in the goal's observation."""
+    obs_name: ClassVar[str] = "goal"
+    """Name of this part of the observation; `command`: m/s forward, m/s left, rad/s left."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
