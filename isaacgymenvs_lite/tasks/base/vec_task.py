@@ -314,6 +314,11 @@ class VecTask(Env):
             key: `up`, `down`, `left`, `right`, `space`, or a lower-case letter or digit.
         """
 
+    @property
+    def key_help(self) -> str:
+        """What the keys of `on_key` do, for users; '': nothing."""
+        return ""
+
     def infos(self) -> dict[str, Any]:
         """Return further infos of a step, besides `time_outs`; none by default."""
         return {}
