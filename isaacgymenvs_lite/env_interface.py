@@ -162,7 +162,7 @@ class HierarchyEnv(AMPObsEnv, Protocol):
         ...
 
 
-class GoalEnv(Protocol):
+class GoalEnv(Env, Protocol):
     """A task that measures how far a step was from its goal."""
 
     def goal_errors(self) -> dict[str, Tensor]:

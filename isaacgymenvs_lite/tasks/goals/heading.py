@@ -116,6 +116,7 @@ class Heading(TimedGoal):
         self.tar_face_dir = self.tar_dir.clone()
 
     def draw(self, env_ids: Tensor) -> None:
+        """Draw directions and speeds for `env_ids` (n,)."""
         cfg = self.settings
         reach = math.pi if cfg.enable_rand_heading else 0.0
         for directions in (self.tar_dir, self.tar_face_dir):

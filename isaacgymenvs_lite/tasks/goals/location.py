@@ -96,6 +96,7 @@ class Location(TimedGoal):
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 
     def draw(self, env_ids: Tensor) -> None:
+        """Draw points around the characters of `env_ids` (n,)."""
         reach = self.settings.tar_dist_max
         offset = uniform(env_ids, -reach, reach, (2,))
         self.tar_pos.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2] + offset)

@@ -81,6 +81,7 @@ class Reach(TimedGoal):
         self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def draw(self, env_ids: Tensor) -> None:
+        """Draw points about the origins of `env_ids` (n,)."""
         cfg = self.settings
         plane = uniform(env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,))
         height = uniform(env_ids, cfg.tar_height_min, cfg.tar_height_max, (1,))

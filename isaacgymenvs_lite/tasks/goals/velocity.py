@@ -92,8 +92,8 @@ class Velocity(TimedGoal):
 
     num_obs = 3
     key_help = (
-        "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop;"
-        " r: random commands again"
+        "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop, and once more:"
+        " random commands again"
     )
     settings_class = VelocitySettings
     change_steps_keys = ("commandChangeStepsMin", "commandChangeStepsMax")
@@ -155,18 +155,15 @@ class Velocity(TimedGoal):
         if key in _STEERING:
             axis, sign = _STEERING[key]
             command = self.commands[0].clone()
-            step = torch.maximum(low.abs(), high.abs())[axis] / _KEY_STEPS
-            command[axis] += sign * step
-            command = torch.minimum(torch.maximum(command, low), high)
+            command[axis] += sign * max(abs(low[axis]), abs(high[axis])) / _KEY_STEPS
+            self._steered = command.clamp(low, high).tolist()
         elif key == "space":
-            command = torch.zeros_like(low)
+            stop = torch.zeros_like(low)
             if self.settings.standing_share == 0:
-                command = torch.minimum(torch.maximum(command, low), high)
-        elif key == "r" and self._steered is not None:
-            command = None
+                stop = stop.clamp(low, high)
+            self._steered = None if self._steered == stop.tolist() else stop.tolist()
         else:
             return
-        self._steered = None if command is None else command.tolist()
         self.draw(torch.arange(len(self.commands), device=self.commands.device))
         forward, left, turn = self.commands[0].tolist()
         log.info("command: forward %.2f m/s, left %.2f m/s, turn %.2f rad/s", forward, left, turn)
@@ -213,7 +210,10 @@ class Velocity(TimedGoal):
         Velocities begin at the feet, 1 m for 1 m/s; turns in front of them, 1 m for 1 rad/s.
         """
         root = self.root_states()[env_id : env_id + 1]
-        moves = ((self.commands[env_id], GO_COLOUR), (compute_planar_motion(root)[0], ACTUAL_COLOUR))
+        moves = (
+            (self.commands[env_id], GO_COLOUR),
+            (compute_planar_motion(root)[0], ACTUAL_COLOUR),
+        )
         ahead = facing(root[:, 3:7])[0]
         arrows: list[Marker] = []
         for height, (move, colour) in enumerate(moves, start=1):
@@ -225,5 +225,7 @@ class Velocity(TimedGoal):
             ):
                 if torch.linalg.vector_norm(vector) > _LEAST_ARROW_M:
                     z = _ARROW_HEIGHT_M * height
-                    arrows.append(Arrow((*start.tolist(), z), (*(start + vector).tolist(), z), colour))
+                    arrows.append(
+                        Arrow((*start.tolist(), z), (*(start + vector).tolist(), z), colour)
+                    )
         return tuple(arrows)
