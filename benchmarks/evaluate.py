@@ -76,6 +76,7 @@ def measure(
         tempo=plain(outcome.imitation.tempo),
         speed_m_s=plain(outcome.speed_m_s),
         clip_speed_m_s=outcome.clip_speed_m_s,
+        goal_errors=outcome.goal_errors,
         mean_episode_steps=outcome.imitation.mean_episode_steps,
         num_episodes=outcome.imitation.num_episodes,
         evaluation_seed=seed,

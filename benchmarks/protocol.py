@@ -47,11 +47,13 @@ class Outcome:
         imitation: pose error, falls, tempo, episode length.
         speed_m_s: mean length of the root's way along the ground per second.
         clip_speed_m_s: the same of the reference clips.
+        goal_errors: means of the errors of the task's goal, by name.
     """
 
     imitation: ImitationResult
     speed_m_s: float
     clip_speed_m_s: float
+    goal_errors: dict[str, float]
 
 
 class SpeedProbe:
@@ -202,4 +204,5 @@ def _measure_imitation(player: Any, env: Any) -> Outcome:
         on_step=lambda dones, _: speed.step(env.simulation.root_states[:, :3].cpu(), dones.cpu()),
     )
     assert result.imitation is not None  # the task has reference motions
-    return Outcome(result.imitation, speed.mean_m_s(), clip_speed_m_s(env.motion_lib, env.dt))
+    clips_m_s = clip_speed_m_s(env.motion_lib, env.dt)
+    return Outcome(result.imitation, speed.mean_m_s(), clips_m_s, result.goal_errors)

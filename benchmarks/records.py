@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ class Record:
         frames_to_280: the same in frames.
         no_fall_share: 0 to 1.
         speed_m_s: of the root along the ground.
+        goal_errors: means by name, such as `velocity_error_m_s`; {} for a task without a goal.
         evaluation_seed: of the episodes' starts.
         machine: that it was trained on.
         commit: that it was trained with; several if it was resumed with another.
@@ -56,6 +57,7 @@ class Record:
     commit: str | None
     cores: int | None
     settings: list[str] | None
+    goal_errors: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"{self.experiment} seed {self.seed}: {numbers_line(asdict(self))}"
@@ -66,16 +68,27 @@ _MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "spee
 _MEDIANS += ("clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
 
 
-def medians(records: Sequence[Record]) -> dict[str, float | None]:
+def medians(records: Sequence[Record]) -> dict[str, Any]:
     """Return the medians over the seeds of one experiment.
 
     A seed without a number (which never reached 280 steps) counts as the largest; None is a median
     among those.
     """
-    return {
+    found: dict[str, Any] = {
         name: plain(float(np.median([_or_infinite(getattr(record, name)) for record in records])))
         for name in _MEDIANS
     }
+    errors = {name: [r.goal_errors.get(name) for r in records] for name in _error_names(records)}
+    found["goal_errors"] = {
+        name: plain(float(np.median([_or_infinite(value) for value in values])))
+        for name, values in errors.items()
+    }
+    return found
+
+
+def _error_names(records: Iterable[Record]) -> list[str]:
+    """Return the names of the records' goal errors, in the order of their first appearance."""
+    return list(dict.fromkeys(name for record in records for name in record.goal_errors))
 
 
 def numbers_line(n: dict[str, Any]) -> str:
@@ -84,13 +97,14 @@ def numbers_line(n: dict[str, Any]) -> str:
     if n["minutes_to_280"] is not None:
         after = f"{n['minutes_to_280']:.1f} min, {n['frames_to_280'] / 1e6:.2f} M frames"
         reached = f"after {after}"
+    errors = "".join(f" {name} {_number(e, '.3f')}," for name, e in n["goal_errors"].items())
     return (
         f"{n['frames'] / 1e6:.2f} M frames, {_number(n['minutes'], '.1f')} min;"
         f" pose error {_number(n['pose_error_m'], '.4f')} m,"
         f" without a fall {_number(n['no_fall_share'], '.2f')},"
         f" tempo {_number(n['tempo'], '.2f')},"
         f" speed {_number(n['speed_m_s'], '.2f')} m/s (clip {n['clip_speed_m_s']:.2f}),"
-        f" episode {n['mean_episode_steps']:.0f} steps;"
+        f"{errors} episode {n['mean_episode_steps']:.0f} steps;"
         f" {GOOD_EPISODE_STEPS} steps in training {reached}"
     )
 
@@ -109,7 +123,7 @@ def by_experiment(records: Iterable[Record]) -> dict[str, list[Record]]:
 
 def markdown_table(records: Sequence[Record]) -> str:
     """Return a table for docs/: one row per experiment, medians with the extremes behind them."""
-    columns = (
+    columns: list[tuple[str, str, float, str]] = [
         ("frames (M)", "frames", 1e-6, ".1f"),
         ("minutes", "minutes", 1, ".0f"),
         ("pose error (m)", "pose_error_m", 1, ".3f"),
@@ -119,18 +133,26 @@ def markdown_table(records: Sequence[Record]) -> str:
         ("the clip's", "clip_speed_m_s", 1, ".2f"),
         (f"minutes to {GOOD_EPISODE_STEPS} steps", "minutes_to_280", 1, ".1f"),
         (f"frames to {GOOD_EPISODE_STEPS} steps (M)", "frames_to_280", 1e-6, ".2f"),
-    )
+    ]
+    records = list(records)
+    errors = _error_names(records)
+    columns += [(name.replace("_", " "), name, 1, ".3f") for name in errors]
     lines = [
         "| experiment | seeds | " + " | ".join(title for title, *_ in columns) + " |",
         "|---" * (2 + len(columns)) + "|",
     ]
     for experiment, group in by_experiment(records).items():
         cells = [
-            spread_cell([_times(getattr(r, name), factor) for r in group], form)
+            spread_cell([_times(_value(r, name), factor) for r in group], form)
             for _, name, factor, form in columns
         ]
         lines.append(f"| {experiment} | {len(group)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _value(record: Record, name: str) -> float | None:
+    """Return a number of a record, or a goal's error of this name."""
+    return getattr(record, name) if hasattr(record, name) else record.goal_errors.get(name)
 
 
 def _times(value: float | None, factor: float) -> float | None:
@@ -177,9 +199,9 @@ def read_records(file: Path) -> list[Record]:
     """Read a file of `write_records`; none if it does not exist. Unknown keys are ignored."""
     if not file.is_file():
         return []
-    names = {field.name for field in fields(Record)}
+    names = {column.name for column in fields(Record)}
     rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
-    return [Record(**{key: row[key] for key in names}) for row in rows]
+    return [Record(**{key: row[key] for key in names & row.keys()}) for row in rows]
 
 
 def _key(record: Record) -> tuple[str, int, int]:

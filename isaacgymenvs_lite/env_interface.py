@@ -162,6 +162,14 @@ class HierarchyEnv(AMPObsEnv, Protocol):
         ...
 
 
+class GoalEnv(Env, Protocol):
+    """A task that measures how far a step was from its goal."""
+
+    def goal_errors(self) -> dict[str, Tensor]:
+        """Return errors (N,) of the last step by name, such as `velocity_error_m_s`."""
+        ...
+
+
 class BodyStates(Protocol):
     """A task's `simulation`, as far as measurements read it; B bodies, positions in m."""
 

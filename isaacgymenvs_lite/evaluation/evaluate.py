@@ -5,14 +5,20 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import player_class_note
-from isaacgymenvs_lite.env_interface import Env, ReferenceEnv, diverged_in, fits
+from isaacgymenvs_lite.env_interface import (
+    Env,
+    GoalEnv,
+    ReferenceEnv,
+    diverged_in,
+    fits,
+)
 from isaacgymenvs_lite.evaluation.pose_error import (
     EpisodeRecorder,
     ImitationResult,
@@ -36,6 +42,7 @@ class EvaluationResult:
         steps: control steps of an episode.
         style_reward: discriminator's reward per step, None without a discriminator.
         imitation: pose error and falls, None for tasks without reference motions.
+        goal_errors: means over all steps of the errors of the task's goal; {} without any.
     """
 
     num_episodes: int
@@ -43,6 +50,7 @@ class EvaluationResult:
     steps: float
     style_reward: float | None
     imitation: ImitationResult | None
+    goal_errors: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return one line for users."""
@@ -53,6 +61,7 @@ class EvaluationResult:
         ]
         if self.style_reward is not None:
             parts.append(f"style reward {self.style_reward:.3f} per step")
+        parts += [f"{name} {mean:.3f}" for name, mean in self.goal_errors.items()]
         if self.imitation is not None:
             parts.append(str(self.imitation))
         return "; ".join(parts)
@@ -85,6 +94,27 @@ class _ImitationProbe:
         return self._metric.evaluate(self._recorder.episodes)
 
 
+class _GoalProbe:
+    """Averages the errors of a task's goal over steps."""
+
+    def __init__(self, env: GoalEnv) -> None:
+        self._env = env
+        self._sums: dict[str, float] = {}
+        self._steps = 0
+
+    def record(self, playing: Tensor, infos: dict[str, Any]) -> None:
+        """Add the last step, of environments `playing` (N,) bool."""
+        diverged = diverged_in(infos, playing.device)
+        counted = playing if diverged is None else playing & ~diverged
+        self._steps += int(counted.sum())
+        for name, errors in self._env.goal_errors().items():
+            error = errors.to(counted.device)[counted].double().sum().item()
+            self._sums[name] = self._sums.get(name, 0.0) + error
+
+    def result(self) -> dict[str, float]:
+        return {name: error / max(1, self._steps) for name, error in self._sums.items()}
+
+
 def evaluate(
     env: Env,
     policy: Policy,
@@ -106,6 +136,7 @@ def evaluate(
     """
     episodes_per_env = max(1, -(-num_episodes // env.num_envs))
     probe = _ImitationProbe(env, episodes_per_env) if fits(env, ReferenceEnv) else None
+    goal = _GoalProbe(env) if fits(env, GoalEnv) else None
     left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
     totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
     env.reset()
@@ -118,6 +149,8 @@ def evaluate(
             totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
         if probe is not None:
             probe.record(dones, infos)
+        if goal is not None:
+            goal.record(playing, infos)
         if on_step is not None:
             on_step(dones, infos)
         left -= (dones != 0).to(left.dtype)
@@ -128,6 +161,7 @@ def evaluate(
         steps=totals[1].item() / count,
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
+        goal_errors={} if goal is None else goal.result(),
     )
 
 

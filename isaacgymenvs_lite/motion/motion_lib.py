@@ -121,6 +121,11 @@ class MotionLib:
         """Return the duration of all clips together, in s."""
         return sum(clip.length_s for clip in self._clips)
 
+    def fastest_clip_m_s(self) -> float:
+        """Return the mean speed of the root along the ground, of the clip where it is highest."""
+        velocities = (clip.linear_velocity_w[:, 0, :2] for clip in self._clips)
+        return max(float(np.linalg.norm(v, axis=-1).mean()) for v in velocities)
+
     def get_motion(self, motion_id: int) -> MotionClip:
         """Return a clip, with its bodies in the order of the humanoid."""
         return self._clips[motion_id]

@@ -12,6 +12,7 @@ Colour = tuple[float, float, float]
 # Unlike anything in the scenes of the humanoids, whose ground is grey and sky is blue.
 GO_COLOUR: Colour = (0.9, 0.15, 0.1)
 FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
+ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
 
 
 @dataclass(frozen=True)

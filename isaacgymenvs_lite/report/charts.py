@@ -13,6 +13,8 @@ REWARD_TAGS = ("rewards/frame", "rewards/step")
 LENGTH_TAGS = ("episode_lengths/frame", "episode_lengths/step")
 _NO_FALL_TAG = "imitation/no_fall_share"
 _FALL_TAG = "imitation/fall_share"  # one minus the other
+GOAL_TAG = "goal/"
+"""What the tags of the errors of a task's goal begin with."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,11 @@ def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
         lines = tuple(Line(label, series) for label, series in found.items() if len(series))
         if any(line.label != "task" for line in lines):  # alone it repeats the chart of its sum
             charts.append(Chart(plan.title, lines))
+    charts += [
+        _single(tag, f"Goal: {tag.removeprefix(GOAL_TAG)}", scalars)
+        for tag in sorted(scalars)
+        if tag.startswith(GOAL_TAG)
+    ]
     losses = (tag for tag in sorted(scalars) if tag.startswith(_LOSSES))
     return charts + [_single(tag, f"Loss: {tag.removeprefix(_LOSSES)}", scalars) for tag in losses]
 
@@ -108,7 +115,7 @@ def other_charts(scalars: Mapping[str, Series]) -> list[Chart]:
     return [
         _single(tag, tag, scalars)
         for tag in sorted(scalars)
-        if tag not in shown and not tag.startswith(_LOSSES)
+        if tag not in shown and not tag.startswith((_LOSSES, GOAL_TAG))
     ]
 
 

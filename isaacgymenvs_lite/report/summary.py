@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.report.charts import LENGTH_TAGS, REWARD_TAGS
+from isaacgymenvs_lite.report.charts import GOAL_TAG, LENGTH_TAGS, REWARD_TAGS
 from isaacgymenvs_lite.report.drawing import short
 from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, first_of
 from isaacgymenvs_lite.yaml_text import parse_yaml
@@ -49,6 +49,8 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
         series = first_of(scalars, tags)
         facts[name] = pattern.format(series.last) if len(series) else ""
     files = (file for file in run.glob("nn/*.pth") if file.is_file())
+    for tag in sorted(tag for tag in scalars if tag.startswith(GOAL_TAG)):
+        facts[tag.removeprefix(GOAL_TAG)] = f"{scalars[tag].last:.3f}" if len(scalars[tag]) else ""
     checkpoints = sorted(files, key=lambda file: file.stat().st_mtime)
     facts["newest checkpoint"] = f"nn/{checkpoints[-1].name}" if checkpoints else ""
     return {name: value for name, value in facts.items() if value}

@@ -29,6 +29,8 @@ def clip_spread_m(reference: ReferencePoses) -> float:
 class ImitationObserver(AlgoObserver):
     """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
 
+    The errors of a task's goal are written beside it, `goal/velocity_error_m_s` for one.
+
     The episodes have their own simulation, so that the training is not disturbed, and a fixed seed,
     so that they start from the same states each time and numbers compare over time. An evaluation
     is put off while all of them together would take more than 2% of the training time; the cost is
@@ -131,4 +133,6 @@ class ImitationObserver(AlgoObserver):
             writer.add_scalar("imitation/pose_error_m", result.imitation.pose_error_m, frame)
             writer.add_scalar("imitation/no_fall_share", result.imitation.no_fall_share, frame)
             writer.add_scalar("imitation/tempo", result.imitation.tempo, frame)
+        for name, error in result.goal_errors.items():
+            writer.add_scalar(f"goal/{name}", error, frame)
         log.info("after %d frames: %s", frame, result)

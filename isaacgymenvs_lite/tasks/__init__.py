@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
+from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP, RobotAMPVelocity
 from isaacgymenvs_lite.tasks.ant import Ant
 from isaacgymenvs_lite.tasks.anymal import Anymal
 from isaacgymenvs_lite.tasks.anymal_terrain import AnymalTerrain
@@ -50,5 +50,6 @@ _OWN: dict[str, TaskMaker] = {
     "Ingenuity": Ingenuity,
     "Quadcopter": Quadcopter,
     "RobotAMP": RobotAMP,
+    "RobotAMPVelocity": RobotAMPVelocity,
 }
 isaacgym_task_map.update(_OWN)

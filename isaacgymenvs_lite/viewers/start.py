@@ -73,6 +73,9 @@ class Viewers:
                 allowed_hosts=settings.viewer_allowed_hosts,
             )
             self._add(page)
+        watched = not settings.headless or settings.viewer == "web"
+        if settings.test and watched and (help_line := getattr(env, "key_help", "")):
+            log.info("keys in the viewer: %s", help_line)
 
     def _add(self, listener: StepListener) -> None:
         self._listeners.append(listener)

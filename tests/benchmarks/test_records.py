@@ -114,3 +114,19 @@ def test_a_record_replaces_the_one_of_the_same_policy_only(tmp_path):
 
 def test_no_file_no_records(tmp_path):
     assert read_records(tmp_path / "absent.jsonl") == []
+
+
+def test_errors_of_goals_are_shown_and_kept(tmp_path):
+    errors = [{"turn_error_rad_s": 0.1}, {"turn_error_rad_s": 0.3}, {}]
+    records = [replace(r, run=f"walk_seed{r.seed}") for r in seeds(goal_errors=errors)]
+    assert medians(records)["goal_errors"] == {"turn_error_rad_s": 0.3}  # without is worst
+    assert "turn_error_rad_s 0.300," in numbers_line(medians(records))
+    header, _, row = markdown_table(records[:2]).splitlines()
+    assert header.endswith("| turn error rad s |")
+    assert row.endswith("| 0.200 (0.100 to 0.300) |")
+    (file,) = write_records(records, tmp_path)
+    assert [record.goal_errors for record in read_records(file)] == errors
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    old = [{key: row[key] for key in row if key != "goal_errors"} for row in lines]
+    file.write_text("".join(json.dumps(row) + "\n" for row in old))
+    assert [record.goal_errors for record in read_records(file)] == [{}] * 3

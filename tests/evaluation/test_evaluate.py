@@ -93,6 +93,28 @@ def test_the_style_reward_is_a_mean_per_counted_step():
     assert all("amp_obs" in infos for _, infos in seen)
 
 
+class GoalEnv(ScriptedEnv):
+    """The error of an environment is its step, times ten in the second one; that one diverges."""
+
+    progress_buf = torch.zeros(2)
+
+    def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        obs, rewards, dones, infos = super().step(actions)
+        infos["diverged"] = torch.tensor([False, bool(self._step[1] == 3)])
+        return obs, rewards, dones, infos
+
+    def goal_errors(self) -> dict[str, Tensor]:
+        return {"miss_m": self._step * torch.tensor([1.0, 10.0])}
+
+
+def test_errors_of_a_goal_are_means_over_the_steps_that_count():
+    # Two steps of the first one, 1 and 2; 10 and 20 of the second one, whose third step is none.
+    result = evaluate(GoalEnv([[2], [3]]), zero_policy, 2)
+    assert result.goal_errors == {"miss_m": pytest.approx((1 + 2 + 10 + 20) / 4)}
+    assert "; miss_m 8.250" in str(result)
+    assert evaluate(ScriptedEnv([[2], [3]]), zero_policy, 2).goal_errors == {}
+
+
 def test_the_policy_sees_observations_after_resets():
     observed = []
 

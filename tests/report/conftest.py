@@ -42,6 +42,7 @@ AMP = {
     "imitation/pose_error_m": [0.25, 0.125, 0.0625],
     "imitation/no_fall_share": [0.0, 0.5, 1.0],
     "imitation/tempo": [0.5, 0.75, 1.0],
+    "goal/velocity_error_m_s": [0.9, 0.5, 0.25],
     "Episode/some": [1.0, 2.0, 3.0],
 }
 # As rl_games' PPO and SAC agents write them.

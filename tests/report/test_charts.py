@@ -30,6 +30,7 @@ def test_charts_of_an_amp_run(make_run) -> None:
         "Discriminator accuracy, share of the samples": ["both", "policy", "clips"],
         "Learning rate": ["learning rate"],
         "Frames per second, learning included": ["frames/s"],
+        "Goal: velocity_error_m_s": ["goal/velocity_error_m_s"],
         "Loss: a_loss": ["losses/a_loss"],
         "Loss: disc_loss": ["losses/disc_loss"],
     }

@@ -55,6 +55,12 @@ def test_cheap_evaluations_come_every_so_many_epochs(clock, agent, result):
     assert observer.last_frame == 100_000
 
 
+def test_errors_of_a_goal_are_written(clock, agent, result):
+    result = dataclasses.replace(result, goal_errors={"velocity_error_m_s": 0.2})
+    train(TimedImitation(clock, result, 10, 0.1), agent, epochs=10, epoch_s=2.0)
+    assert agent.writer.scalars["goal/velocity_error_m_s"] == [(10_000, 0.2)]
+
+
 def test_dear_evaluations_are_put_off(clock, agent, result):
     observer = TimedImitation(clock, result, 10, 5.0)
     train(observer, agent, epochs=1000, epoch_s=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -60,24 +61,27 @@ def test_an_unknown_name_lists_the_choices_and_says_how_to_add_one() -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """The guide's example, laid out as pip installs it."""
-    module, task_file, train_file = (
-        *_code_of_guide("python")[:1],
-        *_code_of_guide("yaml")[:2],
-    )
+    """The guide's examples, laid out as pip installs them."""
     site = tmp_path / "site"
     (site / "pendulum_tasks").mkdir(parents=True)
     (site / "pendulum_tasks" / "__init__.py").write_text("")
-    (site / "pendulum_tasks" / "swing_up.py").write_text(module)
     (site / "pendulum_tasks" / "pendulum.xml").write_text(_code_of_guide("xml")[0])
     info = site / "pendulum_tasks-0.1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pendulum-tasks\nVersion: 0.1\n")
-    entry = "[isaacgymenvs_lite.tasks]\nSwingUp = pendulum_tasks.swing_up:SwingUp\n"
-    (info / "entry_points.txt").write_text(entry)
-    for group, name, text in (("task", "SwingUp", task_file), ("train", "SwingUpPPO", train_file)):
-        (tmp_path / "cfg" / group).mkdir(parents=True)
-        (tmp_path / "cfg" / group / f"{name}.yaml").write_text(text)
+    entries = ["[isaacgymenvs_lite.tasks]"]
+    swing_up, _script, dribble = _code_of_guide("python")
+    yaml_blocks = iter(_code_of_guide("yaml"))
+    for task, module, code in (
+        ("SwingUp", "swing_up", swing_up),
+        ("RobotDribble", "dribble", dribble),
+    ):
+        (site / "pendulum_tasks" / f"{module}.py").write_text(code)
+        entries.append(f"{task} = pendulum_tasks.{module}:{task}")
+        for group, name in (("task", task), ("train", f"{task}PPO")):
+            (tmp_path / "cfg" / group).mkdir(parents=True, exist_ok=True)
+            (tmp_path / "cfg" / group / f"{name}.yaml").write_text(next(yaml_blocks))
+    (info / "entry_points.txt").write_text("\n".join(entries) + "\n")
     return tmp_path
 
 
@@ -94,6 +98,16 @@ def test_the_guides_task_trains_as_an_external_package(package: Path) -> None:
     done = _train(package, "--config-dir", str(package / "cfg"), *words)
     assert done.returncode == 0, done.stderr
     assert list(package.glob("runs/SwingUp_*/nn/SwingUp.pth"))
+
+
+def test_the_guides_goal_trains_as_an_external_package(package: Path) -> None:
+    words = ["--config-dir", str(package / "cfg"), "task=RobotDribble", "num_envs=8"]
+    words += ["num_threads=1", "max_iterations=1", "task.env.episodeLength=16"]
+    words += ["train.params.config.minibatch_size=128", "train.params.config.amp_minibatch_size=64"]
+    done = _train(package, *words, "train.params.config.imitation_frequency=1")
+    assert done.returncode == 0, done.stderr
+    assert list(package.glob("runs/RobotDribble_*/nn/RobotDribble.pth"))
+    assert re.search(r"ball_speed_error_m_s \d\.\d+", done.stdout + done.stderr)
 
 
 def test_an_entry_point_that_cannot_be_imported_is_named(package: Path) -> None:

@@ -46,7 +46,7 @@ def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask
         torch.manual_seed(seed)
         fixed = [f"task={task_name}", f"num_envs={num_envs}", "num_threads=1"]
         if task_name not in CLASSIC:
-            clip = "g1_walk" if task_name == "RobotAMP" else walk_clip
+            clip = "g1_walk" if task_name.startswith("RobotAMP") else walk_clip
             fixed += [f"task.env.motion_file={clip}", "task.env.stateInit=Random"]
         cfg = composed([*fixed, *overrides])
         made.append(make_from_config(cfg, sim_device="cpu", rl_device="cpu"))

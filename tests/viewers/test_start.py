@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from omegaconf import DictConfig
 
 from isaacgymenvs_lite import runner
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.rendering.gl import RenderingError
 from isaacgymenvs_lite.runner import run
@@ -202,3 +204,20 @@ def test_without_a_display_no_task_is_made(in_tmp, monkeypatch):
     monkeypatch.setattr(runner, "make_from_config", lambda *_, **__: pytest.fail("a task"))
     with pytest.raises(ConfigError, match="no display"):
         run(cfg_of(*PPO, "headless=False"))
+
+
+class NoPage:
+    def close(self) -> None:
+        """Close nothing."""
+
+
+@pytest.mark.parametrize("plays", [True, False])
+def test_a_play_says_what_the_keys_do(plays: bool, make_env, tmp_path, monkeypatch, caplog):
+    caplog.set_level("INFO")
+    monkeypatch.setattr(start, "check_page", lambda *_: None)
+    monkeypatch.setattr(start, "WebPage", lambda *_, **__: NoPage())
+    settings = check_config(cfg_of("task=RobotAMPVelocity", "viewer=web"))
+    env = make_env("task=RobotAMPVelocity", "num_envs=1")
+    with start.Viewers(dataclasses.replace(settings, test=plays)) as viewers:
+        viewers.start(env, tmp_path, lambda: None)
+    assert ("keys in the viewer: up, down: faster, slower" in caplog.text) is plays

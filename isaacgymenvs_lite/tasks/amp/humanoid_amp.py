@@ -27,6 +27,7 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 from isaacgymenvs_lite.tasks.base.vec_task import RobotState
+from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
@@ -103,7 +104,8 @@ class HumanoidAMP(HumanoidAMPBase):
         return self.goal.num_task_obs
 
     def create_sim(self) -> None:
-        """As the base, then load the reference motions."""
+        """As the base, with objects that lose their velocities slowly; load the motions."""
+        damp_objects(self._model, self._layout.object_names)
         super().create_sim()
         self._motion_lib = MotionLib(
             self.env_cfg.motion_file,
@@ -183,6 +185,10 @@ class HumanoidAMP(HumanoidAMPBase):
         super().pre_physics_step(actions)
         self.goal.before_step(self.progress_buf)
 
+    def update_state(self) -> None:
+        """Let the goal update what it remembers."""
+        self.goal.after_step()
+
     def _observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the observations of all environments, or of `env_ids` (n,), with their goals."""
         character = self._observe_character(env_ids)
@@ -192,7 +198,21 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def compute_reward_terms(self) -> Terms:
         """Return the goal's reward; the style reward is the agent's."""
-        return {"task": self.goal.reward()}
+        reward = self.goal.reward()
+        return reward if isinstance(reward, dict) else {"task": reward}
+
+    def goal_errors(self) -> dict[str, Tensor]:
+        """Return how far the last step was from the goal, (N,) each; see `Goal.errors`."""
+        return self.goal.errors()
+
+    @property
+    def key_help(self) -> str:
+        """What the keys of a viewer do."""
+        return self.goal.key_help
+
+    def on_key(self, key: str) -> None:
+        """Pass a key of a viewer to the goal."""
+        self.goal.on_key(key)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return what pictures of an environment show in addition to the character."""

@@ -11,6 +11,7 @@ import mujoco
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.qpos import dofs_from_qpos
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import load_robot
@@ -32,6 +33,7 @@ from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
+from isaacgymenvs_lite.tasks.goals.velocity import Velocity
 from isaacgymenvs_lite.utils.rotations import xyzw_from_wxyz
 
 log = logging.getLogger(__name__)
@@ -57,6 +59,8 @@ class RobotAMPConfig(HumanoidAMPConfig, RobotSettings, RealismSettings):
     asset: AssetConfig = field(default_factory=lambda: AssetConfig("mjcf/g1.xml"))
 
 
+# The mean speed of a clip that goes nowhere is below.
+_STANDING_M_S = 0.05
 # Of the start height: below it is a robot on its knees, not one that crouches.
 _TERMINATION_SHARE = 0.45
 
@@ -94,9 +98,11 @@ class RobotAMP(HumanoidAMP):
         scale = f"actionScale: {self._action_scale_rad():.3g} rad"
         _log_once((*self._robot.describe(), scale))
         friction = self.env_cfg.plane.dynamic_friction
-        model = compile_spec(self._robot.spec, path, self.sim_cfg, friction)
+        spec = self._robot.spec
+        model = compile_spec(spec, path, self.sim_cfg, friction, self.change_spec)
         set_actuators(model, self.env_cfg)
-        self._skeleton = Skeleton.from_model(model, str(path))
+        # Of the robot alone: a goal may have added objects.
+        self._skeleton = Skeleton.from_model(self._robot.model, str(path))
         return model
 
     def _action_scale_rad(self) -> float:
@@ -238,6 +244,28 @@ class RobotAMP(HumanoidAMP):
             return self._amp_features(self._character_states(env_ids))
         features = self.states_buf[:, : self._num_amp_obs_per_step()]  # the critic's first part
         return features if env_ids is None else features.index_select(0, env_ids)
+
+
+class RobotAMPVelocity(RobotAMP):
+    """RobotAMP that moves as commanded: style from clips, velocities from commands.
+
+    Raises:
+        ConfigError: as RobotAMP; or no clip moves along the ground, but commands do.
+    """
+
+    goal_class = Velocity
+
+    def create_sim(self) -> None:
+        """As the base, and check that there is a clip to go with."""
+        super().create_sim()
+        ranges = self.goal.settings.command_ranges
+        fastest_m_s = self.motion_lib.fastest_clip_m_s()
+        if any((*ranges.linear_x, *ranges.linear_y)) and fastest_m_s < _STANDING_M_S:
+            raise ConfigError(
+                f"task.env.motion_file={self.env_cfg.motion_file}: no clip moves along the ground"
+                f" (the fastest at {fastest_m_s:.3f} m/s), so that there is no style to follow"
+                " task.env.randomCommandVelocityRanges with; give clips whose root moves"
+            )
 
 
 @functools.lru_cache(maxsize=1)

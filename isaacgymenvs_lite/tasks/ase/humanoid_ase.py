@@ -10,7 +10,6 @@ from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
-from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_model import copy_drives
@@ -21,7 +20,6 @@ from isaacgymenvs_lite.tasks.base.all_body_observations import (
 )
 from isaacgymenvs_lite.tasks.base.humanoid_observations import pd_action_offset_scale
 from isaacgymenvs_lite.tasks.goals import GOALS, Goal
-from isaacgymenvs_lite.tasks.goals.boxes import damp_boxes
 
 # The file with ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
@@ -68,12 +66,6 @@ class HumanoidASE(HumanoidAMP):
             )
         self.goal: Goal = GOALS[self.goal_name or config.goal](env)
         return config
-
-    def build_model(self) -> mujoco.MjModel:
-        """As the base; free boxes lose their velocities slowly."""
-        model = super().build_model()
-        damp_boxes(model, ModelLayout.from_model(model).object_names)
-        return model
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
         """Give the character ASE's drives and add the objects of the goal."""

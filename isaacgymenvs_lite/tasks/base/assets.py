@@ -83,12 +83,15 @@ def compile_model(
     """
     with explained(path):
         spec = mujoco.MjSpec.from_file(str(path))
-        change(spec)
-    return compile_spec(spec, path, sim, dynamic_friction)
+    return compile_spec(spec, path, sim, dynamic_friction, change)
 
 
 def compile_spec(
-    spec: mujoco.MjSpec, path: Path, sim: SimConfig, dynamic_friction: float
+    spec: mujoco.MjSpec,
+    path: Path,
+    sim: SimConfig,
+    dynamic_friction: float,
+    change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> mujoco.MjModel:
     """Compile a specification with the task's time step, gravity and friction.
 
@@ -97,11 +100,13 @@ def compile_spec(
         path: for messages.
         sim: `task.sim`.
         dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
+        change: changes the specification before it is compiled.
 
     Raises:
         ConfigError: MuJoCo refuses it.
     """
     with explained(path):
+        change(spec)
         model = spec.compile()
     model.opt.timestep = sim.dt / sim.substeps
     model.opt.gravity[:] = sim.gravity

@@ -361,6 +361,11 @@ class VecTask(Env):
                 window keeps `v` and `r` for itself.
         """
 
+    @property
+    def key_help(self) -> str:
+        """What the keys of `on_key` do, for users; '': nothing."""
+        return ""
+
     def infos(self) -> dict[str, Any]:
         """Return further infos of a step, besides `time_outs`; none by default."""
         return {}

@@ -155,9 +155,13 @@ def compute_tracking_rewards(commands: Tensor, motion: BaseMotion) -> tuple[Tens
         commands: (3 or more, N) velocity along x and y of the base (m/s), yaw rate (rad/s).
         motion: see `compute_base_motion`.
     """
-    along = (commands[:2] - motion.lin_vel[:2]).square().sum(0)
-    turning = (commands[2] - motion.ang_vel[2]).square()
-    along, turning = torch.stack((along, turning)).div_(-_TRACKING_VARIANCE).exp_().unbind()
+    return tracking_kernels(commands[:2] - motion.lin_vel[:2], commands[2] - motion.ang_vel[2])
+
+
+def tracking_kernels(lin_vel_errors: Tensor, yaw_errors: Tensor) -> tuple[Tensor, Tensor]:
+    """Return exp(-error^2 / 0.25) (N,) of velocities (2, N) in m/s and yaw rates (N,) in rad/s."""
+    squares = torch.stack((lin_vel_errors.square().sum(0), yaw_errors.square()))
+    along, turning = squares.div_(-_TRACKING_VARIANCE).exp_().unbind()
     return along, turning
 
 

@@ -51,10 +51,10 @@ def add_box(
     )
 
 
-def damp_boxes(model: mujoco.MjModel, names: Iterable[str]) -> None:
-    """Let the boxes `names` of a compiled model lose their velocities slowly."""
+def damp_objects(model: mujoco.MjModel, names: Iterable[str]) -> None:
+    """Let the free bodies `names` of a compiled model lose their velocities slowly."""
     for name in names:
-        body, joint = model.body(name), model.joint(name)
-        first = int(joint.dofadr[0])
+        body = model.body(name)
+        first = int(body.dofadr[0])
         model.dof_damping[first : first + 3] = _DAMPING * body.mass
         model.dof_damping[first + 3 : first + 6] = _DAMPING * body.inertia

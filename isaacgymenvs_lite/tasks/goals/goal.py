@@ -14,6 +14,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.markers import Arrow, Colour, Marker, arrow_on_ground
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,17 @@ class Goal:
 
     Life: made from `task.env`; `add_to_model` before the model is compiled; `attach` when the
     simulation exists; then `reset` at the start of episodes and, in every control step,
-    `before_step`, the physics, `observe` and `reward`.
+    `before_step`, the physics, `after_step`, `observe` and `reward`. A goal of one's own overrides
+    those that it needs; docs/own_task.md has an example.
 
     Args:
         env: `task.env`; a key that is null means the goal's default.
+
+    Attributes:
+        settings: the goal's keys, an object of `settings_class`.
+        simulation: the backend, from `attach` on; its tensors are what goals read.
+        dt_s: time of a control step (s).
+        prev_root_pos_w: (N, 3) m, of the characters before the last control step.
 
     Raises:
         ConfigError: a value that cannot be used.
@@ -42,6 +50,8 @@ class Goal:
     """Numbers in the goal's observation."""
     obs_name: ClassVar[str] = "goal"
     """Name of this part of the observation; `command`: m/s forward, m/s left, rad/s left."""
+    key_help: ClassVar[str] = ""
+    """What the keys of `on_key` do, for users; '': nothing."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
@@ -71,9 +81,9 @@ class Goal:
         Raises:
             ConfigError: the character lacks a body that the goal names.
         """
-        self._simulation = simulation
-        self._dt_s = dt_s
-        self._prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
+        self.simulation = simulation
+        self.dt_s = dt_s
+        self.prev_root_pos_w = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
     def reset(self, env_ids: Tensor) -> None:
         """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
@@ -84,15 +94,31 @@ class Goal:
         Args:
             progress: (N,) control steps of the episodes so far.
         """
-        self._prev_root_pos_w.copy_(self._simulation.root_states[:, :3])
+        self.prev_root_pos_w.copy_(self.simulation.root_states[:, :3])
+
+    def after_step(self) -> None:
+        """Update what the goal remembers from step to step, after the physics."""
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the goal's observation (n, num_obs) of `env_ids` (n,) or all environments."""
         raise NotImplementedError(f"{type(self).__name__} has nothing to observe")
 
-    def reward(self) -> Tensor:
-        """Return (N,) rewards of the last step, constant 1 without a goal."""
-        return torch.ones(self._simulation.num_envs, device=self._simulation.device)
+    def reward(self) -> Tensor | Terms:
+        """Return (N,) rewards of the last step, or their terms (N,) by name.
+
+        Constant 1 without a goal.
+        """
+        return torch.ones(self.simulation.num_envs, device=self.simulation.device)
+
+    def errors(self) -> dict[str, Tensor]:
+        """Return how far the last step was from the goal: name with unit -> (N,); {} by default.
+
+        Evaluations report the means over all steps of the episodes.
+        """
+        return {}
+
+    def on_key(self, key: str) -> None:
+        """React to a key that was pressed in a viewer, see `VecTask.on_key`."""
 
     def failures(self, contact_body_ids: Tensor) -> Tensor | None:
         """Return (N,) bool, where the goal was missed for good; None if it cannot be missed.
@@ -105,17 +131,19 @@ class Goal:
         """Return the markers that show the goal of an environment in pictures."""
         return ()
 
-    def _ground_arrow(self, env_id: int, direction: Tensor, colour: Colour) -> Arrow:
+    def ground_arrow(self, env_id: int, direction: Tensor, colour: Colour) -> Arrow:
         """Return an arrow at the feet of the character, along `direction` (2,), unit."""
-        x, y = self._simulation.root_states[env_id, :2].tolist()
+        x, y = self.simulation.root_states[env_id, :2].tolist()
         dx, dy = direction.tolist()
         return arrow_on_ground((x, y), (dx, dy), colour)
 
-    def _rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
+    def rows(self, values: Tensor, env_ids: Tensor | None) -> Tensor:
+        """Return the rows (n, ...) of values (N, ...) that belong to `env_ids` (n,), None: all."""
         return values if env_ids is None else values.index_select(0, env_ids)
 
-    def _root_states(self, env_ids: Tensor | None = None) -> Tensor:
-        return self._rows(self._simulation.root_states, env_ids)
+    def root_states(self, env_ids: Tensor | None = None) -> Tensor:
+        """Return (n, 13) world position, rotation xyzw, linear and angular velocity."""
+        return self.rows(self.simulation.root_states, env_ids)
 
 
 class TimedGoal(Goal):
@@ -154,9 +182,9 @@ class TimedGoal(Goal):
             cfg.change_steps_min, cfg.change_steps_max, (len(env_ids),), device=env_ids.device
         )
         self.change_steps.index_copy_(0, env_ids, progress + steps)
-        self._draw(env_ids)
+        self.draw(env_ids)
 
-    def _draw(self, env_ids: Tensor) -> None:
+    def draw(self, env_ids: Tensor) -> None:
         """Draw goals for `env_ids` (n,)."""
         raise NotImplementedError
 

@@ -115,7 +115,8 @@ class Heading(TimedGoal):
         self.tar_dir = torch.tensor([1.0, 0.0], device=device).repeat(n, 1)
         self.tar_face_dir = self.tar_dir.clone()
 
-    def _draw(self, env_ids: Tensor) -> None:
+    def draw(self, env_ids: Tensor) -> None:
+        """Draw directions and speeds for `env_ids` (n,)."""
         cfg = self.settings
         reach = math.pi if cfg.enable_rand_heading else 0.0
         for directions in (self.tar_dir, self.tar_face_dir):
@@ -127,25 +128,25 @@ class Heading(TimedGoal):
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 5); see `compute_heading_observations`."""
         goal = (self.tar_dir, self.tar_speed, self.tar_face_dir)
-        rows = (self._rows(values, env_ids) for values in goal)
-        return compute_heading_observations(self._root_states(env_ids), *rows)
+        rows = (self.rows(values, env_ids) for values in goal)
+        return compute_heading_observations(self.root_states(env_ids), *rows)
 
     def reward(self) -> Tensor:
         """Return (N,); see `compute_heading_reward`."""
-        root = self._root_states()
+        root = self.root_states()
         return compute_heading_reward(
             root[:, :3],
-            self._prev_root_pos_w,
+            self.prev_root_pos_w,
             root[:, 3:7],
             self.tar_dir,
             self.tar_speed,
             self.tar_face_dir,
-            self._dt_s,
+            self.dt_s,
         )
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return an arrow where to go and one where to face."""
         return (
-            self._ground_arrow(env_id, self.tar_dir[env_id], GO_COLOUR),
-            self._ground_arrow(env_id, self.tar_face_dir[env_id], FACE_COLOUR),
+            self.ground_arrow(env_id, self.tar_dir[env_id], GO_COLOUR),
+            self.ground_arrow(env_id, self.tar_face_dir[env_id], FACE_COLOUR),
         )

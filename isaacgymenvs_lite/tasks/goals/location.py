@@ -95,31 +95,32 @@ class Location(TimedGoal):
         super().attach(simulation, dt_s)
         self.tar_pos = torch.zeros(simulation.num_envs, 2, device=simulation.device)
 
-    def _draw(self, env_ids: Tensor) -> None:
+    def draw(self, env_ids: Tensor) -> None:
+        """Draw points around the characters of `env_ids` (n,)."""
         reach = self.settings.tar_dist_max
         offset = uniform(env_ids, -reach, reach, (2,))
-        self.tar_pos.index_copy_(0, env_ids, self._root_states(env_ids)[:, :2] + offset)
+        self.tar_pos.index_copy_(0, env_ids, self.root_states(env_ids)[:, :2] + offset)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 2); see `compute_location_observations`."""
-        goal = self._rows(self.tar_pos, env_ids)
-        return compute_location_observations(self._root_states(env_ids), goal)
+        goal = self.rows(self.tar_pos, env_ids)
+        return compute_location_observations(self.root_states(env_ids), goal)
 
     def reward(self) -> Tensor:
         """Return (N,); see `compute_location_reward`."""
-        root = self._root_states()
+        root = self.root_states()
         return compute_location_reward(
             root[:, :3],
-            self._prev_root_pos_w,
+            self.prev_root_pos_w,
             root[:, 3:7],
             self.tar_pos,
             self.settings.tar_speed,
-            self._dt_s,
+            self.dt_s,
         )
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return the point, and an arrow to it, for it may lie outside of the picture."""
         x, y = self.tar_pos[env_id].tolist()
-        direction = normalize(self.tar_pos[env_id] - self._root_states()[env_id, :2], eps=1e-12)
+        direction = normalize(self.tar_pos[env_id] - self.root_states()[env_id, :2], eps=1e-12)
         point = Sphere((x, y, 0.0), math.sqrt(_NEAR_M2), GO_COLOUR)
-        return (point, self._ground_arrow(env_id, direction, GO_COLOUR))
+        return (point, self.ground_arrow(env_id, direction, GO_COLOUR))

@@ -80,7 +80,8 @@ class Reach(TimedGoal):
         self._body = names.index(name)
         self.tar_pos = torch.zeros(simulation.num_envs, 3, device=simulation.device)
 
-    def _draw(self, env_ids: Tensor) -> None:
+    def draw(self, env_ids: Tensor) -> None:
+        """Draw points about the origins of `env_ids` (n,)."""
         cfg = self.settings
         plane = uniform(env_ids, -cfg.tar_dist_max, cfg.tar_dist_max, (2,))
         height = uniform(env_ids, cfg.tar_height_min, cfg.tar_height_max, (1,))
@@ -88,14 +89,14 @@ class Reach(TimedGoal):
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 3); see `compute_reach_observations`."""
-        root, point = self._root_states(env_ids), self._rows(self.tar_pos, env_ids)
+        root, point = self.root_states(env_ids), self.rows(self.tar_pos, env_ids)
         if self.settings.reach_obs_relative:
             point = torch.cat((point[:, :2] - root[:, :2], point[:, 2:]), dim=-1)
         return compute_reach_observations(root, point)
 
     def reward(self) -> Tensor:
         """Return (N,); see `compute_reach_reward`."""
-        return compute_reach_reward(self._simulation.body_pos[:, self._body], self.tar_pos)
+        return compute_reach_reward(self.simulation.body_pos[:, self._body], self.tar_pos)
 
     def markers(self, env_id: int) -> tuple[Marker, ...]:
         """Return the point."""

@@ -144,32 +144,32 @@ class Strike(Goal):
         distance = _DIST_MIN_M + torch.rand(n, device=device) * (furthest - _DIST_MIN_M)
         bearing, half_turn = uniform(env_ids, 0.0, math.tau), uniform(env_ids, 0.0, math.pi)
         states = torch.zeros(n, 13, device=device)
-        states[:, :2] = self._root_states(env_ids)[:, :2]
+        states[:, :2] = self.root_states(env_ids)[:, :2]
         states[:, 0] += distance * bearing.cos()
         states[:, 1] += distance * bearing.sin()
         states[:, 2] = _TARGET_HEIGHT_M
         states[:, 5], states[:, 6] = half_turn.sin(), half_turn.cos()
         object_ids = torch.tensor([self._target], device=device)
-        self._simulation.write_object_states(env_ids, object_ids, states.unsqueeze(1))
+        self.simulation.write_object_states(env_ids, object_ids, states.unsqueeze(1))
 
     def _target_states(self, env_ids: Tensor | None = None) -> Tensor:
-        return self._rows(self._simulation.object_states[:, self._target], env_ids)
+        return self.rows(self.simulation.object_states[:, self._target], env_ids)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 15); see `compute_strike_observations`."""
-        return compute_strike_observations(self._root_states(env_ids), self._target_states(env_ids))
+        return compute_strike_observations(self.root_states(env_ids), self._target_states(env_ids))
 
     def reward(self) -> Tensor:
         """Return (N,); see `compute_strike_reward`."""
-        target, root = self._target_states(), self._root_states()
+        target, root = self._target_states(), self.root_states()
         return compute_strike_reward(
-            target[:, :3], target[:, 3:7], root[:, :3], self._prev_root_pos_w, self._dt_s
+            target[:, :3], target[:, 3:7], root[:, :3], self.prev_root_pos_w, self.dt_s
         )
 
     def failures(self, contact_body_ids: Tensor) -> Tensor:
         """Return (N,) bool; see `compute_strike_failures`."""
         return compute_strike_failures(
-            self._simulation.object_contact_forces[:, self._target],
-            self._simulation.contact_forces,
+            self.simulation.object_contact_forces[:, self._target],
+            self.simulation.contact_forces,
             torch.cat((contact_body_ids, self.strike_body_ids)),
         )

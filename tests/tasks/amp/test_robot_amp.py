@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite import make
+from isaacgymenvs_lite import make, register_task
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
@@ -19,6 +19,7 @@ from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.tasks.amp import robot_amp
 from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
+from isaacgymenvs_lite.tasks.goals.strike import Strike
 
 # Two legs with hips that swing and spread, knees, and feet; faces +x; no drives, no floor.
 LEG = """
@@ -202,3 +203,48 @@ def test_a_clip_of_another_robot_names_both(make_walker):
         MotionFileError, match=r"only the robot has left_ankle.*only the file has left_hip_yaw"
     ):
         make_walker(motion_file="g1_walk")
+
+
+# --- goals ----------------------------------------------------------------------------------------
+
+
+class StrikingRobot(RobotAMP):
+    goal_class = Strike
+
+
+def test_the_objects_of_a_goal_are_no_part_of_the_robot(walker, clip):
+    words = [f"task.env.asset.assetFileName={walker}", f"task.env.motion_file={clip}"]
+    words.append("task.env.stateInit=Default")
+    cfg = compose(["task=RobotAMP", "num_envs=2", "seed=1", "num_threads=1", *words])
+    alone = make(cfg=cfg)
+    register_task("StrikingRobot", StrikingRobot, replace=True)
+    cfg.task.name = "StrikingRobot"
+    task = make(cfg=cfg)
+    try:
+        sim = task.simulation
+        assert sim.object_names == ("target",)
+        assert sim.dof_names == alone.simulation.dof_names
+        assert sim.body_names == alone.simulation.body_names
+        assert task.num_actions == alone.num_actions == 8
+        assert task.num_obs == alone.num_obs + 15
+        assert task.num_amp_obs == alone.num_amp_obs
+        assert task.motion_lib.skeleton.body_names == alone.motion_lib.skeleton.body_names
+        # The box of 8.64 kg loses its velocity slowly, the robot as without it.
+        first = int(sim.model.body("target").dofadr[0])
+        np.testing.assert_allclose(sim.model.dof_damping[first : first + 3], 0.0864)
+        np.testing.assert_array_equal(
+            sim.model.dof_damping[:first], alone.simulation.model.dof_damping
+        )
+        # Without a touch the robot moves as it does alone, and the box stands.
+        for env in (alone, task):
+            env.reset()
+        away = torch.tensor([[[9.0, 9.0, 0.9, 0.0, 0.0, 0.0, 1.0] + [0.0] * 6]]).expand(2, 1, 13)
+        sim.write_object_states(torch.arange(2), torch.tensor([0]), away.contiguous())
+        for env in (alone, task):
+            for _ in range(5):
+                env.step(torch.zeros(2, 8))
+        torch.testing.assert_close(sim.dof_pos, alone.simulation.dof_pos, atol=1e-4, rtol=0)
+        torch.testing.assert_close(sim.object_states[:, 0, :3], away[:, 0, :3], atol=5e-3, rtol=0)
+    finally:
+        alone.close()
+        task.close()

@@ -1,0 +1,231 @@
+"""Velocity: walk, sidestep, turn and stand as commanded, in the style of the clips.
+
+The commands and their keys are Anymal's (IsaacGymEnvs), and so are the kernels of the reward
+(`velocity_tracking.tracking_kernels`). Velocities are in the heading frame here, the root's turned
+upright: a walking robot leans, and so would the axes of its base.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.markers import ACTUAL_COLOUR, GO_COLOUR, Arrow, Marker
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.simulation.backend import SimulationBackend
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.tasks.base.velocity_tracking import CommandRangesConfig, tracking_kernels
+from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
+from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
+
+log = logging.getLogger(__name__)
+
+ERROR_WINDOW_S = 1.0
+"""Time over which errors are averaged: about a stride."""
+# Axis of the command and direction of the keys; presses from 0 to the end of a range.
+_STEERING = {
+    **{"up": (0, 1.0), "down": (0, -1.0), "q": (1, 1.0)},
+    **{"e": (1, -1.0), "left": (2, 1.0), "right": (2, -1.0)},
+}
+_KEY_STEPS = 5
+# A shorter arrow is not drawn; commanded ones are at this height, actual ones at twice of it.
+_LEAST_ARROW_M = 0.05
+_ARROW_HEIGHT_M = 0.03
+
+
+def compute_planar_motion(root_states: Tensor) -> Tensor:
+    """Return (n, 3) the velocity forward and to the left (m/s), and the turn rate (rad/s).
+
+    Args:
+        root_states: (n, 13) world position, rotation xyzw, linear and angular velocity.
+    """
+    velocity = xy_in_heading_frame(root_states[:, 3:7], root_states[:, 7:9])
+    return torch.cat((velocity, root_states[:, 12:13]), dim=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitCommandRanges(CommandRangesConfig):
+    """`task.env.randomCommandVelocityRanges`: as Anymal's, of the heading frame."""
+
+    linear_x: tuple[float, ...] = setting((0.0, 1.0), length=2)
+    """m/s, forward."""
+    linear_y: tuple[float, ...] = setting((-0.3, 0.3), length=2)
+    """m/s, to the left."""
+    yaw: tuple[float, ...] = setting((-1.0, 1.0), length=2)
+    """rad/s, to the left."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocitySettings(GoalSettings):
+    """Keys of `task.env` for the goal `velocity`."""
+
+    command_ranges: GaitCommandRanges = field(
+        default_factory=GaitCommandRanges, metadata={"key": "randomCommandVelocityRanges"}
+    )
+    change_steps_min: int = setting(90, key="commandChangeStepsMin", minimum=1)
+    """Control steps after which the command changes, at the earliest."""
+    change_steps_max: int = setting(210, key="commandChangeStepsMax", minimum=2)
+    """The command changes before so many control steps."""
+    standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
+    """Share of the commands that are to stand still, whatever the ranges are."""
+    lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
+    """Reward of a step that has exactly the commanded velocity."""
+    ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
+    """Reward of a step that has exactly the commanded turn rate."""
+
+
+class Velocity(TimedGoal):
+    """The goal `velocity`.
+
+    Attributes:
+        commands: (N, 3) velocity forward and to the left (m/s), turn rate to the left (rad/s).
+
+    Raises:
+        ConfigError: a value that cannot be used, or a range whose lowest is above its highest.
+    """
+
+    num_obs = 3
+    key_help = (
+        "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop, and once more:"
+        " random commands again"
+    )
+    settings_class = VelocitySettings
+    change_steps_keys = ("commandChangeStepsMin", "commandChangeStepsMax")
+    settings: VelocitySettings
+
+    def __init__(self, env: Mapping[str, Any]) -> None:
+        super().__init__(env)
+        for name, (low, high) in asdict(self.settings.command_ranges).items():
+            if low > high:
+                raise ConfigError(
+                    f"task.env.randomCommandVelocityRanges.{name}=[{low:g}, {high:g}]: expected"
+                    " [lowest, highest]"
+                )
+
+    def attach(self, simulation: SimulationBackend, dt_s: float) -> None:
+        """As the base; before commands are drawn, all are to stand."""
+        super().attach(simulation, dt_s)
+        n, device = simulation.num_envs, simulation.device
+        self.commands = torch.zeros(n, 3, device=device)
+        # None: nobody steers.
+        self._steered: list[float] | None = None
+        # What the last steps moved less than commanded, in turns, and how many there are of them.
+        window = max(1, round(ERROR_WINDOW_S / dt_s))
+        self._shortfalls = torch.zeros(window, n, 3, device=device)
+        self._next_row = 0
+        self._num_shortfalls = torch.zeros(n, dtype=torch.int64, device=device)
+
+    def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Return the lowest and the highest command, (3,) each."""
+        limits = torch.tensor(self.settings.command_ranges.limits(), device=device)
+        return limits[:, 0], limits[:, 1]
+
+    # --- commands ----------------------------------------------------------------------------
+
+    def reset(self, env_ids: Tensor) -> None:
+        """As the base, and forget the errors of the episode before."""
+        super().reset(env_ids)
+        self._shortfalls.index_fill_(1, env_ids, 0.0)
+        self._num_shortfalls.index_fill_(0, env_ids, 0)
+
+    def draw(self, env_ids: Tensor) -> None:
+        """Draw commands for `env_ids` (n,), unless someone steers."""
+        n, device = len(env_ids), env_ids.device
+        if self._steered is not None:
+            commands = torch.tensor(self._steered, device=device).expand(n, 3)
+        else:
+            low, high = self._limits(device)
+            stands = torch.rand(n, 1, device=device) < self.settings.standing_share
+            commands = low + (high - low) * torch.rand(n, 3, device=device)
+            commands = commands.masked_fill(stands, 0.0)
+        self.commands.index_copy_(0, env_ids, commands)
+
+    def on_key(self, key: str) -> None:
+        """Steer all environments from the command of the first one on, see `key_help`.
+
+        A command stays within the ranges; to stop is allowed where standing is trained.
+        """
+        low, high = self._limits(self.commands.device)
+        if key in _STEERING:
+            axis, sign = _STEERING[key]
+            command = self.commands[0].clone()
+            command[axis] += sign * max(abs(low[axis]), abs(high[axis])) / _KEY_STEPS
+            self._steered = command.clamp(low, high).tolist()
+        elif key == "space":
+            stop = torch.zeros_like(low)
+            if self.settings.standing_share == 0:
+                stop = stop.clamp(low, high)
+            self._steered = None if self._steered == stop.tolist() else stop.tolist()
+        else:
+            return
+        self.draw(torch.arange(len(self.commands), device=self.commands.device))
+        forward, left, turn = self.commands[0].tolist()
+        log.info("command: forward %.2f m/s, left %.2f m/s, turn %.2f rad/s", forward, left, turn)
+
+    # --- a step ------------------------------------------------------------------------------
+
+    def after_step(self) -> None:
+        """Store what the step moved less than commanded."""
+        shortfall = self.commands - compute_planar_motion(self.root_states())
+        self._shortfalls[self._next_row] = shortfall
+        self._next_row = (self._next_row + 1) % len(self._shortfalls)
+        self._num_shortfalls += 1
+
+    def observe(self, env_ids: Tensor | None) -> Tensor:
+        """Return (n, 3), the commands."""
+        return self.rows(self.commands, env_ids)
+
+    def reward(self) -> Terms:
+        """Return the terms (N,) of following the velocity and the turn rate."""
+        errors = (self.commands - compute_planar_motion(self.root_states())).t()
+        along, turning = tracking_kernels(errors[:2], errors[2])
+        cfg = self.settings
+        return {
+            "lin_vel_xy": cfg.lin_vel_xy_reward * along,
+            "ang_vel_z": cfg.ang_vel_z_reward * turning,
+        }
+
+    def errors(self) -> dict[str, Tensor]:
+        """Return the errors (N,) of velocity (m/s) and turn rate (rad/s) over the last second.
+
+        The mean motion of the second is compared with its mean command, because the hips of a
+        walking body sway and turn to and fro with every step. Younger episodes have less.
+        """
+        count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
+        mean = self._shortfalls.sum(0) / count
+        return {
+            "velocity_error_m_s": torch.linalg.vector_norm(mean[:, :2], dim=-1),
+            "turn_error_rad_s": mean[:, 2].abs(),
+        }
+
+    def markers(self, env_id: int) -> tuple[Marker, ...]:
+        """Return arrows of the commanded and of the actual velocity and turn.
+
+        Velocities begin at the feet, 1 m for 1 m/s; turns in front of them, 1 m for 1 rad/s.
+        """
+        root = self.root_states()[env_id : env_id + 1]
+        moves = (
+            (self.commands[env_id], GO_COLOUR),
+            (compute_planar_motion(root)[0], ACTUAL_COLOUR),
+        )
+        ahead = facing(root[:, 3:7])[0]
+        arrows: list[Marker] = []
+        for height, (move, colour) in enumerate(moves, start=1):
+            forward, left, turn = move
+            to_left = torch.stack((-ahead[1], ahead[0]))
+            for start, vector in (
+                (root[0, :2], forward * ahead + left * to_left),
+                (root[0, :2] + 0.5 * ahead, turn * to_left),
+            ):
+                if torch.linalg.vector_norm(vector) > _LEAST_ARROW_M:
+                    z = _ARROW_HEIGHT_M * height
+                    arrows.append(
+                        Arrow((*start.tolist(), z), (*(start + vector).tolist(), z), colour)
+                    )
+        return tuple(arrows)
