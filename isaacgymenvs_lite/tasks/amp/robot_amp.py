@@ -98,8 +98,7 @@ class RobotAMP(HumanoidAMP):
         scale = f"actionScale: {self._action_scale_rad():.3g} rad"
         _log_once((*self._robot.describe(), scale))
         friction = self.env_cfg.plane.dynamic_friction
-        spec = self._robot.spec
-        model = compile_spec(spec, path, self.sim_cfg, friction, self.change_spec)
+        model = compile_spec(self._spec, path, self.sim_cfg, friction, self.change_spec)
         set_actuators(model, self.env_cfg)
         # Of the robot alone: a goal may have added objects.
         self._skeleton = Skeleton.from_model(self._robot.model, str(path))

@@ -91,6 +91,7 @@ class Velocity(TimedGoal):
     """
 
     num_obs = 3
+    obs_name = "command"
     key_help = (
         "up, down: faster, slower; left, right: turn; q, e: sideways; space: stop, and once more:"
         " random commands again"
