@@ -23,7 +23,7 @@ Agents override hooks, never the loops:
 | `preprocess_actions` | from the policy's actions to the environment's | HRL |
 | `env_step` | a step of the environment | HRL |
 | `_needs_next_value` | rows whose V(s') the next policy call does not give | GenAMP |
-| `_eval_critic` | the critic that V(s') comes from | - |
+| `_eval_critic` | the critic that V(s') comes from, an asymmetric one if there is any | - |
 | `_record_step` | what to keep of a step | AMP, GenAMP, HRL |
 | `_track_episodes` | what episodes earn, for logs and the best checkpoint | HRL |
 | `_total_rewards` | rewards beside the task's | AMP, HRL |

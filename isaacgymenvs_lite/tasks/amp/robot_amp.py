@@ -162,22 +162,18 @@ class RobotAMP(HumanoidAMP):
         if any(cfg.observation_noise.widths.values()):
             widths = noise_widths(cfg.observation_noise.widths, num_dofs)
             self._noise_widths = widths.to(self.device)
-        if cfg.action_delay[1] > 0:
-            self._delay = ActionDelay(*cfg.action_delay, n, self.num_actions, self.device)
+        least, most = cfg.action_delay
+        if most > 0:
+            self._delay = ActionDelay(least, most, n, self.num_actions, self.device)
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """As the base; push the robots first, if it is due."""
-        if self.env_cfg.push_robots and self.control_steps % self.push_interval == 0:
-            self._push()
+        is_due = self.control_steps > 0 and self.control_steps % self.push_interval == 0
+        if self.env_cfg.push_robots and is_due:
+            largest = self.env_cfg.push_velocity
+            change = uniform(self.reset_buf, -largest, largest, (2,))
+            set_planar_velocities(self.simulation, self.simulation.root_states[:, 7:9] + change)
         super().pre_physics_step(actions)
-
-    def _push(self) -> None:
-        """Change the velocities of the bases over the ground."""
-        if self.control_steps == 0:
-            return
-        largest = self.env_cfg.push_velocity
-        change = uniform(self.reset_buf, -largest, largest, (2,))
-        set_planar_velocities(self.simulation, self.simulation.root_states[:, 7:9] + change)
 
     def compute_controls(self, actions: Tensor) -> Tensor:
         """As the base, of the actions that take effect now; a delay stores those that came."""
@@ -221,10 +217,12 @@ class RobotAMP(HumanoidAMP):
         if self._frames is None:
             return observations
         rows = slice(None) if env_ids is None else env_ids
-        parts = [super()._observe_character(env_ids), self._frames[rows, 0, -self.num_actions :]]
+        last_action = self._frames[rows, 0, -self.num_actions :]
         delay = torch.zeros_like(observations[:, :1])
-        parts.append(delay if self._delay is None else delay + self._delay.steps[rows].unsqueeze(1))
-        return torch.cat((*parts, observations[:, self._frames[0].numel() :]), dim=-1)
+        if self._delay is not None:
+            delay += self._delay.steps[rows].unsqueeze(1)
+        goal = observations[:, self._frames[0].numel() :]
+        return torch.cat((super()._observe_character(env_ids), last_action, delay, goal), dim=-1)
 
     def current_amp_features(self, env_ids: Tensor | None = None) -> Tensor:
         """As the base, whatever the policy observes."""
