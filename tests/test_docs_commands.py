@@ -389,7 +389,7 @@ def test_a_command_is_accepted(words):
         "python -m isaacgymenvs_lite.workflows sbb train task=Ant",
         "python -m benchmarks.learning wolk --minutes 3",
         "python play_onnx.py",
-        "python play_onnx.py policy.onnx --step 3",
+        "python play_onnx.py policy.onnx --steps many",
         "python play_onnx.py policy.onnx --command 1",
         "make trian",
         "make demo ARGS=policy=[walk]",
