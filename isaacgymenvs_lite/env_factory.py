@@ -23,7 +23,11 @@ from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
-from isaacgymenvs_lite.motion.loader import resolve_motion_file, shipped_motions_dir
+from isaacgymenvs_lite.motion.loader import (
+    resolve_motion_file,
+    shipped_motions_dir,
+    shipped_robot_motions_dir,
+)
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
@@ -182,7 +186,8 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
     """
     clip = env.get("motion_file")
     if isinstance(clip, str) and clip and not is_package_name(clip):
-        folders = [Path(), *checkouts.clip_folders(checkout, clip), shipped_motions_dir()]
+        shipped = (shipped_motions_dir(), shipped_robot_motions_dir())
+        folders = [Path(), *checkouts.clip_folders(checkout, clip), *shipped]
         env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
     asset = env.get("asset")
     if isinstance(asset, dict) and isinstance(asset.get("assetFileName"), str):

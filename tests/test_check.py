@@ -44,6 +44,11 @@ def test_a_task_file_in_words() -> None:
     assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
 
 
+def test_a_task_with_shipped_clips_of_a_robot() -> None:
+    # 83 numbers of the G1 and a command; 300 steps of 4 calls of 8.3 ms.
+    assert describe("RobotAMPVelocity")[1].startswith("task: 86 observations, 29 actions, 300")
+
+
 @pytest.mark.parametrize(
     ("task", "step_s"), [("Ant", "0.0332"), ("AnymalTerrain", "0.04"), ("HumanoidAMP", "0.0332")]
 )

@@ -48,9 +48,9 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
     for name, (tags, pattern) in _NEWEST.items():
         series = first_of(scalars, tags)
         facts[name] = pattern.format(series.last) if len(series) else ""
-    files = (file for file in run.glob("nn/*.pth") if file.is_file())
     for tag in sorted(tag for tag in scalars if tag.startswith(GOAL_TAG)):
         facts[tag.removeprefix(GOAL_TAG)] = f"{scalars[tag].last:.3f}" if len(scalars[tag]) else ""
+    files = (file for file in run.glob("nn/*.pth") if file.is_file())
     checkpoints = sorted(files, key=lambda file: file.stat().st_mtime)
     facts["newest checkpoint"] = f"nn/{checkpoints[-1].name}" if checkpoints else ""
     return {name: value for name, value in facts.items() if value}

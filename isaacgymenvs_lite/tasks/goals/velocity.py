@@ -34,9 +34,9 @@ _STEERING = {
     **{"e": (1, -1.0), "left": (2, 1.0), "right": (2, -1.0)},
 }
 _KEY_STEPS = 5
-# A shorter arrow is not drawn; commanded ones are at this height, actual ones at twice of it.
+# A shorter arrow is not drawn; the actual motion is above the commanded one.
 _LEAST_ARROW_M = 0.05
-_ARROW_HEIGHT_M = 0.03
+_COMMANDED_HEIGHT_M, _ACTUAL_HEIGHT_M = 0.03, 0.15
 
 
 def compute_planar_motion(root_states: Tensor) -> Tensor:
@@ -211,22 +211,18 @@ class Velocity(TimedGoal):
         Velocities begin at the feet, 1 m for 1 m/s; turns in front of them, 1 m for 1 rad/s.
         """
         root = self.root_states()[env_id : env_id + 1]
-        moves = (
-            (self.commands[env_id], GO_COLOUR),
-            (compute_planar_motion(root)[0], ACTUAL_COLOUR),
-        )
         ahead = facing(root[:, 3:7])[0]
+        to_left = torch.stack((-ahead[1], ahead[0]))
         arrows: list[Marker] = []
-        for height, (move, colour) in enumerate(moves, start=1):
-            forward, left, turn = move
-            to_left = torch.stack((-ahead[1], ahead[0]))
+        for (forward, left, turn), height, colour in (
+            (self.commands[env_id], _COMMANDED_HEIGHT_M, GO_COLOUR),
+            (compute_planar_motion(root)[0], _ACTUAL_HEIGHT_M, ACTUAL_COLOUR),
+        ):
             for start, vector in (
                 (root[0, :2], forward * ahead + left * to_left),
                 (root[0, :2] + 0.5 * ahead, turn * to_left),
             ):
                 if torch.linalg.vector_norm(vector) > _LEAST_ARROW_M:
-                    z = _ARROW_HEIGHT_M * height
-                    arrows.append(
-                        Arrow((*start.tolist(), z), (*(start + vector).tolist(), z), colour)
-                    )
+                    (x, y), (to_x, to_y) = start.tolist(), (start + vector).tolist()
+                    arrows.append(Arrow((x, y, height), (to_x, to_y, height), colour))
         return tuple(arrows)
