@@ -189,7 +189,7 @@ def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("g1_wlk", "a.npz", G1), "of robots: g1_"),
+        (("g1_wlk", "a.npz", G1), "(did you mean 'g1_walk'?); shipped clips: "),
         (("walk", "a.npz", "robot=mjcf/h1.xml"), "robot=mjcf/h1.xml: no such file in "),
         (("walk", "a.npz", "robot=/no/h1.xml"), "give an MJCF or URDF, or a shipped one: mjcf/am"),
         (("walk", "a.npy", G1), "found '.npy'; choices: .npz, .csv"),
