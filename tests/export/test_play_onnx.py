@@ -57,6 +57,7 @@ ROBOT = """
     <geom type="capsule" fromto="0 0 0 -.05 0 -.3" size=".03" mass="1"/></body>
 </body></worldbody>{more}</mujoco>
 """
+DRIVE = "{kp: 32, kd: 3.2, effort: 10.7, armature: 0}"
 NOSE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
@@ -95,6 +96,7 @@ def make_player(make_runner: Callable[..., Any], robot: Path, clip: Path) -> Cal
             "stateInit": "Start",
             "enableEarlyTermination": False,
             "startPose": "{left: 0.3, right: -0.2}",
+            "drives": "{" + ", ".join(f"{j}: {DRIVE}" for j in ("neck", "left", "right")) + "}",
             "actionScale": 0.3,
             "plane.dynamicFriction": 0.7,
             **env,

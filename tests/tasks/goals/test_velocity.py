@@ -66,7 +66,7 @@ def test_the_reward_of_a_known_miss(make):
 def test_the_command_ends_the_observation_and_is_not_part_of_the_style(make):
     task = make()
     obs = task.reset()["obs"]
-    assert list(task.observation_groups())[-1] == "goal"
+    assert list(task.observation_groups())[-1] == "command"
     torch.testing.assert_close(obs[:, -3:], task.goal.commands)
     assert task.num_obs == task.num_amp_obs // 2 + 3
 
