@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.files import written_for_user
+
+log = logging.getLogger(__name__)
 
 _FIRST_LINE = "<!-- Written by isaacgymenvs_lite.export: what the policy was trained in. -->\n"
 
@@ -45,12 +48,14 @@ class Scene:
 def scene_of(task: VecTask, policy: Path) -> Scene | None:
     """Return what a robot's task simulates, as `<policy>_scene.xml`; None of other tasks.
 
+    None too, with a warning, if MuJoCo cannot write the model: the policy does not need it.
+
     Args:
         task: of the policy.
         policy: path of the exported policy.
 
     Raises:
-        ConfigError: MuJoCo cannot write the model, or a file of the name is no earlier scene.
+        ConfigError: there is a file of this name that is no earlier scene.
     """
     if not isinstance(task, MjcfTask) or task.robot_description() is None:
         return None
@@ -69,7 +74,8 @@ def scene_of(task: VecTask, policy: Path) -> Scene | None:
             spec.meshdir = spec.texturedir = path.stem
         return Scene(path, _FIRST_LINE + spec.to_xml(), assets)
     except (ValueError, mujoco.FatalError) as error:
-        raise ConfigError(f"{path}: MuJoCo cannot write the scene: {one_line(error)}") from error
+        log.warning("%s: left out, MuJoCo cannot write it: %s", path, one_line(error))
+        return None
 
 
 def _is_scene(path: Path) -> bool:

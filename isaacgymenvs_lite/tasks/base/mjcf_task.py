@@ -102,6 +102,7 @@ class MjcfTask(VecTask):
         for actuator in spec.actuators:  # what `copy_back` leaves as it was
             actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[actuator.id]))
             actuator.forcelimited = int(model.actuator_forcelimited[actuator.id])
+        spec.compiler.savecompiled = False  # or MJCF is written with six digits
         return spec
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:
