@@ -1,8 +1,10 @@
 """Velocity: walk, sidestep, turn and stand as commanded, in the style of the clips.
 
 The commands and their keys are Anymal's (IsaacGymEnvs), and so are the kernels of the reward
-(`velocity_tracking.tracking_kernels`). Velocities are in the heading frame here, the root's turned
-upright: a walking robot leans, and so would the axes of its base.
+(`velocity_tracking.tracking_kernels`). Two things differ, because the style counts, too. Velocities
+are in the heading frame, the root's turned upright: a walking robot leans, and so would the axes of
+its base. And the mean motion of the last second counts, about a stride: hips sway and turn to and
+fro with every step, which a reward of each moment's velocity would suppress.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
 
 log = logging.getLogger(__name__)
 
-ERROR_WINDOW_S = 1.0
-"""Time over which errors are averaged: about a stride."""
+WINDOW_S = 1.0
+"""Time over which motion and commands are averaged: about a stride."""
 # Axis of the command and direction of the keys; presses from 0 to the end of a range.
 _STEERING = {
     **{"up": (0, 1.0), "down": (0, -1.0), "q": (1, 1.0)},
@@ -75,9 +77,9 @@ class VelocitySettings(GoalSettings):
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
     """Share of the commands that are to stand still, whatever the ranges are."""
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
-    """Reward of a step that has exactly the commanded velocity."""
+    """Reward of a step whose last second had exactly the commanded velocity."""
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
-    """Reward of a step that has exactly the commanded turn rate."""
+    """Reward of a step whose last second had exactly the commanded turn rate."""
 
 
 class Velocity(TimedGoal):
@@ -117,7 +119,7 @@ class Velocity(TimedGoal):
         # None: nobody steers.
         self._steered: list[float] | None = None
         # What the last steps moved less than commanded, in turns, and how many there are of them.
-        window = max(1, round(ERROR_WINDOW_S / dt_s))
+        window = max(1, round(WINDOW_S / dt_s))
         self._shortfalls = torch.zeros(window, n, 3, device=device)
         self._next_row = 0
         self._num_shortfalls = torch.zeros(n, dtype=torch.int64, device=device)
@@ -178,14 +180,19 @@ class Velocity(TimedGoal):
         self._next_row = (self._next_row + 1) % len(self._shortfalls)
         self._num_shortfalls += 1
 
+    def _mean_shortfall(self) -> Tensor:
+        """Return (N, 3) the mean command less the mean motion, of the last second."""
+        count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
+        return self._shortfalls.sum(0) / count
+
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 3), the commands."""
         return self.rows(self.commands, env_ids)
 
     def reward(self) -> Terms:
-        """Return the terms (N,) of following the velocity and the turn rate."""
-        errors = (self.commands - compute_planar_motion(self.root_states())).t()
-        along, turning = tracking_kernels(errors[:2], errors[2])
+        """Return the terms (N,) of following velocity and turn rate, as means of a second."""
+        shortfall = self._mean_shortfall().t()
+        along, turning = tracking_kernels(shortfall[:2], shortfall[2])
         cfg = self.settings
         return {
             "lin_vel_xy": cfg.lin_vel_xy_reward * along,
@@ -195,11 +202,10 @@ class Velocity(TimedGoal):
     def errors(self) -> dict[str, Tensor]:
         """Return the errors (N,) of velocity (m/s) and turn rate (rad/s) over the last second.
 
-        The mean motion of the second is compared with its mean command, because the hips of a
-        walking body sway and turn to and fro with every step. Younger episodes have less.
+        The mean motion of the second is compared with its mean command; of a younger episode that
+        of all its steps.
         """
-        count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
-        mean = self._shortfalls.sum(0) / count
+        mean = self._mean_shortfall()
         return {
             "velocity_error_m_s": torch.linalg.vector_norm(mean[:, :2], dim=-1),
             "turn_error_rad_s": mean[:, 2].abs(),

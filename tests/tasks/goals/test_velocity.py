@@ -57,6 +57,7 @@ def test_the_reward_of_a_known_miss(make):
     task.reset()
     task.goal.commands[:] = torch.tensor([1.0, 0.2, -0.5])
     move(task, math.pi / 2, [0.2, 0.6], -0.3)  # forward 0.6, left -0.2, turn -0.3
+    task.goal.after_step()  # the first one of the episode
     terms = task.compute_reward_terms()
     # exp(-error^2 / 0.25) as Anymal: errors (0.4, 0.4) m/s and -0.2 rad/s
     assert terms["lin_vel_xy"].tolist() == pytest.approx([0.5 * math.exp(-0.32 / 0.25)] * 3)
@@ -115,7 +116,7 @@ def attached(num_steps_per_s: float = 10.0) -> tuple[Velocity, Tensor]:
     return goal, OneRobot.root_states
 
 
-def test_errors_compare_the_mean_motion_of_a_second_with_its_command():
+def test_the_mean_motion_of_a_second_counts_not_the_sway_of_a_step():
     goal, root = attached()
     goal.commands[:] = torch.tensor([0.6, 0.0, 0.4])
     for step in range(40):
@@ -127,6 +128,9 @@ def test_errors_compare_the_mean_motion_of_a_second_with_its_command():
     errors = goal.errors()
     assert errors["velocity_error_m_s"].item() == pytest.approx(0.2, abs=1e-5)
     assert errors["turn_error_rad_s"].item() == pytest.approx(0.3, abs=1e-5)
+    terms = goal.reward()
+    assert terms["lin_vel_xy"].item() == pytest.approx(0.6 * math.exp(-0.04 / 0.25))
+    assert terms["ang_vel_z"].item() == pytest.approx(0.4 * math.exp(-0.09 / 0.25))
 
 
 def test_errors_of_a_young_episode_are_its_own():
