@@ -31,6 +31,8 @@ _MAX_ACCELERATION = 5000.0  # rad/s^2, which keeps fingers from the efforts of l
 # What the typical drive would answer to an action of 1, in its efforts. The noise of AMP's policies
 # (0.055) is then about a fifth of an effort; twice as much threw a quadruped over.
 _EFFORTS_OF_AN_ACTION = 4.0
+# The same in weight times height, at least: the noise of weak motors would explore too little.
+_WEIGHT_OF_AN_ACTION = 0.6
 _MAX_ACTION_RAD = 2.0
 
 _BALL = mujoco.mjtJoint.mjJNT_BALL
@@ -140,16 +142,20 @@ def _drive(
 def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
     """Return how far an action of 1 moves targets (rad), if the user does not say so.
 
-    A typical drive, the median of all, would answer with four times its effort. It is 2 rad at
-    most.
+    The typical drive, the median of all, would answer with four times its effort, or with 0.6 of
+    weight times height if this is more. It is 2 rad at most.
 
     Args:
         drives: of all joints.
         weight_moment: see `choose_drives`.
     """
-    ratios = [_useful(drive.effort, weight_moment) / drive.kp for drive in drives if drive.kp > 0]
-    typical = float(np.median(ratios)) if ratios else _MAX_ACTION_RAD
-    return min(_EFFORTS_OF_AN_ACTION * typical, _MAX_ACTION_RAD)
+    driven = [drive for drive in drives if drive.kp > 0]
+    if not driven:
+        return _MAX_ACTION_RAD
+    of_effort = np.median([_useful(drive.effort, weight_moment) / drive.kp for drive in driven])
+    of_weight = weight_moment / np.median([drive.kp for drive in driven])
+    wanted = max(_EFFORTS_OF_AN_ACTION * of_effort, _WEIGHT_OF_AN_ACTION * of_weight)
+    return min(float(wanted), _MAX_ACTION_RAD)
 
 
 def _useful(effort: float, weight_moment: float) -> float:

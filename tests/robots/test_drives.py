@@ -66,7 +66,7 @@ def test_efforts_beyond_reason_do_not_make_gains_beyond_reason():
     ("gains", "wanted"),
     [
         ({}, 1.0),  # the project's own: four times an effort in Nm for an error of 1 rad
-        ({"*": {"kp": 10.0, "effort": 2.0}}, 0.8),
+        ({"*": {"kp": 20.0, "effort": 4.0}}, 0.8),
         ({"*": {"kp": 0.5, "effort": 2.0}}, 2.0),  # the most
     ],
 )
@@ -74,6 +74,13 @@ def test_an_action_of_one_is_worth_four_efforts(gains, wanted):
     settings = read_section(RobotSettings, {"drives": gains}, "robot")
     robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
     assert robot.action_range_rad == pytest.approx(wanted)
+
+
+def test_an_action_of_weak_motors_is_worth_a_share_of_the_weight():
+    """As those of dm_control's humanoid, 40 Nm for 515 Nm."""
+    settings = read_section(RobotSettings, {"drives": {"*": {"kp": 10.0, "effort": 1.0}}}, "robot")
+    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
+    assert robot.action_range_rad == pytest.approx(0.6 * weight_moment(robot) / 10)
 
 
 def test_the_shipped_robots_keep_their_actions():
