@@ -62,7 +62,14 @@ class Viewers:
         if settings.capture_video:
             self._listeners.append(self._capture(env, folder, prefix))
         if not settings.headless:
-            self._add(Window(env, folder, on_quit, every_step=settings.force_render))
+            window = Window(
+                env,
+                folder,
+                on_quit,
+                every_step=settings.force_render,
+                keys_to_task=settings.test,
+            )
+            self._add(window)
         if settings.viewer == "web":
             # A play waits for the simulated time: it would be over too soon.
             page = WebPage(
@@ -71,6 +78,7 @@ class Viewers:
                 settings.viewer_port,
                 real_time=settings.test,
                 allowed_hosts=settings.viewer_allowed_hosts,
+                keys_to_task=settings.test,
             )
             self._add(page)
         watched = not settings.headless or settings.viewer == "web"

@@ -18,17 +18,19 @@ class TaskKeys:
 
     Args:
         env: the task (`VecTask`).
+        are_passed: False drops all keys: in a training nobody should change what is learned.
     """
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, are_passed: bool = True) -> None:
         self._env = env
+        self._are_passed = are_passed
         # Keys that may come at once, after a pause.
         self._allowance = _MAX_PER_S
         self._last_s = time.monotonic()
 
     def press(self, name: str) -> None:
         """Call the task's `on_key`, or drop the key; call it between two steps."""
-        if name not in KEY_NAMES:
+        if not self._are_passed or name not in KEY_NAMES:
             return
         now = time.monotonic()
         earned = _MAX_PER_S * (now - self._last_s)

@@ -33,8 +33,7 @@ _PICTURES_PER_S = 30.0
 class WebPage:
     """Shows environment 0 of a task in browsers; a `StepListener`.
 
-    Keys that are pressed in the page reach the task's `on_key`. If the page's process ends, the
-    task goes on without it.
+    If the page's process ends, the task goes on without it.
 
     Args:
         env: the task; the reference of one that imitates is shown beside the character.
@@ -42,6 +41,7 @@ class WebPage:
         port: 0 takes a free one.
         real_time: let the task wait, so that it is no faster than the simulated time.
         allowed_hosts: more hosts, with or without a port, at which browsers may reach the page.
+        keys_to_task: whether keys that are pressed in the page reach the task's `on_key`.
 
     Attributes:
         url: address of the page, with its token if other machines reach it.
@@ -59,9 +59,10 @@ class WebPage:
         *,
         real_time: bool,
         allowed_hosts: Sequence[str] = (),
+        keys_to_task: bool = True,
     ) -> None:
         check_page(host, port, allowed_hosts)
-        self._keys = TaskKeys(env)
+        self._keys = TaskKeys(env, keys_to_task)
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
         self._model: mujoco.MjModel = copy.copy(env.simulation.model)

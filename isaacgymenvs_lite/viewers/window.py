@@ -39,6 +39,7 @@ class Keys:
 
     Args:
         env: its `on_key` receives them (`VecTask`).
+        to_task: whether the others reach the task.
 
     Attributes:
         sync: V: whether the window shows each step, no faster than the simulated time.
@@ -48,11 +49,11 @@ class Keys:
 
     HELP = "V: show every step on / off, R: record on / off, ESC: quit"
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, to_task: bool = True) -> None:
         self.sync = True
         self.recording = False
         self.quit = False
-        self._task = TaskKeys(env)
+        self._task = TaskKeys(env, to_task)
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def press(self, key: int) -> None:
@@ -85,18 +86,25 @@ class Window:
         folder: where R puts videos.
         on_quit: called in the task's thread when ESC was pressed or the window closed.
         every_step: show every step; False: only when `env.render()` is called.
+        keys_to_task: whether keys reach the task's `on_key`.
 
     Raises:
         ConfigError: there is no display.
     """
 
     def __init__(
-        self, env: Any, folder: Path, on_quit: Callable[[], None], *, every_step: bool = True
+        self,
+        env: Any,
+        folder: Path,
+        on_quit: Callable[[], None],
+        *,
+        every_step: bool = True,
+        keys_to_task: bool = True,
     ) -> None:
         check_display()
         from mujoco import viewer  # needs GLFW
 
-        self.keys = Keys(env)
+        self.keys = Keys(env, keys_to_task)
         self._env = env
         self._folder = folder
         self._on_quit = on_quit

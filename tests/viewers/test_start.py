@@ -119,8 +119,8 @@ def test_a_missing_encoder_is_found_before_the_task_is_made(in_tmp, monkeypatch)
 class ClosedWindow:
     """A window that somebody closes after three steps."""
 
-    def __init__(self, env, folder, on_quit, *, every_step: bool) -> None:
-        del env, folder
+    def __init__(self, env, folder, on_quit, *, every_step: bool, keys_to_task: bool) -> None:
+        del env, folder, keys_to_task
         self._on_quit = on_quit
         self.steps = 0
         assert every_step  # force_render, as published

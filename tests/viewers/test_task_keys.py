@@ -35,6 +35,12 @@ def test_other_names_are_dropped(name):
     assert task.pressed == ["up"]
 
 
+def test_a_training_gets_none():
+    task = KeyedTask()
+    TaskKeys(task, are_passed=False).press("up")
+    assert task.pressed == []
+
+
 def test_a_flood_is_limited_to_20_keys_a_second(clock: list[Any]):
     task = KeyedTask()
     keys = TaskKeys(task)
