@@ -223,7 +223,7 @@ def poselib(canary: Path) -> _Files:
 
 
 def robot_pickles(canary: Path) -> _Files:
-    """Yield pickles: those of poselib without the header, and what only protocol 5 has."""
+    """Yield pickles: poselib's without the header, and what only protocol 5 has."""
     header = _npy_header("|O", ())
     for name, content in poselib(canary):
         yield name, content.removeprefix(header)

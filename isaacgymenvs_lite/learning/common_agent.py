@@ -302,7 +302,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised.
 
-        They are those of the asymmetric critic, if there is one.
+        The asymmetric critic gives the values, if there is one.
         """
         with self._acting_in_rollout(obs):
             result = self._evaluate_policy(obs, self._policy_inputs())

@@ -14,7 +14,7 @@ _MAX_PER_S = 20.0
 
 
 class TaskKeys:
-    """Passes keys on to a task, at most 20 a second and only those of `KEY_NAMES`.
+    """Passes keys on to a task, at most 20 a second and only `KEY_NAMES`.
 
     Args:
         env: the task (`VecTask`).

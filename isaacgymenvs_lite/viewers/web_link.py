@@ -179,7 +179,7 @@ class PageEnd:
         else:
             update.has_ended = True
 
-    def tell_start(self, **about: Any) -> None:
+    def send_start(self, **about: Any) -> None:
         """Send what `TaskEnd.wait_for_start` returns."""
         self._send(json.dumps(about).encode())
 

@@ -140,12 +140,12 @@ def main() -> None:
 
         page = open_page(link, model, host, int(port), allowed_hosts)
     except ImportError as error:
-        link.tell_start(error=missing_viewer(error))
+        link.send_start(error=missing_viewer(error))
         return
     except OSError as error:
-        link.tell_start(error=no_listening(host, int(port), error.strerror or error))
+        link.send_start(error=no_listening(host, int(port), error.strerror or error))
         return
-    link.tell_start(port=page.port, token=page.token)
+    link.send_start(port=page.port, token=page.token)
     page.serve()
     # Native threads and objects of the viewer would be freed in any order.
     os._exit(0)

@@ -32,7 +32,7 @@ KEYS = {
     **{letter.upper(): letter for letter in string.ascii_lowercase},
     **{f"N{digit}": digit for digit in string.digits},
 }
-"""The names of `KEY_NAMES`, by those of Dear ImGui."""
+"""The names in `KEY_NAMES`, by Dear ImGui's."""
 
 
 @dataclass(frozen=True)

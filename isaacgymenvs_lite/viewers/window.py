@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 # Control steps of a recording at most; more than a minute of every task.
 _MAX_RECORDED = 10_000
 _CLOSING_S = 5.0
-# GLFW's key codes: of letters and digits the ASCII codes, of letters those of the capitals.
+# GLFW's key codes: of letters and digits the ASCII codes, letters as capitals.
 _ESCAPE = 256
 _NAMES = {265: "up", 264: "down", 263: "left", 262: "right", ord(" "): "space"} | {
     ord(name.upper()): name for name in KEY_NAMES if len(name) == 1

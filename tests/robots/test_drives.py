@@ -77,7 +77,7 @@ def test_an_action_of_one_is_worth_four_efforts(gains, wanted):
 
 
 def test_an_action_of_weak_motors_is_worth_a_share_of_the_weight():
-    """As those of dm_control's humanoid, 40 Nm for 515 Nm."""
+    """As in dm_control's humanoid, 40 Nm for 515 Nm."""
     settings = read_section(RobotSettings, {"drives": {"*": {"kp": 10.0, "effort": 1.0}}}, "robot")
     robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
     assert robot.action_range_rad == pytest.approx(0.6 * weight_moment(robot) / 10)

@@ -121,6 +121,6 @@ def test_the_start_is_reported_or_waited_for_in_vain(ends):
     task, page = ends
     with pytest.raises(TimeoutError):
         task.wait_for_start(0.05)
-    page.tell_start(port=8080, token="é")
+    page.send_start(port=8080, token="é")
     assert task.wait_for_start(1.0) == json.loads('{"port": 8080, "token": "\\u00e9"}')
     assert task.pressed_keys() == []

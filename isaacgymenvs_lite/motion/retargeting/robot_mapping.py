@@ -107,7 +107,7 @@ def load_robot_mapping(mapping: str | Path) -> RobotMapping:
 
     Raises:
         ConfigError: no such file or name; no YAML; a key is unknown or has a value that cannot be
-            used; a body is missing, unknown, or stands without its parent.
+            used; a body is missing, unknown, or given without its parent.
     """
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
