@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
 
 Point = tuple[float, float, float]
 """m, world."""
@@ -13,6 +18,10 @@ Colour = tuple[float, float, float]
 GO_COLOUR: Colour = (0.9, 0.15, 0.1)
 FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
 ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
+
+_ARROW_WIDTH_M = 0.03
+MARKER_NUMBERS = 10
+"""In a packed marker."""
 
 
 @dataclass(frozen=True)
@@ -50,4 +59,67 @@ def arrow_on_ground(
     near, far, height = 0.3, 1.0, 0.03
     return Arrow(
         (x + near * dx, y + near * dy, height), (x + far * dx, y + far * dy, height), colour
+    )
+
+
+def add_markers(scene: mujoco.MjvScene, markers: Iterable[Marker]) -> None:
+    """Add markers to a scene, as many as it has room for."""
+    for marker in markers:
+        if scene.ngeom == scene.maxgeom:
+            return
+        if isinstance(marker, Arrow):
+            geom = add_geom(scene, mujoco.mjtGeom.mjGEOM_ARROW, colour=marker.colour)
+            ends = (np.array(marker.start_w), np.array(marker.end_w))
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_WIDTH_M, *ends)
+        else:
+            size = np.full(3, marker.radius_m)
+            place_w = np.array(marker.centre_w)
+            add_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, size, place_w, marker.colour)
+
+
+def add_geom(
+    scene: mujoco.MjvScene,
+    kind: int,
+    size: npt.NDArray[np.float64] | None = None,
+    place_w: npt.NDArray[np.float64] | None = None,
+    colour: Colour = (1.0, 1.0, 1.0),
+) -> mujoco.MjvGeom:
+    """Add a shape to a scene that has room for it, and return it.
+
+    Args:
+        scene: what is drawn next.
+        kind: one of `mujoco.mjtGeom`.
+        size: (3,) m, as MuJoCo's geoms of this kind have it.
+        place_w: (3,) m, of its centre.
+        colour: of the shape.
+    """
+    geom = scene.geoms[scene.ngeom]
+    size = np.zeros(3) if size is None else size
+    place_w = np.zeros(3) if place_w is None else place_w
+    ink = np.array((*colour, 1.0), dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, size, place_w, np.eye(3).ravel(), ink)
+    scene.ngeom += 1
+    return geom
+
+
+def pack_markers(markers: Iterable[Marker]) -> npt.NDArray[np.float64]:
+    """Return markers as numbers (M, 10), for `unpack_markers` in another process."""
+    rows = [
+        (0.0, *marker.start_w, *marker.end_w, *marker.colour)
+        if isinstance(marker, Arrow)
+        else (1.0, *marker.centre_w, marker.radius_m, 0.0, 0.0, *marker.colour)
+        for marker in markers
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, MARKER_NUMBERS)
+
+
+def unpack_markers(rows: npt.NDArray[np.float64]) -> tuple[Marker, ...]:
+    """Return the markers that `pack_markers` packed as (M, 10)."""
+    return tuple(
+        Arrow(tuple(one), tuple(other), tuple(colour))
+        if kind == 0.0
+        else Sphere(tuple(one), other[0], tuple(colour))
+        for kind, one, other, colour in (
+            (row[0], row[1:4], row[4:7], row[7:10]) for row in rows.tolist()
+        )
     )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.rendering.gl import ensure_gl
-from isaacgymenvs_lite.rendering.markers import Arrow, Colour, Marker
+from isaacgymenvs_lite.rendering.markers import Marker, add_geom, add_markers
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.view import View, has_free_root
 
@@ -32,7 +32,6 @@ _LIGHT_ABOVE = 0.45
 # Texels of the shadow map, samples of a pixel, faces around and along a sphere: the model's 4096
 # and MuJoCo's 4, 28 and 16 take most of the time of a picture that is rendered in software.
 _FAST_SHADOW_SIZE, _FAST_SAMPLES, _FAST_FACES = 1024, 0, (16, 8)
-_ARROW_WIDTH_M = 0.03
 _FLOOR_STEP_M = 10.0
 # Left edge and base line of a label: pixels from the left and from the top. Letters have one size
 # in every picture, so that a share of the picture would cut them in a small one.
@@ -118,8 +117,7 @@ class SceneRenderer:
             self._renderer.update_scene(self._data, self._camera)
         if self._fast:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        for marker in markers:
-            self._add_marker(marker)
+        add_markers(self._renderer.scene, markers)
         if label:
             self._add_label(label)
         return self._renderer.render()
@@ -141,34 +139,6 @@ class SceneRenderer:
         renderer._gl_context.make_current()
         mujoco.mjr_uploadHField(self._model, renderer._mjr_context, 0)
 
-    def _add_marker(self, marker: Marker) -> None:
-        if isinstance(marker, Arrow):
-            geom = self._add_geom(mujoco.mjtGeom.mjGEOM_ARROW, colour=marker.colour)
-            ends = (np.array(marker.start_w), np.array(marker.end_w))
-            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_WIDTH_M, *ends)
-        else:
-            size = np.full(3, marker.radius_m)
-            self._add_geom(
-                mujoco.mjtGeom.mjGEOM_SPHERE, size, np.array(marker.centre_w), marker.colour
-            )
-
-    def _add_geom(
-        self,
-        kind: int,
-        size: npt.NDArray[np.float64] | None = None,
-        place_w: npt.NDArray[np.float64] | None = None,
-        colour: Colour = (1.0, 1.0, 1.0),
-    ) -> mujoco.MjvGeom:
-        """Add a shape to the scene that is drawn next."""
-        scene = self._renderer.scene
-        geom = scene.geoms[scene.ngeom]
-        size = np.zeros(3) if size is None else size
-        place_w = np.zeros(3) if place_w is None else place_w
-        ink = np.array((*colour, 1.0), dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, size, place_w, np.eye(3).ravel(), ink)
-        scene.ngeom += 1
-        return geom
-
     def _add_label(self, text: str) -> None:
         """Write into the upper left corner, in the plane through the point looked at."""
         camera = self._camera
@@ -180,7 +150,7 @@ class SceneRenderer:
         pixel_m = 2.0 * half_height_m / self._renderer.height
         corner = camera.lookat + (self._renderer.height / 2 - _LABEL_BASE) * pixel_m * up
         corner -= (self._renderer.width / 2 - _LABEL_LEFT) * pixel_m * to_the_right
-        self._add_geom(mujoco.mjtGeom.mjGEOM_LABEL, place_w=corner).label = text
+        add_geom(self._renderer.scene, mujoco.mjtGeom.mjGEOM_LABEL, place_w=corner).label = text
 
     def close(self) -> None:
         """Free the renderer; a second call does nothing."""

@@ -10,7 +10,7 @@ measurement; `video` draws tracks later.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -71,7 +71,7 @@ class PoseRecorder:
         self._maker = TrackMaker(env.simulation.model)
         self._num_steps = num_steps
         self._ids = torch.tensor(env_ids, device=env.simulation.device)
-        self._markers_of = getattr(env, "markers", lambda env_id: ())
+        self._markers_of = markers_of(env)
         self._markers: list[tuple[tuple[Marker, ...], ...]] = []
         self._states: list[tuple[Tensor, Tensor, Tensor]] = []
 
@@ -94,6 +94,11 @@ class PoseRecorder:
     def markers(self) -> list[tuple[tuple[Marker, ...], ...]]:
         """Return the markers beside the figures: for each step, for each environment."""
         return list(self._markers)
+
+
+def markers_of(env: Any) -> Callable[[int], tuple[Marker, ...]]:
+    """Return the function from an environment's number to what is drawn beside its figure."""
+    return getattr(env, "markers", lambda env_id: ())
 
 
 class PoseReader:

@@ -10,12 +10,20 @@ import json
 import os
 import select
 import socket
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+
+from isaacgymenvs_lite.rendering.markers import (
+    MARKER_NUMBERS,
+    Marker,
+    pack_markers,
+    unpack_markers,
+)
 
 Pose = npt.NDArray[np.float64]
 
@@ -58,15 +66,19 @@ class TaskEnd:
             file.flush()
             return self._send(_MODEL, file.fileno())
 
-    def send_state(self, qpos: Pose, reference: Pose | None = None) -> bool:
-        """Send joint positions (nq,); return whether there was room.
+    def send_state(
+        self, qpos: Pose, reference: Pose | None = None, markers: Iterable[Marker] = ()
+    ) -> bool:
+        """Send joint positions (nq,), and what is beside the robot; return whether there was room.
 
         Args:
             qpos: of the model that was sent last.
             reference: of the translucent robot beside it, if there is one.
+            markers: of the goal.
         """
         poses = [qpos] if reference is None else [qpos, reference]
-        packet = _STATE + np.concatenate(poses, dtype=np.float64).tobytes()
+        numbers = np.concatenate([*poses, pack_markers(markers).ravel()], dtype=np.float64)
+        packet = _STATE + bytes([len(poses)]) + numbers.tobytes()
         return self._has_room() and self._send(packet)
 
     def _has_room(self) -> bool:
@@ -120,12 +132,14 @@ class Update:
         model: a new one, or None.
         qpos: (nq,) of the new model, else of the one before; None: no new state.
         reference: (nq,) of the translucent robot; None: there is none, or no new state.
+        markers: of the new state.
         has_ended: whether the task closed its end.
     """
 
     model: mujoco.MjModel | None = None
     qpos: Pose | None = None
     reference: Pose | None = None
+    markers: tuple[Marker, ...] = ()
     has_ended: bool = False
 
 
@@ -174,8 +188,11 @@ class PageEnd:
             model = _read_model(files[0])
             update.model, update.qpos, self._num_positions = model, None, model.nq
         elif packet:
-            poses = np.frombuffer(packet[len(_STATE) :]).reshape(-1, self._num_positions)
-            update.qpos, update.reference = poses[0], poses[1] if len(poses) > 1 else None
+            num_poses, numbers = packet[len(_STATE)], np.frombuffer(packet[len(_STATE) + 1 :])
+            size = num_poses * self._num_positions
+            poses = numbers[:size].reshape(num_poses, -1)
+            update.qpos, update.reference = poses[0], poses[1] if num_poses > 1 else None
+            update.markers = unpack_markers(numbers[size:].reshape(-1, MARKER_NUMBERS))
         else:
             update.has_ended = True
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 import copy
 import importlib.util
 import logging
+import os
 import socket
+import sys
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -19,7 +21,7 @@ import mujoco
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
-from isaacgymenvs_lite.rendering.tracks import PoseReader
+from isaacgymenvs_lite.rendering.tracks import PoseReader, markers_of
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 from isaacgymenvs_lite.viewers.task_keys import TaskKeys
 from isaacgymenvs_lite.viewers.web_process import PageProcess, missing_viewer, no_listening
@@ -70,6 +72,7 @@ class WebPage:
         self._ground.move(self._read_pose(0)[:2])
         self._has_new_ground = False
         self._reference = ReferenceOverlay.for_task(env, self._model)
+        self._markers_of = markers_of(env)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
         self.process = PageProcess(self._model, host, port, allowed_hosts)
@@ -114,7 +117,7 @@ class WebPage:
         if self._has_new_ground:
             self._has_new_ground = not self.process.link.send_model(self._model)
         reference = None if self._reference is None else self._reference.pose(qpos)
-        self.process.link.send_state(qpos, reference)
+        self.process.link.send_state(qpos, reference, self._markers_of(0))
 
     def close(self) -> None:
         """End the page; a second call does nothing."""
@@ -127,7 +130,7 @@ def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
 
     Raises:
         ConfigError: the port is taken, the host is not an address of this machine, an allowed host
-            is misspelt, or the viewer is not installed.
+            is misspelt, the viewer is not installed, or this is not Linux.
     """
     try:
         is_installed = importlib.util.find_spec("mujoco.studio.web_viewer") is not None
@@ -136,6 +139,11 @@ def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
         raise ConfigError(missing_viewer(error)) from error
     if not is_installed:
         raise ConfigError(missing_viewer("it is not installed"))
+    if not hasattr(os, "memfd_create"):  # see web_link
+        raise ConfigError(
+            f"viewer=web runs on Linux only so far, not on {sys.platform}; capture_video=True makes"
+            " videos, headless=False opens a window"
+        )
     read_hosts(allowed_hosts)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -17,6 +17,7 @@ from mujoco.studio import messages, plugin, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import web_server
 
+from isaacgymenvs_lite.rendering.markers import Marker, add_markers
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
 from isaacgymenvs_lite.viewers.web_guard import PageGuard, address_of
@@ -89,10 +90,16 @@ def open_page(
 
 
 @dataclass(frozen=True)
-class ReferenceSnapshot(messages.Snapshot):
-    """The joint positions (nq,) of the robot beside the character; None: there is none."""
+class BesideSnapshot(messages.Snapshot):
+    """What is drawn beside the character.
 
-    qpos: Pose | None
+    Attributes:
+        reference: (nq,) joint positions of the translucent robot; None: there is none.
+        markers: of the goal.
+    """
+
+    reference: Pose | None = None
+    markers: tuple[Marker, ...] = ()
 
 
 class LinkEndpoint:
@@ -113,7 +120,7 @@ class LinkEndpoint:
             return [messages.ExitEvent()]
         if update.qpos is not None:
             state = messages.StateSnapshot(update.qpos, int(mujoco.mjtState.mjSTATE_QPOS))
-            self._states = [state, ReferenceSnapshot(update.reference)]
+            self._states = [state, BesideSnapshot(update.reference, update.markers)]
         return [] if update.model is None else [messages.ModelEvent(update.model)]
 
     def get_sim_snapshots(self) -> list[messages.Snapshot]:
@@ -129,7 +136,7 @@ class LinkEndpoint:
 
 
 class PagePlugin(plugin.ViewerPlugin):
-    """Adds the robot beside the character, aims the camera, and passes keys on.
+    """Adds what is beside the character, aims the camera, and passes keys on.
 
     Args:
         link: to the task.
@@ -137,7 +144,7 @@ class PagePlugin(plugin.ViewerPlugin):
 
     def __init__(self, link: PageEnd) -> None:
         self._link = link
-        self._reference: Pose | None = None
+        self._beside = BesideSnapshot()
         self._overlay: tuple[mujoco.MjvScene, RobotOverlay] | None = None
 
     @messages.handler
@@ -158,23 +165,22 @@ class PagePlugin(plugin.ViewerPlugin):
         self._overlay = None
 
     @messages.handler
-    def on_reference(self, snapshot: ReferenceSnapshot) -> None:
-        """Store the pose for the next picture."""
-        self._reference = snapshot.qpos
+    def on_beside(self, snapshot: BesideSnapshot) -> None:
+        """Store it for the next picture."""
+        self._beside = snapshot
 
     @messages.handler
-    def add_robot(self, event: messages.UpdateEvent) -> None:
-        """Add the robot to the next picture."""
-        geoms: list[mujoco.MjvGeom] = []
-        if self._reference is not None:
-            if self._overlay is None:
-                model = self.viewer.model
-                self._overlay = (mujoco.MjvScene(model, _MAX_GEOMS), RobotOverlay(model))
-            scene, robot = self._overlay
-            scene.ngeom = 0
-            robot.add_to(scene, self._reference)
-            geoms = list(scene.geoms[: scene.ngeom])
-        self.viewer.extra_geoms[:] = geoms
+    def add_beside(self, event: messages.UpdateEvent) -> None:
+        """Add the robot and the markers to the next picture."""
+        if self._overlay is None:
+            model = self.viewer.model
+            self._overlay = (mujoco.MjvScene(model, _MAX_GEOMS), RobotOverlay(model))
+        scene, robot = self._overlay
+        scene.ngeom = 0
+        if self._beside.reference is not None:
+            robot.add_to(scene, self._beside.reference)
+        add_markers(scene, self._beside.markers)
+        self.viewer.extra_geoms[:] = list(scene.geoms[: scene.ngeom])
 
     @messages.handler
     def send_keys(self, event: messages.UpdateEvent) -> None:

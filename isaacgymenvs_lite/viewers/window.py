@@ -14,7 +14,8 @@ from typing import Any
 import mujoco
 
 from isaacgymenvs_lite.rendering.display import check_display
-from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder
+from isaacgymenvs_lite.rendering.markers import add_markers
+from isaacgymenvs_lite.rendering.tracks import PoseReader, PoseRecorder, markers_of
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
@@ -113,6 +114,7 @@ class Window:
         self._model: mujoco.MjModel = env.simulation.model
         self._data = mujoco.MjData(self._model)
         self._reference = ReferenceOverlay.for_task(env, self._model)
+        self._markers_of = markers_of(env)
         self._video_writer = VideoWriter()
         self._recorder: PoseRecorder | None = None
         self._steps = 0
@@ -157,10 +159,11 @@ class Window:
             qpos = self._read_pose(0)
             self._data.qpos[:] = qpos
             mujoco.mj_forward(self._model, self._data)
+            scene = self._viewer.user_scn
+            scene.ngeom = 0
             if self._reference is not None:
-                scene = self._viewer.user_scn
-                scene.ngeom = 0
                 self._reference.add_to(scene, qpos)
+            add_markers(scene, self._markers_of(0))
         self._viewer.sync()
 
     def _wait(self) -> None:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from isaacgymenvs_lite.rendering.markers import Arrow, Sphere
 from isaacgymenvs_lite.viewers.web_link import PageEnd, TaskEnd, make_link
 
 XML = """<mujoco><worldbody><body><joint type="slide"/><geom name="{}" size="{}"/></body>
@@ -49,10 +50,15 @@ def test_of_several_states_the_last_one_counts(ends):
     np.testing.assert_array_equal(update.reference, (3.0, -1.0))
     assert update.model is None
     assert not update.has_ended
-    task.send_state(np.zeros(2))
+    markers = (
+        Arrow((0.0, 1.0, 2.0), (3.0, 4.0, 5.0), (0.1, 0.2, 0.3)),
+        Sphere((1.0, 0.0, 2.0), 0.25, (0.4, 0.5, 0.6)),
+    )
+    task.send_state(np.zeros(2), markers=markers)
     update = page.receive()
     np.testing.assert_array_equal(update.qpos, (0.0, 0.0))
     assert update.reference is None
+    assert update.markers == markers
 
 
 def test_a_state_before_a_new_model_is_not_the_new_ones(ends):

@@ -221,3 +221,9 @@ def is_drawn(image: np.ndarray) -> bool:
     """Whether something coloured, such as the character, is in the picture."""
     pixels = image[:-40].astype(int)  # without the line of status
     return bool((pixels.max(axis=2) - pixels.min(axis=2) > 70).mean() > 0.005)
+
+
+def test_another_system_is_one_line(monkeypatch):
+    monkeypatch.delattr(os, "memfd_create")
+    with pytest.raises(ConfigError, match="viewer=web runs on Linux only so far"):
+        check_page("localhost", 0)

@@ -13,9 +13,10 @@ pytest.importorskip("mujoco.studio.web_viewer")
 
 from mujoco.studio import messages
 
+from isaacgymenvs_lite.rendering.markers import Sphere
 from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES
 from isaacgymenvs_lite.viewers.web_link import PageEnd, TaskEnd, make_link
-from isaacgymenvs_lite.viewers.web_server import KEYS, LinkEndpoint, PagePlugin, ReferenceSnapshot
+from isaacgymenvs_lite.viewers.web_server import KEYS, BesideSnapshot, LinkEndpoint, PagePlugin
 
 XML = '<mujoco><worldbody><body><freejoint/><geom size="{}"/></body></worldbody></mujoco>'
 
@@ -35,15 +36,17 @@ def test_the_viewer_receives_models_states_and_the_end(link):
     endpoint = LinkEndpoint(page)
     assert endpoint.get_sim_events() == endpoint.get_sim_snapshots() == []
     qpos = np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))
-    task.send_state(qpos, qpos + 1.0)
+    goal = Sphere((1.0, 2.0, 0.5), 0.1, (1.0, 0.0, 0.0))
+    task.send_state(qpos, qpos + 1.0, [goal])
     assert endpoint.get_sim_events() == []
-    state, reference = endpoint.get_sim_snapshots()
+    state, beside = endpoint.get_sim_snapshots()
     assert isinstance(state, messages.StateSnapshot)
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state.state, state.state_sig)
     np.testing.assert_array_equal(data.qpos, qpos)
-    assert isinstance(reference, ReferenceSnapshot)
-    np.testing.assert_array_equal(reference.qpos, qpos + 1.0)
+    assert isinstance(beside, BesideSnapshot)
+    np.testing.assert_array_equal(beside.reference, qpos + 1.0)
+    assert beside.markers == (goal,)
     assert endpoint.get_sim_snapshots() == []
     task.send_model(mujoco.MjModel.from_xml_string(XML.format(0.7)))
     (event,) = endpoint.get_sim_events()
@@ -54,21 +57,26 @@ def test_the_viewer_receives_models_states_and_the_end(link):
     assert isinstance(event, messages.ExitEvent)
 
 
-def test_the_reference_is_drawn_with_the_newest_model(link):
+def test_what_is_beside_is_drawn_with_the_newest_model(link):
     plugin = PagePlugin(link[1])
     for radius_m in (0.5, 0.7):
         model = mujoco.MjModel.from_xml_string(XML.format(radius_m))
         viewer: Any = SimpleNamespace(model=model, extra_geoms=[])
         plugin.viewer = viewer
         plugin.on_model(messages.PostModelEvent(model, mujoco.MjData(model)))
-        plugin.on_reference(ReferenceSnapshot(np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))))
-        plugin.add_robot(messages.UpdateEvent())
+        plugin.on_beside(BesideSnapshot(np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))))
+        plugin.add_beside(messages.UpdateEvent())
         (geom,) = viewer.extra_geoms
         np.testing.assert_allclose(geom.pos, (1.0, 2.0, 3.0))
         assert geom.size[0] == pytest.approx(radius_m)
         assert geom.rgba[3] == pytest.approx(0.35)
-        plugin.on_reference(ReferenceSnapshot(None))
-        plugin.add_robot(messages.UpdateEvent())
+        plugin.on_beside(BesideSnapshot(markers=(Sphere((4.0, 5.0, 6.0), 0.2, (1.0, 0.0, 0.0)),)))
+        plugin.add_beside(messages.UpdateEvent())
+        (geom,) = viewer.extra_geoms
+        np.testing.assert_allclose(geom.pos, (4.0, 5.0, 6.0))
+        np.testing.assert_allclose(geom.rgba, (1.0, 0.0, 0.0, 1.0))
+        plugin.on_beside(BesideSnapshot())
+        plugin.add_beside(messages.UpdateEvent())
         assert viewer.extra_geoms == []
 
 
