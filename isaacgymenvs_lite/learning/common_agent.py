@@ -678,10 +678,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         bound = self.bound_loss(mu)
         terms = {
             "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
-            "critic_loss": (
-                self.critic_coef if self.has_value_loss else 0.0,
-                critic["critic_loss"].mean(),
-            ),
+            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
             "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
             "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
         }

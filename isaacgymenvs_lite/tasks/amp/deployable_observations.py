@@ -93,14 +93,3 @@ def add_noise(frame: Tensor, widths: Tensor) -> Tensor:
     noisy = torch.rand_like(frame).mul_(2.0).sub_(1.0).mul_(widths).add_(frame)
     noisy[:, _GRAVITY] = normalize(noisy[:, _GRAVITY])
     return noisy
-
-
-def push_frame(history: Tensor, frame: Tensor) -> None:
-    """Put new frames (N, F) first into the history (N, H, F), in place; the oldest ones drop out.
-
-    Args:
-        history: of N robots, the newest frame first.
-        frame: the newest one.
-    """
-    history[:, 1:] = history[:, :-1].clone()
-    history[:, 0] = frame

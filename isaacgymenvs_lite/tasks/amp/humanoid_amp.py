@@ -20,6 +20,7 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     HumanoidAMPBase,
 )
 from isaacgymenvs_lite.tasks.amp.prefetched_sampler import PrefetchedSampler
+from isaacgymenvs_lite.tasks.base.history import push_newest
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
     compute_humanoid_observations,
     num_humanoid_obs,
@@ -232,9 +233,7 @@ class HumanoidAMP(HumanoidAMPBase):
         """As the base, then shift the AMP history and publish it, terminal states included."""
         super().post_physics_step()
         history = self._amp_obs_buf
-        for step in range(history.shape[1] - 1, 0, -1):
-            history[:, step] = history[:, step - 1]
-        history[:, 0] = self.current_amp_features()
+        push_newest(history, self.current_amp_features())
         self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
 
     # --- demonstrations ----------------------------------------------------------------------

@@ -22,7 +22,6 @@ from isaacgymenvs_lite.tasks.amp.deployable_observations import (
     compute_frame,
     history_groups,
     noise_widths,
-    push_frame,
 )
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
@@ -30,6 +29,7 @@ from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
 from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
 from isaacgymenvs_lite.tasks.base.action_delay import ActionDelay
 from isaacgymenvs_lite.tasks.base.assets import asset_path, compile_spec
+from isaacgymenvs_lite.tasks.base.history import push_newest
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig
@@ -82,7 +82,7 @@ class RobotAMP(HumanoidAMP):
     default_asset = "mjcf/g1.xml"
     actor_name = "robot"
     num_dofs_of_assets = ()
-    not_stored = (*HumanoidAMP.not_stored, "_robot", "_skeleton")
+    not_stored = ("_robot", "_skeleton")
 
     def read_settings(self, env: dict[str, Any]) -> RobotAMPConfig:
         """As the base, and check the keys that depend on each other."""
@@ -194,7 +194,7 @@ class RobotAMP(HumanoidAMP):
         """Take the newest frames into the history."""
         super().update_state()
         if self._frames is not None:
-            push_frame(self._frames, self._measure(None, self.actions))
+            push_newest(self._frames, self._measure(None, self.actions))
 
     def reset_state(self, env_ids: Tensor) -> None:
         """As the base; draw delays, and fill the history with the first frame."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.tasks.base.history import push_newest
+
 
 class ActionDelay:
     """A delay of whole control steps for each of N environments, drawn for each episode.
@@ -38,6 +40,5 @@ class ActionDelay:
 
     def __call__(self, actions: Tensor) -> Tensor:
         """Store the actions (N, A) of a control step, and return those that take effect in it."""
-        self._actions = self._actions.roll(1, dims=1)
-        self._actions[:, 0] = actions
+        push_newest(self._actions, actions)
         return self._actions[self._rows, self.steps]

@@ -13,7 +13,6 @@ from isaacgymenvs_lite.tasks.amp.deployable_observations import (
     frame_groups,
     history_groups,
     noise_widths,
-    push_frame,
 )
 
 HALF = math.sqrt(0.5)
@@ -74,10 +73,3 @@ def test_noise_has_its_width_and_leaves_the_action_alone():
     # sideways by 0.05, seen from 0.95 away
     assert 0.04 < float(noisy_gravity[:, :2].abs().max()) <= 0.05 / 0.95
     assert not frame[:, :5].any()  # the frame without noise is still there
-
-
-def test_the_newest_frame_comes_first():
-    history = torch.zeros(1, 3, 2)
-    for number in range(1, 5):
-        push_frame(history, torch.full((1, 2), float(number)))
-    assert history.tolist() == [[[4.0, 4.0], [3.0, 3.0], [2.0, 2.0]]]
