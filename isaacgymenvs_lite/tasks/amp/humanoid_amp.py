@@ -337,6 +337,8 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(default_ids) > 0:
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
+        if len(reference_ids) > 0:
+            self.goal.start_in_clip(reference_ids, self._roots_ahead)
 
     def first_start(self) -> RobotState | None:
         """Return the start of the first clip, unless episodes start in the default pose."""
@@ -353,10 +355,11 @@ class HumanoidAMP(HumanoidAMPBase):
         return super().reset()
 
     @torch.inference_mode()
-    def _draw_starts(self, n: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Draw moments of the clips: their states and the AMP features of the steps before.
+    def _draw_starts(self, n: int) -> tuple[Tensor, ...]:
+        """Draw moments of the clips: their states, and what is before and after them.
 
-        Root states (n, 13), DOF positions and velocities (n, D), features (n, steps - 1, ...).
+        Root states (n, 13), DOF positions and velocities (n, D), the AMP features of the steps
+        before (n, steps - 1, ...), the root states that the goal looks ahead (n, T, 13).
         """
         lib = self._motion_lib
         motion_ids = lib.sample_motions(n)
@@ -367,14 +370,21 @@ class HumanoidAMP(HumanoidAMPBase):
         root, dof_pos, dof_vel, key_pos = self._reference_states(motion_ids, times, steps)
         before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
-        return root[:n], dof_pos[:n], dof_vel[:n], history
+        ahead_s = self.goal.look_ahead_s
+        later = -torch.tensor(ahead_s, device=self.device) / self.control_dt_s
+        ahead = torch.zeros(n, 0, 13, device=self.device)
+        if ahead_s:
+            roots = self._reference_states(motion_ids, times, later)[0]
+            ahead = roots.view(len(ahead_s), n, 13).transpose(0, 1)
+        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead
 
     def _reset_to_reference(self, env_ids: Tensor) -> None:
         """Put environments into states of sampled clips, and keep the steps before it."""
         self._reference_env_ids = env_ids
         if len(env_ids) == 0:
             return
-        root_states, dof_pos, dof_vel, self._reference_history = self._starts.next(len(env_ids))
+        starts = self._starts.next(len(env_ids))
+        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:

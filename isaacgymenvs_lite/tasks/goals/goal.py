@@ -52,6 +52,8 @@ class Goal:
     """Name of this part of the observation; `command`: m/s forward, m/s left, rad/s left."""
     key_help: ClassVar[str] = ""
     """What the keys of `on_key` do, for users; '': nothing."""
+    look_ahead_s: ClassVar[tuple[float, ...]] = ()
+    """Times (s) after the start in a clip that `start_in_clip` is given."""
     settings_class: ClassVar[type[GoalSettings]] = GoalSettings
 
     def __init__(self, env: Mapping[str, Any]) -> None:
@@ -87,6 +89,14 @@ class Goal:
 
     def reset(self, env_ids: Tensor) -> None:
         """Draw goals for new episodes of `env_ids` (n,), after their characters were reset."""
+
+    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
+        """Change new goals of `env_ids` (n,) that start in a clip, after `reset`.
+
+        Args:
+            env_ids: (n,).
+            root_states: (n, T, 13) of the clips, `look_ahead_s` after the start.
+        """
 
     def before_step(self, progress: Tensor) -> None:
         """Store the state before a control step.

@@ -76,6 +76,8 @@ class VelocitySettings(GoalSettings):
     """The command changes before so many control steps."""
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
     """Share of the commands that are to stand still, whatever the ranges are."""
+    clip_share: float = setting(0.5, key="clipCommandShare", minimum=0, maximum=1)
+    """Share of the starts in a clip whose first command is what the clip does in the next second."""
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
     """Reward of a step whose last second had exactly the commanded velocity."""
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
@@ -99,6 +101,7 @@ class Velocity(TimedGoal):
         " random commands again"
     )
     settings_class = VelocitySettings
+    look_ahead_s = tuple(WINDOW_S * i / 8 for i in range(8))
     change_steps_keys = ("commandChangeStepsMin", "commandChangeStepsMax")
     settings: VelocitySettings
 
@@ -148,6 +151,17 @@ class Velocity(TimedGoal):
             commands = low + (high - low) * torch.rand(n, 3, device=device)
             commands = commands.masked_fill(stands, 0.0)
         self.commands.index_copy_(0, env_ids, commands)
+
+    def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
+        """Command, of a share of the starts, what the clip does in the next second."""
+        share = self.settings.clip_share
+        if share == 0 or self._steered is not None:
+            return
+        low, high = self._limits(env_ids.device)
+        motion = compute_planar_motion(root_states.flatten(0, 1)).view(len(env_ids), -1, 3)
+        commands = torch.minimum(torch.maximum(motion.mean(1), low), high)
+        follows = torch.rand(len(env_ids), device=env_ids.device) < share
+        self.commands.index_copy_(0, env_ids[follows], commands[follows])
 
     def on_key(self, key: str) -> None:
         """Steer all environments from the command of the first one on, see `key_help`.
