@@ -5,11 +5,14 @@ MuJoCo gets them by new names, from memory alone: it opens no file of the disk.
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from isaacgymenvs_lite.errors import ConfigError
+import numpy as np
+
+from isaacgymenvs_lite.errors import ConfigError, printable
 from isaacgymenvs_lite.robots.xml_files import find_below, package_paths, read_bytes, robot_folders
 
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
@@ -18,6 +21,9 @@ MAX_MESH_BYTES = 2**26
 MAX_ALL_BYTES = 2**29
 MAX_TEXELS = 2**24
 """Of one texture, 4096 x 4096."""
+
+
+_MAX_FACES = 200_000  # MuJoCo reads no more of an STL file
 
 
 @dataclass
@@ -55,6 +61,31 @@ class AssetFiles:
             raise ConfigError(f"{what}: expected a relative path or package://")
         return find_below(folders, [folders[0] / folder / name], what)
 
+    def find_mesh(self, name: str, folder: str = "") -> Path:
+        """Return the path of a mesh, or of a file beside it that has it in another format.
+
+        Args:
+            name: as in `find`; of a format that MuJoCo does not read, `foot.dae`, the file may be
+                `foot.stl` or `foot.obj`.
+            folder: as in `find`.
+
+        Raises:
+            ConfigError: there is none in a format that MuJoCo reads.
+        """
+        stem, suffix = name[: name.rfind(".")], PurePosixPath(name).suffix.lower()
+        if suffix in MESH_SUFFIXES:
+            return self.find(name, folder)
+        for other in MESH_SUFFIXES:
+            try:
+                return self.find(f"{stem}{other}", folder)
+            except ConfigError:
+                continue
+        raise ConfigError(
+            f"{self.path}: mesh '{name}' has a format that MuJoCo does not read; expected"
+            f" {', '.join(MESH_SUFFIXES)}: convert it, with Blender or trimesh for example, to"
+            f" '{PurePosixPath(stem).name}.stl' beside it"
+        )
+
     def read(self, path: Path) -> str:
         """Read a file and return the name that MuJoCo gets for it.
 
@@ -62,7 +93,7 @@ class AssetFiles:
             ConfigError: it is too long, or all files together are.
         """
         if path not in self._names:
-            content = read_bytes(path, MAX_MESH_BYTES)
+            content = _as_binary_stl(read_bytes(path, MAX_MESH_BYTES), path)
             if sum(map(len, self.contents.values())) + len(content) > MAX_ALL_BYTES:
                 raise ConfigError(
                     f"{self.path}: its meshes have more than {MAX_ALL_BYTES // 2**20} MiB together"
@@ -71,6 +102,29 @@ class AssetFiles:
             name = f"{len(self._names)}_{PurePosixPath(path.name).stem}{path.suffix.lower()}"
             self._names[path], self.contents[name] = name, content
         return self._names[path]
+
+
+def _as_binary_stl(content: bytes, path: Path) -> bytes:
+    """Return the content of a mesh file; of an STL file in ASCII the binary one that MuJoCo reads.
+
+    Raises:
+        ConfigError: a corner in ASCII is not three numbers.
+    """
+    # Some programs begin binary files with `solid`, too; none of these has the word `vertex` so early.
+    is_text = content[:5].lower() == b"solid" and b"vertex" in content[:1000]
+    if path.suffix.lower() != ".stl" or not is_text:
+        return content
+    if content.count(b"vertex") > 3 * _MAX_FACES:
+        raise ConfigError(f"{path}: has more than {_MAX_FACES} triangles")
+    corners = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
+    try:
+        triangles = np.array(corners, dtype="S32").astype("<f4").reshape(-1, 9)
+    except ValueError as error:
+        raise ConfigError(f"{path}: not an STL file: {printable(str(error))}") from error
+    # A facet is its normal, which MuJoCo computes itself, three corners and two unused bytes.
+    facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", 9), ("_", "<u2")])
+    facets["corners"] = triangles
+    return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
 
 
 def is_small_png(content: bytes) -> bool:

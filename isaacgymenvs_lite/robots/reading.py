@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import mujoco
+import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
-from isaacgymenvs_lite.robots.mesh_files import MESH_SUFFIXES, AssetFiles, is_small_png
+from isaacgymenvs_lite.robots.mesh_files import AssetFiles, is_small_png
 from isaacgymenvs_lite.robots.xml_files import MAX_ELEMENTS, find_below, read_xml, robot_folders
 
 MAX_BODIES = MAX_JOINTS = 500
@@ -22,6 +23,7 @@ MAX_GEOMS = 1000
 _MAX_INCLUDES = 50
 _MAX_TEXTURE_SIDE = 4096
 _MAX_MESH_PARAMETER = 200
+_LEAST_INERTIA = 1e-9  # kg m^2
 # Elements that load libraries or other models, or that describe no rigid robot.
 _REFUSED = {
     **dict.fromkeys(("extension", "plugin"), "engine plugins are not loaded"),
@@ -88,6 +90,9 @@ def read_robot_file(path: str | Path) -> RobotFile:
     except (ValueError, mujoco.FatalError) as error:
         raise ConfigError(f"{path}: MuJoCo cannot read it: {one_line(error)}") from error
     _check_counts(spec, path)
+    _allow_open_meshes(spec)
+    if root.tag == "robot":
+        notes += _repair_inertias(spec)
     return RobotFile(path, spec, tuple(notes))
 
 
@@ -99,6 +104,16 @@ def _check_counts(spec: mujoco.MjSpec, path: Path) -> None:
     ):
         if found > most:
             raise ConfigError(f"{path}: has {found} {what}; expected a robot of at most {most}")
+
+
+def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
+    """Let meshes without volume be, where no inertia comes from them: MuJoCo refuses them."""
+    inertial = {
+        geom.meshname for body in spec.bodies if not body.explicitinertial for geom in body.geoms
+    }
+    for mesh in spec.meshes:
+        if mesh.name not in inertial:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 def _put_includes(root: ET.Element, path: Path) -> None:
@@ -231,13 +246,8 @@ def _stripped(name: str, strip: bool) -> str:
 
 
 def _take_mesh(element: ET.Element, key: str, name: str, folder: str, files: AssetFiles) -> None:
-    if PurePosixPath(name).suffix.lower() not in MESH_SUFFIXES:
-        raise ConfigError(
-            f"{files.path}: mesh '{name}' has a format that MuJoCo does not read; expected"
-            f" {', '.join(MESH_SUFFIXES)}: convert it"
-        )
     element.attrib.pop("content_type", None)
-    element.set(key, files.read(files.find(name, folder)))
+    element.set(key, files.read(files.find_mesh(name, folder)))
 
 
 def _texture_name(element: ET.Element) -> str:
@@ -299,10 +309,31 @@ def _take_urdf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
             f"left out {len(hidden)} visual meshes that are missing or have a format that MuJoCo"
             f" does not read, the first '{printable(hidden[0])}'"
         )
+    if root.find("link/collision") is None:
+        notes.append("no collision shapes in the file: what it shows collides")
+        for visual in root.iter("visual"):
+            visual.tag = "collision"
     extension = ET.Element("mujoco")
     # Links on fixed joints stay bodies: feet and hands of many robots are such.
     settings = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
     # Links without mass are common in URDF, and inertias that no solid has.
-    settings |= {"balanceinertia": "true", "boundmass": "1e-6", "boundinertia": "1e-9"}
+    least = {"boundmass": "1e-6", "boundinertia": f"{_LEAST_INERTIA:g}"}
+    settings |= {"balanceinertia": "true", **least}
     ET.SubElement(extension, "compiler", settings)
     root.insert(0, extension)
+
+
+def _repair_inertias(spec: mujoco.MjSpec) -> list[str]:
+    """Make inertias positive that MuJoCo refuses, for it to balance; return a note on them."""
+    repaired = []
+    for body in spec.bodies:
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        if not np.isfinite(body.fullinertia).all():  # MuJoCo's mark of a body without one
+            continue
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments.min() > 0:
+            continue
+        full = (axes * moments.clip(min=_LEAST_INERTIA)) @ axes.T
+        body.fullinertia = [*full.diagonal(), full[0, 1], full[0, 2], full[1, 2]]
+        repaired.append(body.name)
+    return [f"repaired inertias that are not positive: {listed(repaired)}"] if repaired else []

@@ -133,10 +133,10 @@ def package_paths(uri: str, path: Path) -> tuple[tuple[Path, ...], tuple[Path, .
     were copied without their package are looked for as `rest` in the folders above.
 
     Args:
-        uri: `name/rest`.
+        uri: `name/rest`, also with a slash before it.
         path: of the robot's main file.
     """
-    name, _, rest = uri.partition("/")
+    name, _, rest = uri.lstrip("/").partition("/")
     ups = _upwards(path.resolve().parent)
     packages = [up for up in ups if up.name == name]
     packages += [up / name for up in ups if name not in ("", ".", "..") and (up / name).is_dir()]

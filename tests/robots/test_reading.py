@@ -3,16 +3,50 @@
 from __future__ import annotations
 
 import time
+from itertools import combinations
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.robots.reading import MAX_BODIES, read_robot, read_robot_file
-from tests.robots.texts import LEG, TETRAHEDRON, mjcf, urdf, written
+from tests.robots.texts import INERTIAL, LEG, TETRAHEDRON, mjcf, urdf, written
 
 MESH = '<asset><mesh file="{}"/></asset>'
+
+CORNER_STL = """solid corner of a cube
+facet normal 0 0 -1
+outer loop
+vertex 0 0 0
+vertex 0 1 0
+vertex 1 0 0
+endloop
+endfacet
+facet normal 0 -1 0
+outer loop
+vertex 0 0 0
+vertex 1.0e0 0 0
+vertex 0 0 1
+endloop
+endfacet
+facet normal -1 0 0
+outer loop
+vertex 0 0 0
+vertex 0 0 1
+vertex 0 1 0
+endloop
+endfacet
+facet normal 1 1 1
+outer loop
+vertex 1 0 0
+vertex 0 1 0
+vertex 0 0 1
+endloop
+endfacet
+endsolid
+"""
 
 
 def refusal(path: Path) -> str:
@@ -47,7 +81,9 @@ def test_the_shipped_humanoid_reads_as_mujoco_reads_it():
     ("uri", "place"),
     [
         ("package://my_robot/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
+        ("package:///my_robot/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
         ("package://other/meshes/a.obj", "ws/other/meshes/a.obj"),
+        ("package://my_robot/meshes/a.dae", "ws/my_robot/meshes/a.obj"),
         ("package://elsewhere/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
         ("model://my_robot/meshes/a.obj", "ws/my_robot/meshes/a.obj"),
         ("../meshes/a.obj", "ws/my_robot/meshes/a.obj"),
@@ -59,6 +95,50 @@ def test_meshes_of_urdf_files(tmp_path, uri, place):
     path = tmp_path / "ws/my_robot/urdf/robot.urdf"
     written(path, urdf(f'<mesh filename="{uri}" scale="2 2 2"/>'))
     assert read_robot(path).compile().nmesh == 1
+
+
+def test_stl_files_in_ascii_have_the_volume_of_their_triangles(tmp_path):
+    written(tmp_path / "a.stl", CORNER_STL)
+    model = read_robot(written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))).compile()
+    vertices = model.mesh_vert + model.mesh_pos[0]  # about the centre of mass, along main axes
+    assert model.mesh_vertnum[0] == 4
+    # A corner of a cube of side 1 m: three edges of 1 m, three of sqrt(2).
+    edges = sorted(float(np.linalg.norm(a - b)) for a, b in combinations(vertices, 2))
+    assert edges == pytest.approx([1, 1, 1, *3 * [2**0.5]], abs=1e-6)
+
+
+def test_stl_files_in_ascii_with_words_for_numbers(tmp_path):
+    written(tmp_path / "a.stl", CORNER_STL.replace("0 0 1", "0 0 one", 1))
+    path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))
+    with pytest.raises(ConfigError, match=r"a\.stl: not an STL file"):
+        read_robot(path)
+
+
+def test_a_robot_that_only_shows_itself_collides_as_it_looks(tmp_path):
+    text = urdf().replace("collision>", "visual>")
+    robot = read_robot_file(written(tmp_path / "r.urdf", text))
+    assert any("what it shows collides" in note for note in robot.notes)
+    model = robot.spec.compile()
+    assert model.geom_contype.all()
+
+
+def test_open_meshes_of_links_with_inertias(tmp_path):
+    corners, _, _ = TETRAHEDRON.partition("f")
+    written(tmp_path / "a.obj", f"{corners}f 1 3 2\n")  # one side: no volume
+    path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.obj"/>'))
+    assert read_robot(path).compile().nmesh == 1
+    path = written(tmp_path / "s.urdf", urdf('<mesh filename="a.obj"/>').replace(INERTIAL, "", 1))
+    with pytest.raises(ValueError, match="volume"):  # the inertia is to come from it
+        read_robot(path).compile()
+
+
+def test_inertias_that_no_solid_has_become_positive(tmp_path):
+    odd = 'ixx="1" iyy="1" izz="1" ixy="0" ixz="2" iyz="0"'
+    text = urdf().replace('ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"', odd)
+    robot = read_robot_file(written(tmp_path / "r.urdf", text))
+    assert any("repaired inertias" in note for note in robot.notes)
+    # Moments 3, 1, -1; 3, 1, 0 are of no solid either, which MuJoCo balances to their mean.
+    assert robot.spec.compile().body_inertia[-1] == pytest.approx([4 / 3] * 3, rel=1e-6)
 
 
 def test_missing_mesh_is_named_with_the_places_searched(tmp_path):
