@@ -19,7 +19,7 @@ import numpy as np
 
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.motion.robot_file import load_clip_robot, view_of
-from isaacgymenvs_lite.motion.strip import draw_poses, save_png
+from isaacgymenvs_lite.motion.strip import ASPECT, draw_poses, save_png
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import require
 
@@ -49,7 +49,7 @@ def check_robot(file: str, settings: RobotCheckSettings) -> None:
         log.info("%s", line)
     if settings.out:
         pose = robot.prepared.start_qpos[None]
-        views = [view_of(robot, azimuth_deg) for azimuth_deg in _AZIMUTHS_DEG]
+        views = [view_of(robot, azimuth_deg, ASPECT) for azimuth_deg in _AZIMUTHS_DEG]
         panels = [draw_poses(robot.prepared.model, pose, view) for view in views]
         path = save_png(settings.out, np.concatenate(panels, axis=1))
         log.info("wrote %s", path)

@@ -97,7 +97,7 @@ def _retarget(
 ) -> tuple[MotionClip, Skeleton]:
     if mapping is None or not mapping.bodies:
         try:
-            found = recognise_robot(robot.prepared.model)
+            found = recognise_robot(robot.prepared.model, robot.prepared.start_qpos)
         except ConfigError as error:
             raise ConfigError(f"robot={file}: {error}; name it by mapping=FILE") from error
         mapping = found if mapping is None else dataclasses.replace(mapping, bodies=found.bodies)

@@ -84,8 +84,15 @@ def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRo
     return clip, skeleton, loaded
 
 
-def view_of(robot: ClipRobot | None, azimuth_deg: float) -> View:
-    """Return the camera for a clip of a robot; of a humanoid for None."""
+def view_of(robot: ClipRobot | None, azimuth_deg: float, aspect: float = 4 / 3) -> View:
+    """Return the camera for a clip of a robot; of a humanoid for None.
+
+    Args:
+        robot: what is shown.
+        azimuth_deg: where the camera looks.
+        aspect: width of the picture by its height.
+    """
     if robot is None:
         return View(azimuth_deg=azimuth_deg)
-    return dataclasses.replace(View.of_model(robot.prepared.model), azimuth_deg=azimuth_deg)
+    view = View.of_model(robot.prepared.model, aspect)
+    return dataclasses.replace(view, azimuth_deg=azimuth_deg)

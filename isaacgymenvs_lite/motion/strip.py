@@ -33,6 +33,8 @@ from isaacgymenvs_lite.schema import keys_of, setting
 from isaacgymenvs_lite.utils.optional_packages import import_package, require
 
 _FRAME_WIDTH, _FRAME_HEIGHT = 200, 320
+ASPECT = _FRAME_WIDTH / _FRAME_HEIGHT
+"""Width of the picture of a pose by its height."""
 _NUM_COLOURS = 128
 
 
@@ -82,7 +84,7 @@ def save_strip(
     model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
     times_s = np.arange(num_frames) * (span_s / num_frames)
     frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
-    return save_png(path, draw_poses(model, poses[frames], view_of(robot, azimuth_deg)))
+    return save_png(path, draw_poses(model, poses[frames], view_of(robot, azimuth_deg, ASPECT)))
 
 
 def save_png(path: str | Path, image: Image) -> Path:

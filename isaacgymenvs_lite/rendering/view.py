@@ -13,6 +13,7 @@ Points = npt.NDArray[np.float64]
 # Distances in half diagonals of what is shown: a moving robot with room around it, and a fixed one
 # as a whole.
 _ROOM, _WHOLE = 2.6, 2.1
+_MARGIN = 1.4  # the near side is nearer than the root
 _MIN_DISTANCE_M = 1.6
 # A robot that is this high above the ground in its default pose flies.
 _FLIES_M = 0.3
@@ -47,10 +48,14 @@ class View:
     flies: bool = False
 
     @classmethod
-    def of_model(cls, model: mujoco.MjModel) -> View:
+    def of_model(cls, model: mujoco.MjModel, aspect: float = 4 / 3) -> View:
         """Return a view that fits a model in its default pose.
 
         A robot with a free root is seen from its right side, anything else across its longer side.
+
+        Args:
+            model: what is shown.
+            aspect: width of the picture by its height.
         """
         moves_about = has_free_root(model)
         low, high = _bounds(model, moves_about)
@@ -64,6 +69,11 @@ class View:
         terrain = model.nhfield > 0
         flies = not terrain and float(low[2]) > _FLIES_M
         nearest_m = _TERRAIN_DISTANCE_M if terrain else _MIN_DISTANCE_M
+        # In a narrow picture the length counts, of the robot about its root.
+        half_angle = np.deg2rad(float(model.vis.global_.fovy) / 2)
+        from_root = np.abs(np.array((low, high))[:, :2] - model.qpos0[:2])
+        half_length = float(from_root.max())
+        nearest_m = max(nearest_m, _MARGIN * half_length / (aspect * np.tan(half_angle)))
         return cls(
             elevation_deg=_TERRAIN_ELEVATION_DEG if terrain else _ELEVATION_DEG,
             distance_m=max(nearest_m, _ROOM * half_diagonal),

@@ -29,6 +29,14 @@ def test_a_robot_is_seen_from_its_side_with_room_about_it():
     assert view.distance_m == 1.6  # as near as a camera comes
 
 
+def test_a_long_robot_fits_into_a_narrow_picture():
+    long = ROBOT.format(height=0.5).replace('pos="0', 'pos="7').replace(".3 .2", "1 .2")
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{long}</worldbody></mujoco>")
+    view = View.of_model(model, aspect=0.5)
+    seen_m = 2 * view.distance_m * np.tan(np.deg2rad(45 / 2)) * 0.5
+    assert 2.5 < seen_m < 3.0  # of 2 m
+
+
 def test_a_robot_above_the_ground_is_gone_along_with_in_height():
     flat = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{ROBOT.format(height=1.0)}</worldbody></mujoco>"

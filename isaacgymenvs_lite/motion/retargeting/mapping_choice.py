@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from isaacgymenvs_lite.errors import ConfigError, listed
+from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.bvh import bvh_joint_names
 from isaacgymenvs_lite.motion.retargeting.mapping import (
     SkeletonMapping,
@@ -95,8 +96,12 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
     )
 
 
-def recognise_robot(model: mujoco.MjModel) -> RobotMapping:
-    """Return the shipped mapping for the bodies of a robot, else one by their names; log which.
+def recognise_robot(model: mujoco.MjModel, start: FloatArray) -> RobotMapping:
+    """Return the shipped mapping for the bodies of a robot, else a guessed one; log which.
+
+    Args:
+        model: of the robot.
+        start: (nq,), the pose in which it stands.
 
     Raises:
         ConfigError: as `guess_robot_mapping`.
@@ -107,6 +112,6 @@ def recognise_robot(model: mujoco.MjModel) -> RobotMapping:
         if bodies >= {entry.body for entry in mapping.bodies.values()}:
             _log.info("the robot has the bodies of mapping=%s, which is used", name)
             return mapping
-    mapping, line = guess_robot_mapping(model)
+    mapping, line = guess_robot_mapping(model, start)
     _log.info("%s; a mapping file changes it (docs/motion_formats.md)", line)
     return mapping

@@ -16,6 +16,7 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.editing import interpolate_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, round_bodies
+from isaacgymenvs_lite.motion.retargeting.limbs import body_poses, find_bend
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
 from isaacgymenvs_lite.motion.retargeting.soles import find_sole
 from isaacgymenvs_lite.motion.retargeting.solve import (
@@ -35,7 +36,6 @@ _START_POSES = ("home", "stand", "standing")
 _ROOT = 7
 _LEAD_IN = 30  # frames from the start pose to the first of the motion
 _STANDS = 0.4  # of the length of the legs, between hip and foot
-_ANGLES = 91  # at which a hinge is tried
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
 
 
@@ -169,20 +169,6 @@ def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray
     return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
 
 
-def body_poses(
-    model: mujoco.MjModel, qpos: FloatArray, bodies: list[str]
-) -> tuple[FloatArray, FloatArray]:
-    """Return world positions (T, B, 3) m and rotations (T, B, 4) xyzw of bodies, qpos (T, nq)."""
-    ids = [model.body(name).id for name in bodies]
-    data = mujoco.MjData(model)
-    places, turns = np.zeros((len(qpos), len(ids), 3)), np.zeros((len(qpos), len(ids), 4))
-    for i, pose in enumerate(qpos):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        places[i], turns[i] = data.xpos[ids], data.xquat[ids]
-    return places, rotations.xyzw_from_wxyz(torch.from_numpy(turns)).numpy()
-
-
 def _check_joints(model: mujoco.MjModel) -> None:
     kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
     if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
@@ -291,12 +277,10 @@ def _bends(
             if not all(name in mapping.bodies for name in limb):
                 continue
             top, *_, end = (model.body(mapping.bodies[name].body).id for name in limb)
-            tried = [
-                _distances(model, start, joint, top, end) for joint in _between(model, top, end)
-            ]
-            if not tried:
+            bend = find_bend(model, start, top, end)
+            if bend is None:
                 continue
-            joint, angles, distances = max(tried, key=lambda entry: np.ptp(entry[2]))
+            joint, angles, distances = bend
             low, high = angles[0], angles[-1]
             straight = angles[distances.argmax()]
             if high - straight >= straight - low:
@@ -304,33 +288,6 @@ def _bends(
             else:
                 bends.append((joint, low, straight - LEAST_BEND_RAD))
     return bends
-
-
-def _between(model: mujoco.MjModel, top: int, end: int) -> list[int]:
-    """Return the hinges below body `top` that move body `end`, its own left out."""
-    joints = []
-    body = int(model.body_parentid[end])
-    while body not in (0, top):
-        first = int(model.body_jntadr[body])
-        joints += [
-            joint
-            for joint in range(first, first + int(model.body_jntnum[body]))
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        ]
-        body = int(model.body_parentid[body])
-    return joints
-
-
-def _distances(
-    model: mujoco.MjModel, start: FloatArray, joint: int, top: int, end: int
-) -> tuple[int, FloatArray, FloatArray]:
-    """Return the joint, angles over its range, and the distances in m of two bodies at them."""
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
-    angles = np.linspace(low, high, _ANGLES)
-    poses = np.repeat(start[None], _ANGLES, axis=0)
-    poses[:, model.jnt_qposadr[joint]] = angles
-    places, _ = body_poses(model, poses, [model.body(top).name, model.body(end).name])
-    return joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
 
 
 def _limits(robot: Robot) -> JointLimits:

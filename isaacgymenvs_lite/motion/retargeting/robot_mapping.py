@@ -18,6 +18,8 @@ import numpy as np
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.formats.files import reading
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.retargeting.limbs import find_limbs
 from isaacgymenvs_lite.motion.retargeting.mapping import WITH_ATTITUDE, read_mapping_keys
 from isaacgymenvs_lite.motion.retargeting.solve import weights_of
 from isaacgymenvs_lite.motion.retargeting.source import SIDES
@@ -177,8 +179,14 @@ _NOT = re.compile(r"thumb|index|middle|ring_?\d|finger|pinky|little|toe|rubber")
 _SIDES = {"left": r"left|(^|_)l(_|$)|^l(?=[A-Z])", "right": r"right|(^|_)r(_|$)|^r(?=[A-Z])"}
 
 
-def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
-    """Match the bodies of a robot to the humanoid's by their names.
+def guess_robot_mapping(
+    model: mujoco.MjModel, start: FloatArray | None = None
+) -> tuple[RobotMapping, str]:
+    """Match the bodies of a robot to the humanoid's, by their names or else by the joints.
+
+    Args:
+        model: of the robot.
+        start: (nq,), the pose in which it stands; None: the model's first one.
 
     Returns:
         The mapping, and one line that lists what was matched.
@@ -194,6 +202,11 @@ def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
         found["pelvis"] = 1  # the root
     found = _without_orphans({name: found[name] for name in ROBOT_BODIES if name in found})
     found = _without_other_limbs(model, found)
+    found = _with_whole_feet(model, found)
+    how = "name"
+    by_joints = {} if found.keys() >= set(NEEDED) else find_limbs(model, _pose(model, start))
+    if by_joints:
+        how, found = "their joints", {n: by_joints[n] for n in ROBOT_BODIES if n in by_joints}
     matched = ", ".join(f"{name}: {names[body]}" for name, body in found.items())
     missing = [name for name in NEEDED if name not in found]
     if missing:
@@ -203,7 +216,23 @@ def guess_robot_mapping(model: mujoco.MjModel) -> tuple[RobotMapping, str]:
             f"'left_foot: <body>'; its bodies: {', '.join(names.values())}"
         )
     bodies = {name: _robot_body(name, names[body], "guessed") for name, body in found.items()}
-    return RobotMapping("guessed by name", bodies), f"bodies by name: {matched}"
+    return RobotMapping(f"guessed by {how}", bodies), f"bodies by {how}: {matched}"
+
+
+def _pose(model: mujoco.MjModel, start: FloatArray | None) -> FloatArray:
+    return model.qpos0.copy() if start is None else start
+
+
+def _with_whole_feet(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
+    """Replace feet without geoms, frames and sensors, by the links that they are fixed to."""
+    kept = dict(found)
+    for side in SIDES:
+        foot, shin = found.get(f"{side}_foot"), found.get(f"{side}_shin")
+        if foot is not None and model.body_geomnum[foot] == 0:
+            link = int(model.body_weldid[foot])
+            if link != shin:
+                kept[f"{side}_foot"] = link
+    return kept
 
 
 def _without_orphans(found: Mapping[str, int]) -> dict[str, int]:

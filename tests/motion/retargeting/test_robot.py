@@ -25,6 +25,7 @@ from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
 )
 from isaacgymenvs_lite.motion.retargeting.soles import find_sole
 from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh, source_from_clip
+from isaacgymenvs_lite.robots.load import load_robot
 
 VALID = yaml.safe_load(shipped_robot_mappings()["g1"].read_text())
 # A walker with ball hips, without arms or ankles, that faces +y; its feet are balls.
@@ -228,3 +229,44 @@ def test_a_clip_of_no_humanoid_is_refused(make_humanoid_clip) -> None:
     names = tuple(f"link{i}" for i in range(clip.num_bodies))
     with pytest.raises(MotionFileError, match="no shipped humanoid has its 15 bodies"):
         source_from_clip(dataclasses.replace(clip, body_names=names))
+
+
+def test_joints_alone_give_the_bodies_of_the_g1(g1_model) -> None:
+    """Names without a meaning; thighs and upper arms are the last links before knee and elbow."""
+    spec = mujoco.MjSpec.from_file(str(paths.assets_dir() / "mjcf/g1.xml"))
+    for number, body in enumerate(spec.bodies[1:], start=1):
+        body.name = f"part{number}"
+    for number, joint in enumerate(spec.joints):
+        joint.name = f"axis{number}"
+    for thing in [*spec.actuators, *spec.sensors, *spec.excludes]:
+        spec.delete(thing)
+    nameless = spec.compile()
+    mapping, line = guess_robot_mapping(nameless, nameless.key("home").qpos)
+    assert line.startswith("bodies by their joints: ")
+    wanted = {
+        **{"pelvis": "pelvis", "torso": "torso_link"},
+        **{
+            f"{side}_{part}": f"{side}_{link}_link"
+            for side in ("left", "right")
+            for part, link in (
+                *(("thigh", "hip_yaw"), ("shin", "knee"), ("foot", "ankle_roll")),
+                *(("upper_arm", "shoulder_yaw"), ("lower_arm", "elbow"), ("hand", "wrist_yaw")),
+            )
+        },
+    }
+    numbers = {name: f"part{g1_model.body(body).id}" for name, body in wanted.items()}
+    assert {name: entry.body for name, entry in mapping.bodies.items()} == numbers
+
+
+def test_a_quadruped_is_not_taken_for_a_humanoid() -> None:
+    robot = load_robot(paths.assets_dir() / "mjcf/quadruped.xml")
+    with pytest.raises(ConfigError, match="cannot find"):
+        guess_robot_mapping(robot.model, robot.start_qpos)
+
+
+def test_a_foot_of_a_frame_is_the_link_that_carries_it(g1_model) -> None:
+    text = (paths.assets_dir() / "mjcf/g1.xml").read_text()
+    spec = mujoco.MjSpec.from_string(text)
+    spec.body("left_ankle_roll_link").add_body(name="left_foot_frame", pos=(0.05, 0, -0.03))
+    mapping, _ = guess_robot_mapping(spec.compile())
+    assert mapping.bodies["left_foot"].body == "left_ankle_roll_link"
