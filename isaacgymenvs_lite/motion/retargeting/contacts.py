@@ -14,7 +14,7 @@ Flags = npt.NDArray[np.bool_]  # True where a point touches the ground
 
 # A point of a sole touches the ground while it is this low and slow. The sole is not exactly the
 # source's: where the foot rolls over heel or toes, its own edge is a little off the source's.
-_LOW_M, _SLOW_M_S = 0.02, 0.5
+CONTACT_LOW_M, _SLOW_M_S = 0.02, 0.5
 # A foot that swings is at least this high in the middle of its way, for a foot of 1 m: less would
 # scrape. Near its ends it rises and sinks in this share of the way.
 _CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
@@ -144,7 +144,7 @@ def mean_in_contact(values: FloatArray, contact: Flags) -> FloatArray:
 def find_contacts(points: FloatArray, fps: float) -> Flags:
     """Return which of the points (T, K, 3) m touch the ground z = 0, (T, K)."""
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1) * fps
-    contact = (points[..., 2] < _LOW_M) & (speed < _SLOW_M_S)
+    contact = (points[..., 2] < CONTACT_LOW_M) & (speed < _SLOW_M_S)
     longest = round(_NOISE_S * fps)
     for column in contact.T:
         for start, end in spans(~column):

@@ -6,11 +6,12 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.contacts import Flags, pin_feet
-from isaacgymenvs_lite.motion.retargeting.figure import Figure
+from isaacgymenvs_lite.motion.retargeting.contacts import CONTACT_LOW_M, Flags, pin_feet
+from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole
 from isaacgymenvs_lite.motion.retargeting.source import (
     FEET,
     SourceMotion,
@@ -32,6 +33,10 @@ _MOST_LEVELLING_RAD = np.radians(15.0)
 # The ground is at the lowest corner of a sole, hand or knee, except in this share of the frames
 # (noise).
 _BELOW_GROUND_SHARE = 0.02
+# A sole is level if its points differ in height by less than this share of its length.
+_LEVEL = 0.1
+# In lengths of a sole, how deep its toes may go below the ground where the foot rolls over them.
+_DEEPEST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +74,13 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     soles = {foot: figure.soles[foot].lowest(turns[foot]) + target[foot][:, 2] for foot in FEET}
     lowest = [target[body][:, 2] - radius for body, radius in figure.round_m.items()]
     ground = float(np.quantile(np.min([*soles.values(), *lowest], axis=0), _BELOW_GROUND_SHARE))
+    if figure.pins_feet:
+        resting = [_resting_heights(figure.soles[f], target[f], turns[f], source.fps) for f in FEET]
+        heights = np.concatenate(resting)
+        if len(heights) >= _FEWEST_CONTACT_FRAMES:
+            above = float(np.quantile(heights, _BELOW_GROUND_SHARE)) - ground
+            most = _DEEPEST * max(figure.soles[foot].length_m for foot in FEET)
+            ground += min(above, most) if above > CONTACT_LOW_M else 0.0
     positions = np.stack([target[body] for body in figure.body_names], axis=1)
     positions[..., 2] -= ground
     contacts: dict[str, Flags] = {}
@@ -82,6 +94,19 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
             # Not below the ground, whatever the noise.
             positions[:, column, 2] += np.maximum(ground - soles[foot], 0.0)
     return Targets(positions, turns, scale, contacts)
+
+
+def _resting_heights(
+    sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
+) -> npt.NDArray[np.float64]:
+    """Return the lowest heights (n,) m of a sole while it is level and hardly moves.
+
+    A sole longer than the source's goes below the ground where the foot rolls over its toes.
+    """
+    points = sole.places(feet, turns)
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * fps
+    level = np.ptp(points[..., 2], axis=1) < _LEVEL * sole.length_m
+    return points[..., 2].min(axis=1)[level & (speed < _CONTACT_SPEED)]
 
 
 def _widen_stance(

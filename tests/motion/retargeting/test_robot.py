@@ -270,3 +270,21 @@ def test_a_foot_of_a_frame_is_the_link_that_carries_it(g1_model) -> None:
     spec.body("left_ankle_roll_link").add_body(name="left_foot_frame", pos=(0.05, 0, -0.03))
     mapping, _ = guess_robot_mapping(spec.compile())
     assert mapping.bodies["left_foot"].body == "left_ankle_roll_link"
+
+
+def test_a_robot_with_long_feet_stands_on_them(g1_model) -> None:
+    """Its toes go below the ground where the source rolls over its own, shorter ones."""
+    spec = mujoco.MjSpec.from_file(str(paths.assets_dir() / "mjcf/g1.xml"))
+    sole, _ = find_sole(g1_model, g1_model.key("home").qpos, "left_ankle_roll_link")
+    for side in ("left", "right"):
+        spec.body(f"{side}_ankle_roll_link").add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(0.17, 0.03, 0.005),
+            pos=(0.08, 0.0, sole[:, 2].min() + 0.005),
+        )
+    model = spec.compile()
+    robot = robot_from_model(model, load_robot_mapping("g1"), model.key("home").qpos)
+    report = retargeted("walk", robot).report
+    assert report.slide_m_s is not None
+    assert report.slide_m_s[1] < 0.05
+    assert report.deepest_m < 1e-6
