@@ -50,6 +50,7 @@ class PreparedRobot:
         key_bodies: names of the bodies whose positions are observed, hands and feet mostly.
         contact_bodies: names of the bodies that may touch the floor.
         start_qpos: (Q,) the start pose, on the floor at x = y = 0.
+        mass_height: height (m) of the centre of mass above the floor in this pose.
         action_range_rad: how far an action of 1 should move the drives' targets.
         notes: what was added, left out and fixed, in words.
     """
@@ -61,6 +62,7 @@ class PreparedRobot:
     key_bodies: tuple[str, ...]
     contact_bodies: tuple[str, ...]
     start_qpos: npt.NDArray[np.float64]
+    mass_height: float
     action_range_rad: float
     notes: tuple[str, ...]
 
@@ -68,6 +70,15 @@ class PreparedRobot:
     def start_height(self) -> float:
         """Height of the base's origin in the start pose (m)."""
         return float(self.start_qpos[2])
+
+    @property
+    def trunk_height(self) -> float:
+        """Height of the trunk in the start pose (m): the base's, or the centre of mass's.
+
+        The base of some files is a point on the ground, below half of the other.
+        """
+        on_ground = self.start_height < 0.5 * self.mass_height
+        return self.mass_height if on_ground else self.start_height
 
     def describe(self) -> list[str]:
         """Return the lines for a user: what was taken and added."""
@@ -145,7 +156,8 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     qpos, more = _start(keys, model, settings, f"{where}.startPose")
     notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
-    moment = _weight_moment(model, qpos)
+    mass_height = _mass_height(model, qpos)
+    moment = _weight_moment(model, qpos, mass_height)
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
     notes += _rotors_added(model, drives)
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
@@ -168,6 +180,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
         key_bodies=key_bodies or ends,
         contact_bodies=contacts,
         start_qpos=qpos,
+        mass_height=mass_height,
         action_range_rad=action_range(drives, moment),
         notes=tuple(notes),
     )
@@ -209,17 +222,21 @@ def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
     return [f"rotors' inertia for {len(added)} joints, {min(added):.2g} to {max(added):.2g} kg m^2"]
 
 
-def _weight_moment(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
-    """Return the weight times the height (Nm) of the base, or of the mass if this is higher.
-
-    The base of some files is a point on the ground.
-    """
+def _mass_height(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
+    """Return the height (m) of the centre of mass of a robot that stands on the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     data.qpos[2] = start_height(model, qpos)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    height = max(float(data.qpos[2]), float(data.subtree_com[1, 2]))
+    return float(data.subtree_com[1, 2])
+
+
+def _weight_moment(
+    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], mass_height: float
+) -> float:
+    """Return the weight times the height (Nm) of the base, or of the mass if this is higher."""
+    height = max(start_height(model, qpos), mass_height)
     return float(model.body_subtreemass[0]) * 9.81 * height
 
 

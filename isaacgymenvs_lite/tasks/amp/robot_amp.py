@@ -61,7 +61,7 @@ class RobotAMPConfig(HumanoidAMPConfig, RobotSettings, RealismSettings):
 
 # The mean speed of a clip that goes nowhere is below.
 _STANDING_M_S = 0.05
-# Of the start height: below it is a robot on its knees, not one that crouches.
+# Of the trunk's height: below it is a robot on its knees, not one that crouches.
 _TERMINATION_SHARE = 0.45
 
 
@@ -131,7 +131,7 @@ class RobotAMP(HumanoidAMP):
 
     def _termination_heights(self) -> float:
         height = self.env_cfg.termination_height
-        return _TERMINATION_SHARE * self._robot.start_height if height is None else height
+        return _TERMINATION_SHARE * self._robot.trunk_height if height is None else height
 
     def _pd_offset_scale(self, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
         """Return offset and scale (D,) of PD targets: the start pose, and `actionScale`."""

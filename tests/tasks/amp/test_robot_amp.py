@@ -89,6 +89,26 @@ def test_what_the_file_lacks_is_found_and_logged(make_walker, caplog):
     assert caplog.text.count("added a floor") == 1
 
 
+def test_a_robot_whose_base_is_a_point_on_the_ground_falls_as_others_do(
+    make_walker, walker, tmp_path
+):
+    """Its base, at the trunk's place, is the parent of the trunk in files of mobile robots."""
+    text = walker.read_text().replace("</body></worldbody>", "</body></body></worldbody>")
+    file = tmp_path / "footprint.xml"
+    file.write_text(text.replace("<worldbody>", '<worldbody><body name="base">'))
+    task = make_walker(**{"asset.assetFileName": file, "stateInit": "Default"})
+    task.reset()
+    root_states = task.simulation.root_states.clone()
+    assert float(root_states[0, 2]) < 0.1
+    # Two of four robots are put on their backs.
+    root_states[:2, 2:7] = torch.tensor([0.12, 0.0, -(0.5**0.5), 0.0, 0.5**0.5])
+    zeros = torch.zeros(4, 8)
+    task.simulation.write_state(torch.arange(4), root_states, zeros, zeros)
+    for _ in range(3):
+        terminated = task.step(zeros)[3]["terminate"]
+    assert terminated.bool().tolist() == [True, True, False, False]
+
+
 def test_episodes_start_at_moments_of_the_clip(make_walker):
     task = make_walker(64)
     task.reset()
