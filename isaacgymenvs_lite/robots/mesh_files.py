@@ -110,7 +110,7 @@ def _as_binary_stl(content: bytes, path: Path) -> bytes:
     Raises:
         ConfigError: a corner in ASCII is not three numbers.
     """
-    # Some programs begin binary files with `solid`, too; none of these has the word `vertex` so early.
+    # Some binary files begin with `solid`, too, but have no `vertex` so early.
     is_text = content[:5].lower() == b"solid" and b"vertex" in content[:1000]
     if path.suffix.lower() != ".stl" or not is_text:
         return content

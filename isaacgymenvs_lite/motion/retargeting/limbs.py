@@ -107,7 +107,11 @@ def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
 
 
 def _pair(
-    model: mujoco.MjModel, start: FloatArray, ends: list[int], parts: tuple[str, ...], aside_m: float
+    model: mujoco.MjModel,
+    start: FloatArray,
+    ends: list[int],
+    parts: tuple[str, ...],
+    aside_m: float,
 ) -> tuple[dict[str, int], int] | None:
     """Return the links of the limbs that end farthest to the left and right, and what carries both.
 

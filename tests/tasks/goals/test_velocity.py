@@ -89,6 +89,34 @@ def test_commands_are_drawn_from_the_ranges_and_some_are_to_stand(make):
     assert (high <= torch.tensor([1.2, -0.1, 0.5])).all()
 
 
+def test_starts_in_a_clip_may_be_commanded_to_go_on_as_the_clip(make):
+    """The shipped walk goes straight on at about 1 m/s, and so does every second of it."""
+    words = ["task.env.motion_file=g1_walk", f"{RANGES}.linear_x=[0, 2]", "num_threads=1"]
+    task = make(*words, "task.env.clipCommandShare=1", num_envs=16)
+    task.reset()
+    speed_m_s = task.motion_lib.fastest_clip_m_s()
+    wanted = torch.tensor([speed_m_s, 0.0, 0.0]).expand(16, 3)
+    # Hips sway within a stride, of which a second is not a whole number.
+    torch.testing.assert_close(task.goal.commands, wanted, atol=0.3, rtol=0)
+    within = make(*words, "task.env.clipCommandShare=1", f"{RANGES}.linear_x=[0, 0.5]")
+    within.reset()
+    assert (within.goal.commands[:, 0] == 0.5).all()
+
+
+def test_a_share_of_the_starts_follows_the_clip(make):
+    words = ["task.env.motion_file=g1_walk", "task.env.standingShare=1"]
+    task = make(*words, "task.env.clipCommandShare=0.25", num_envs=400)
+    task.reset()
+    follow = (task.goal.commands[:, 0] > 0.5).float().mean()
+    # 0.25 of 400 draws; five standard deviations
+    assert float(follow) == pytest.approx(0.25, abs=5 * (0.25 * 0.75 / 400) ** 0.5)
+
+
+def test_commands_of_plays_are_random(make):
+    assert make().goal.settings.clip_share == 0.5
+    assert make("test=True").goal.settings.clip_share == 0.0
+
+
 def test_a_command_lasts_for_a_random_time(make):
     task = make("task.env.commandChangeStepsMin=3", "task.env.commandChangeStepsMax=6")
     task.reset()
