@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from omegaconf import OmegaConf
 
+from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, first_of, read_scalars
 
 TAGS = {
@@ -67,6 +68,7 @@ def read_learning_curve(summaries: Path) -> LearningCurve:
     """Read the event files in a run's folder summaries/; an empty curve if there are none."""
     scalars = read_scalars(summaries)
     config = summaries.parent / "config.yaml"
+    register_resolvers()  # of the folder's config.yaml
     num_envs = OmegaConf.select(OmegaConf.load(config), _NUM_ENVS) if config.is_file() else None
     series = {name: first_of(scalars, tags) for name, tags in TAGS.items()}
     return LearningCurve(series, num_envs or 0)

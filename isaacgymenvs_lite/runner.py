@@ -182,7 +182,9 @@ def _train(
             )
         with group.together():
             if group.is_main:
-                launch.folder.create(launch.repeatable)
+                if launch.settings.resume:
+                    command = command.after(launch.folder.typed())
+                launch.folder.create(launch.repeatable, command.words)
                 mark_run(launch.folder.path)
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:

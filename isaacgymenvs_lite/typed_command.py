@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 import shutil
 import sys
@@ -36,6 +37,15 @@ class TypedCommand:
     def of_this_process(cls) -> TypedCommand:
         """Return the command line in `sys.argv`."""
         return cls(_program(), tuple(sys.argv[1:]))
+
+    def after(self, first: Sequence[str]) -> TypedCommand:
+        """Return the command as if a resumed run had started with it: `first`, and what was added.
+
+        Args:
+            first: the settings that the run was started with.
+        """
+        added = [word for word in self.words if _key(word) != "resume"]
+        return dataclasses.replace(self, words=(*first, *added))
 
     def play(self, task: str, checkpoint: Path) -> str:
         """Return the command that plays the run's newest checkpoint, for a shell.

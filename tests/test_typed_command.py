@@ -130,6 +130,11 @@ def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
     )
     (saved, play) = re.search(r"^saved (\S+); play it: (.*)$", said, re.M).groups()  # type: ignore[union-attr]
     assert "epoch 2/2" in said
+    resumed = _run(
+        f"'{sys.executable}' -m isaacgymenvs_lite.train resume=last max_iterations=3", tmp_path
+    )
+    (saved, again) = re.search(r"^saved (\S+); play it: (.*)$", resumed, re.M).groups()  # type: ignore[union-attr]
+    assert again == play
     said = _run(play, tmp_path)
     assert f"checkpoint: {tmp_path / saved}\n" in said
     assert "played " in said

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,3 +119,18 @@ def test_minutes_of_a_checkpoint(write_events, tmp_path):
     curve = read_learning_curve(tmp_path)
     # a checkpoint of 200 frames is written after the epoch whose values stand at 100
     assert [curve.minutes_at(frames) for frames in (0, 100, 200, 300, 999)] == [0, 1, 2, 3, 3]
+
+
+def test_the_environments_of_a_run_are_read_in_a_fresh_process(tmp_path):
+    """As `benchmarks.learning --resume` does, before anything else has read a config.yaml."""
+    (tmp_path / "summaries").mkdir()
+    text = "task: {env: {numEnvs: '${if:${is_cpu},2,3}'}}\nis_cpu: '${eq:a,b}'\n"
+    (tmp_path / "config.yaml").write_text(text)
+    code = (
+        "import sys, pathlib\nfrom benchmarks.learning_curve import read_learning_curve\n"
+        "print(read_learning_curve(pathlib.Path(sys.argv[1])).num_envs)"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "summaries")]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "3", done.stderr
