@@ -220,7 +220,7 @@ class RunFolder:
             partial.write_text(self._config, encoding="utf-8")
 
     def typed(self) -> tuple[str, ...]:
-        """Return the settings of the command line that started the run; () if they are not known."""
+        """Return the settings of the command line that started the run; () if not known."""
         with contextlib.suppress(OSError, ValueError):
             with (self.path / _CONFIG_FILE).open(encoding="utf-8") as file:
                 line = file.readline(_MAX_TYPED_CHARS).rstrip("\n")
