@@ -108,8 +108,12 @@ def _check_counts(spec: mujoco.MjSpec, path: Path) -> None:
 
 def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
     """Let meshes without volume be, where no inertia comes from them: MuJoCo refuses them."""
+    always = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     inertial = {
-        geom.meshname for body in spec.bodies if not body.explicitinertial for geom in body.geoms
+        geom.meshname
+        for body in spec.bodies
+        if always or not body.explicitinertial
+        for geom in body.geoms
     }
     for mesh in spec.meshes:
         if mesh.name not in inertial:
