@@ -72,8 +72,9 @@ class AssetFiles:
         Raises:
             ConfigError: there is none in a format that MuJoCo reads.
         """
-        stem, suffix = name[: name.rfind(".")], PurePosixPath(name).suffix.lower()
-        if suffix in MESH_SUFFIXES:
+        suffix = PurePosixPath(name).suffix
+        stem = name.removesuffix(suffix)
+        if suffix.lower() in MESH_SUFFIXES:
             return self.find(name, folder)
         for other in MESH_SUFFIXES:
             try:
