@@ -30,6 +30,9 @@ log = logging.getLogger(__name__)
 
 WINDOW_S = 1.0
 """Time over which motion and commands are averaged: about a stride."""
+# A robot stalls that goes less than this share of a commanded way for a second, though the command,
+# of at least so much, has lasted for longer: a robot needs some steps to begin.
+_STALLED_SHARE, _LEAST_COMMAND_M_S, _TIME_TO_GO_S = 0.3, 0.25, 1.5
 # Moments of a clip whose mean motion is that of the second.
 _NUM_AHEAD = 8
 # Axis of the command and direction of the keys; presses from 0 to the end of a range.
@@ -80,6 +83,8 @@ class VelocitySettings(GoalSettings):
     """Share of the commands that are to stand still, whatever the ranges are."""
     clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
     """Of the starts in a clip, first commanded what the clip does in the next second."""
+    end_stalled: bool = setting(False, key="endStalled")
+    """End episodes, as failed, of robots that hardly go although they are commanded to."""
     lin_vel_xy_reward: float = setting(0.6, key="linearVelocityXYRewardScale", minimum=0)
     """Reward of a step whose last second had exactly the commanded velocity."""
     ang_vel_z_reward: float = setting(0.4, key="angularVelocityZRewardScale", minimum=0)
@@ -127,6 +132,7 @@ class Velocity(TimedGoal):
         window = max(1, round(WINDOW_S / dt_s))
         self._shortfalls = torch.zeros(window, n, 3, device=device)
         self._next_row = 0
+        self._command_steps = torch.zeros(n, dtype=torch.int64, device=device)
         self._num_shortfalls = torch.zeros(n, dtype=torch.int64, device=device)
 
     def _limits(self, device: torch.device) -> tuple[Tensor, Tensor]:
@@ -153,6 +159,7 @@ class Velocity(TimedGoal):
             commands = low + (high - low) * torch.rand(n, 3, device=device)
             commands = commands.masked_fill(stands, 0.0)
         self.commands.index_copy_(0, env_ids, commands)
+        self._command_steps.index_fill_(0, env_ids, 0)
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
         """Command in a share of the starts what the clip does in the next second.
@@ -198,11 +205,26 @@ class Velocity(TimedGoal):
         self._shortfalls[self._next_row] = shortfall
         self._next_row = (self._next_row + 1) % len(self._shortfalls)
         self._num_shortfalls += 1
+        self._command_steps += 1
 
     def _mean_shortfall(self) -> Tensor:
         """Return (N, 3) the mean command less the mean motion, of the last second."""
         count = self._num_shortfalls.clamp(1, len(self._shortfalls)).unsqueeze(-1)
         return self._shortfalls.sum(0) / count
+
+    def failures(self, contact_body_ids: Tensor) -> Tensor | None:
+        """Return (N,) bool, the robots that stall; None without `endStalled`.
+
+        Standing is a local optimum: it never falls, and many commands are slow.
+        """
+        if not self.settings.end_stalled:
+            return None
+        commanded_m_s = torch.linalg.vector_norm(self.commands[:, :2], dim=-1)
+        # Along the command; what is missing of its square is the same share of the way.
+        missing = (self._mean_shortfall()[:, :2] * self.commands[:, :2]).sum(dim=-1)
+        stalls = missing > (1.0 - _STALLED_SHARE) * commanded_m_s.square()
+        had_time = self._command_steps * self.dt_s >= _TIME_TO_GO_S
+        return stalls & had_time & (commanded_m_s > _LEAST_COMMAND_M_S)
 
     def observe(self, env_ids: Tensor | None) -> Tensor:
         """Return (n, 3), the commands."""

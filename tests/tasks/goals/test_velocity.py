@@ -112,9 +112,32 @@ def test_a_share_of_the_starts_follows_the_clip(make):
     assert float(follow) == pytest.approx(0.25, abs=5 * (0.25 * 0.75 / 400) ** 0.5)
 
 
-def test_commands_of_plays_are_random(make):
-    assert make().goal.settings.clip_share == 0.5
-    assert make("test=True").goal.settings.clip_share == 0.0
+def test_plays_have_random_commands_and_no_failures_but_falls(make):
+    trained, played = make().goal, make("test=True").goal
+    assert (trained.settings.clip_share, trained.settings.end_stalled) == (0.5, True)
+    assert (played.settings.clip_share, played.settings.end_stalled) == (0.0, False)
+
+
+@pytest.mark.parametrize(
+    ("command", "velocity", "stalls"),
+    [
+        ([0.8, 0.0, 0.0], [0.1, 0.0], True),
+        ([0.8, 0.0, 0.0], [0.3, 0.0], False),
+        ([0.3, -0.3, 0.0], [0.3, 0.3], True),  # to the wrong side
+        ([0.2, 0.0, 1.0], [0.0, 0.0], False),  # mostly to turn
+        ([0.0, 0.0, 0.0], [0.0, 0.0], False),
+    ],
+)
+def test_a_robot_that_does_not_go_as_commanded_stalls(command, velocity, stalls):
+    goal, root_states = attached(endStalled=True)
+    goal.commands[:] = torch.tensor(command)
+    root_states[:, 7:9] = torch.tensor(velocity)
+    failed = []
+    for _ in range(16):
+        goal.after_step()
+        failed.append(bool(goal.failures(torch.tensor([]))))
+    # The command has 1.5 s of 10 steps each.
+    assert failed == [False] * 14 + [stalls] * 2
 
 
 def test_a_command_lasts_for_a_random_time(make):
@@ -131,14 +154,14 @@ def test_a_command_lasts_for_a_random_time(make):
     assert all(3 <= length < 6 for length in lengths)
 
 
-def attached(num_steps_per_s: float = 10.0) -> tuple[Velocity, Tensor]:
+def attached(num_steps_per_s: float = 10.0, **env: Any) -> tuple[Velocity, Tensor]:
     """A goal of one environment with ten control steps in a second, and its root state."""
 
     class OneRobot:
         num_envs, device = 1, torch.device("cpu")
         root_states = torch.tensor([[0.0] * 6 + [1.0] + [0.0] * 6])
 
-    goal = Velocity({})
+    goal = Velocity(env)
     goal.attach(OneRobot(), 1.0 / num_steps_per_s)  # type: ignore[arg-type]
     goal.reset(torch.tensor([0]))
     return goal, OneRobot.root_states
