@@ -90,6 +90,14 @@ class AMPEnv(AMPObsEnv, Protocol):
         ...
 
 
+class TrackingEnv(AMPEnv, Protocol):
+    """A task that shows how to follow its reference motions, for a warm start."""
+
+    def fetch_tracking_demo(self, num_samples: int) -> tuple[Tensor, Tensor] | None:
+        """Return observations (n, O) and the actions (n, A) to take there; None if not known."""
+        ...
+
+
 class SkillEnv(AMPEnv, Protocol):
     """A task for policies that act under skill latents (GenAMP, ASE)."""
 

@@ -63,6 +63,14 @@ class AMPParams:
     discriminator learns from. It hides the jitter of exploration, which separates the policy's
     motion from the clips' at once, so that the discriminator learns the motion (instance noise:
     Arjovsky and Bottou 2017, arXiv 1701.04862)."""
+    warm_start_steps: int = setting(0, minimum=0, maximum=100_000)
+    """New here: gradient steps before the first epoch that teach the mean action to follow the
+    reference motions, see `warm_start`; 0 = none."""
+    warm_start_noise: float = setting(0.1, minimum=0)
+    """New here: noise on the observations meanwhile, in standard deviations of each."""
+    warm_start_frozen_epochs: int = setting(6, minimum=0)
+    """New here: epochs after a warm start in which only critic and discriminator learn: they know
+    nothing yet, and would lead the policy astray."""
     enable_eps_greedy: bool = setting(False)
     """ASE's: some environments act without exploration noise, so that the discriminator sees
     motion free of noise; their steps do not train the policy."""

@@ -24,6 +24,8 @@ Hooks that this agent adds, for agents with other rewards or rows:
 
 from __future__ import annotations
 
+import logging
+import time
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -47,6 +49,14 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
+from isaacgymenvs_lite.learning.warm_start import (
+    NUM_SAMPLES,
+    TrackingDemo,
+    actor_parameters,
+    clone_actions,
+)
+
+log = logging.getLogger(__name__)
 
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
@@ -62,9 +72,12 @@ class AMPAgent(StyleRewards, CommonAgent):
         params_class: the keys that it reads beside PPO's.
         env_contract: the members that it needs of a task.
         discriminator: buffers, normaliser, loss and reward.
+        frozen_until: last epoch in which the actor does not learn, after a warm start.
     """
 
     discriminator: DiscriminatorTrainer
+    frozen_until = 0
+    stored = ("frozen_until",)
     stored_buffers = ("demo_buffer", "replay_buffer")
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
@@ -191,6 +204,34 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _init_train(self) -> None:
         super()._init_train()
         self._init_amp_demo_buf()
+        if self._amp.warm_start_steps > 0 and not self.has_restored:
+            self._warm_start()
+
+    def _warm_start(self) -> None:
+        """Teach the mean action to follow the reference motions, if the task shows how.
+
+        Every process does so; rl_games then copies the first one's networks to all.
+        """
+        fetch = getattr(self._env, "fetch_tracking_demo", None)
+        fetched = fetch(NUM_SAMPLES) if fetch is not None else None
+        if fetched is None or not self.model.a2c_network.separate:
+            log.info("no warm start: the clips do not show all that the policy observes")
+            return
+        start_s = time.monotonic()
+        obs, actions = (rows.to(self.ppo_device) for rows in fetched)
+        normalizer = self.model.running_mean_std if self.normalize_input else None
+        inputs: Any = self._preproc_obs(obs)
+        demo = TrackingDemo(inputs, actions)
+        steps, noise = self._amp.warm_start_steps, self._amp.warm_start_noise
+        error = clone_actions(self.model, normalizer, demo, steps, noise)
+        self.frozen_until = self._amp.warm_start_frozen_epochs
+        taken_s = time.monotonic() - start_s
+        log.info("warm start: follows the clips' actions to %.3f, %.1f s", error, taken_s)
+
+    def _frozen_parameters(self) -> list[torch.nn.Parameter]:
+        if self.epoch_num > self.frozen_until:
+            return []
+        return actor_parameters(self.model.a2c_network)
 
     def _init_amp_demo_buf(self) -> None:
         """Fill the buffer of demonstrations."""

@@ -15,6 +15,7 @@ Agents override hooks, never the loops:
 | `_parameter_groups` | parameters with a learning rate of their own | AMP |
 | `init_tensors` | rollout buffers | AMP, GenAMP, HRL |
 | `_init_train` | work before the first epoch | AMP |
+| `_frozen_parameters` | what does not learn in an epoch | AMP |
 | `env_reset` | the first reset | GenAMP |
 | `_env_reset_done` | the reset of ended episodes | - |
 | `_after_reset`, `_before_step` | work where episodes start, and before policy steps | GenAMP |
@@ -95,6 +96,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         unsupported_keys: of `params.config`, which rl_games has and these agents refuse.
         control_steps_per_action: steps of the environment that `env_step` makes; frames count them.
         train_log: scalars of the current epoch.
+        has_restored: whether a checkpoint was loaded.
 
     Args:
         base_name: name for rl_games' bookkeeping.
@@ -109,6 +111,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
     unsupported_keys: ClassVar[tuple[str, ...]] = _UNSUPPORTED_KEYS
     control_steps_per_action = 1
+    has_restored = False
     stored_episodes = ("dataset",)
 
     # rl_games declares these as None and sets them in its constructors.
@@ -569,6 +572,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         gradients, values = self.executor.gradients(self.compute_loss, rows, self._learned)
         for parameter, gradient in zip(self._learned, gradients, strict=True):
             parameter.grad = gradient
+        for parameter in self._frozen_parameters():
+            parameter.grad = None  # Adam leaves it alone
         self.trancate_gradients_and_step()
 
         neglogp = values.pop("neglogp")
@@ -585,6 +590,10 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             0,
         )
         self.train_result = {**values, "last_lr": self.last_lr, "lr_mul": 1.0}
+
+    def _frozen_parameters(self) -> list[torch.nn.Parameter]:
+        """Return parameters that do not learn in this epoch."""
+        return []
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Update the running statistics, and return the rows that `compute_loss` needs."""
@@ -786,6 +795,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         with own_rates_kept(self.optimizer):
             super().set_full_state_weights(weights, set_epoch)
         self._restored_best = self.last_mean_rewards
+        self.has_restored = True
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:

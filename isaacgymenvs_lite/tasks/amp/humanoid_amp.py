@@ -287,6 +287,50 @@ class HumanoidAMP(HumanoidAMPBase):
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
         return self._reference_features(motion_ids, times, steps).flatten(1).to(self.rl_device)
 
+    def fetch_tracking_demo(self, num_samples: int) -> tuple[Tensor, Tensor] | None:
+        """Sample moments of the clips, and actions that go on with them.
+
+        A drive with target q + kd / kp * v has no force at position q and velocity v. The targets
+        are of the next control step, so that the drives lead.
+
+        Args:
+            num_samples: n, any number.
+
+        Returns:
+            Observations (n, O) and actions (n, A), within +-1, on rl_device; None if the policy
+            observes what clips do not show, or acts by torques.
+        """
+        if not (self.observes_states and self.env_cfg.pd_control):
+            return None
+        lib, dt_s = self._motion_lib, self.control_dt_s
+        motion_ids = lib.sample_motions(num_samples)
+        times = lib.sample_time(motion_ids, truncate_time=3 * dt_s)
+        later = -torch.tensor([0.0, 1.0, 3.0], device=self.device)
+        states = self._reference_states(motion_ids, times, later)
+        root, dof_pos, dof_vel, key_pos = (part[:num_samples] for part in states)
+        obs = self._observe_states((root, dof_pos, dof_vel, key_pos))
+        if self.goal.num_task_obs > 0:
+            goal = self.goal.observe_clip(self._roots_ahead_of(motion_ids, times))
+            if goal is None:
+                return None
+            obs = torch.cat((obs, goal), dim=-1)
+        _, near, far = states[1].view(3, num_samples, -1)
+        # Exponential maps jump by a whole turn.
+        change = torch.remainder(far - near + torch.pi, 2 * torch.pi) - torch.pi
+        targets = near + self._leads_s() * change / (2 * dt_s)
+        actions = ((targets - self._action_offset) / self._action_scale).clamp(-1.0, 1.0)
+        return obs.to(self.rl_device), actions.to(self.rl_device)
+
+    @property
+    def observes_states(self) -> bool:
+        """Whether the policy observes `_observe_states` and the goal, nothing else."""
+        return True
+
+    def _leads_s(self) -> Tensor:
+        """Return kd / kp (D,) s of the drives."""
+        kp, kd = -torch.from_numpy(self._model.actuator_biasprm[:, 1:3]).float().t()
+        return torch.where(kp > 0, kd / kp.clamp(min=1e-9), 0.0).to(self.device)
+
     def windows_of_clips(self) -> list[Tensor]:
         """Return the AMP observations (W, F) of each clip, one for each control step.
 
@@ -370,13 +414,17 @@ class HumanoidAMP(HumanoidAMPBase):
         root, dof_pos, dof_vel, key_pos = self._reference_states(motion_ids, times, steps)
         before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
-        ahead_s = self.goal.look_ahead_s
-        later = -torch.tensor(ahead_s, device=self.device) / self.control_dt_s
-        ahead = torch.zeros(n, 0, 13, device=self.device)
-        if ahead_s:
-            roots = self._reference_states(motion_ids, times, later)[0]
-            ahead = roots.view(len(ahead_s), n, 13).transpose(0, 1)
+        ahead = self._roots_ahead_of(motion_ids, times)
         return root[:n], dof_pos[:n], dof_vel[:n], history, ahead
+
+    def _roots_ahead_of(self, motion_ids: Tensor, times: Tensor) -> Tensor:
+        """Return the root states (n, T, 13) that the goal looks ahead from times (n,) s on."""
+        ahead_s, n = self.goal.look_ahead_s, len(motion_ids)
+        if not ahead_s:
+            return torch.zeros(n, 0, 13, device=self.device)
+        later = -torch.tensor(ahead_s, device=self.device) / self.control_dt_s
+        roots = self._reference_states(motion_ids, times, later)[0]
+        return roots.view(len(ahead_s), n, 13).transpose(0, 1)
 
     def _reset_to_reference(self, env_ids: Tensor) -> None:
         """Put environments into states of sampled clips, and keep the steps before it."""

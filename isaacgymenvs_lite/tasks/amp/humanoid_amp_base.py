@@ -215,10 +215,12 @@ class HumanoidAMPBase(MjcfTask):
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         """Return what is observed of all characters, or of `env_ids` (n,)."""
+        return self._observe_states(self._character_states(env_ids))
+
+    def _observe_states(self, states: CharacterState) -> Tensor:
+        """Return the observations of any states, see `compute_humanoid_observations`."""
         return compute_humanoid_observations(
-            *self._character_states(env_ids),
-            self.env_cfg.local_root_obs,
-            dof_offsets=self._layout.dof_offsets,
+            *states, self.env_cfg.local_root_obs, dof_offsets=self._layout.dof_offsets
         )
 
     def _character_states(self, env_ids: Tensor | None) -> CharacterState:

@@ -212,6 +212,11 @@ class RobotAMP(HumanoidAMP):
         frame = compute_frame(root_states, dof_pos, dof_vel, self._start_dof_pos, last_action)
         return frame if self._noise_widths is None else add_noise(frame, self._noise_widths)
 
+    @property
+    def observes_states(self) -> bool:
+        """False of what a robot measures."""
+        return self._frames is None
+
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         """As the base, or the frames of the last control steps, newest first."""
         if self._frames is None:

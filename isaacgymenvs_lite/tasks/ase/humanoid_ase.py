@@ -97,6 +97,11 @@ class HumanoidASE(HumanoidAMP):
 
     # --- step --------------------------------------------------------------------------------
 
+    @property
+    def observes_states(self) -> bool:
+        """False: all bodies are observed."""
+        return False
+
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         sim = self.simulation
         bodies = [sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel]

@@ -98,6 +98,14 @@ class Goal:
             root_states: (n, T, 13) of the clips, `look_ahead_s` after the start.
         """
 
+    def observe_clip(self, root_states: Tensor) -> Tensor | None:
+        """Return the observation (n, num_obs) of a goal that clips reach; None: there is none.
+
+        Args:
+            root_states: (n, T, 13) of the clips, `look_ahead_s` after a moment.
+        """
+        return None
+
     def before_step(self, progress: Tensor) -> None:
         """Store the state before a control step.
 

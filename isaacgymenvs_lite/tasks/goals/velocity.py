@@ -161,6 +161,12 @@ class Velocity(TimedGoal):
         self.commands.index_copy_(0, env_ids, commands)
         self._command_steps.index_fill_(0, env_ids, 0)
 
+    def observe_clip(self, root_states: Tensor) -> Tensor:
+        """Return (n, 3), the command within the ranges that is nearest to a clip's next second."""
+        low, high = self._limits(root_states.device)
+        motion = compute_planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
+        return torch.minimum(torch.maximum(motion.mean(1), low), high)
+
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
         """Command in a share of the starts what the clip does in the next second.
 
@@ -169,9 +175,7 @@ class Velocity(TimedGoal):
         share = self.settings.clip_share
         if share == 0 or self._steered is not None:
             return
-        low, high = self._limits(env_ids.device)
-        motion = compute_planar_motion(root_states.flatten(0, 1)).view(len(env_ids), -1, 3)
-        commands = torch.minimum(torch.maximum(motion.mean(1), low), high)
+        commands = self.observe_clip(root_states)
         follows = torch.rand(len(env_ids), device=env_ids.device) < share
         self.commands.index_copy_(0, env_ids[follows], commands[follows])
 

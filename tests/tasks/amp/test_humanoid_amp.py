@@ -375,3 +375,43 @@ def test_a_damaged_motion_file(make_humanoid, tmp_path: Path, walk_clip: Path) -
 def test_bad_values_are_config_errors(make_humanoid, key: str, value: object) -> None:
     with pytest.raises(ConfigError, match=rf"task\.env\.{key}"):
         make_humanoid(1, **{key: value})
+
+
+def test_the_shown_actions_follow_the_clip(make_task) -> None:
+    """A step with them ends nearer to the clip than one with targets at its pose, or none."""
+    task = make_task("task=HumanoidAMP", "task.env.motion_file=walk", num_envs=64)
+    task.reset()
+    torch.manual_seed(0)
+    obs, actions = task.fetch_tracking_demo(64)
+    assert obs.shape == (64, task.num_obs)
+    assert float(actions.abs().max()) <= 1.0
+    lib, dt_s = task.motion_lib, task.control_dt_s
+    torch.manual_seed(0)  # the same moments once more
+    motion_ids = lib.sample_motions(64)
+    times = lib.sample_time(motion_ids, truncate_time=3 * dt_s)
+    zero, one = (lib.get_motion_state(motion_ids, times + after * dt_s) for after in (0, 1))
+    root = torch.cat((zero.root_pos, zero.root_rot, zero.root_vel, zero.root_ang_vel), dim=-1)
+    at_pose = (zero.dof_pos - task._action_offset) / task._action_scale
+    errors = []
+    for chosen in (actions, at_pose, torch.zeros_like(actions)):
+        task.simulation.write_state(torch.arange(64), root, zero.dof_pos, zero.dof_vel)
+        task.step(chosen)
+        errors.append(float((task.simulation.dof_pos - one.dof_pos).square().mean()) ** 0.5)
+    shown, held, none = errors
+    assert shown < 0.7 * held < none
+    task.simulation.write_state(torch.arange(64), root, zero.dof_pos, zero.dof_vel)
+    torch.testing.assert_close(task._observe(None), obs, atol=2e-3, rtol=0)
+
+
+def test_the_shown_observations_have_the_command_that_the_clip_follows(make_task) -> None:
+    words = ("task=RobotAMPVelocity", "task.env.motion_file=g1_walk")
+    obs, _ = make_task(*words).fetch_tracking_demo(50)
+    assert float(obs[:, -3].mean()) == pytest.approx(0.97, abs=0.1)  # m/s, the clip's speed
+    assert float(obs[:, -2:].mean(dim=0).abs().max()) < 0.1
+
+
+def test_measurements_and_torques_have_no_shown_actions(make_task) -> None:
+    deployable = make_task("task=RobotAMP", "task.env.observations=deployable")
+    assert deployable.fetch_tracking_demo(3) is None
+    assert make_task("task=HumanoidAMP", "task.env.pdControl=False").fetch_tracking_demo(3) is None
+    assert make_task("task=HumanoidASE").fetch_tracking_demo(3) is None

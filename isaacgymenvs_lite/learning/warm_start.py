@@ -1,0 +1,85 @@
+"""A warm start: before the first epoch the mean action learns to follow the reference motions.
+
+A new policy acts at random, and spends its first millions of frames on what can be computed: drives
+follow a clip if their targets lead it. The actor learns these actions in some seconds by regression
+(behaviour cloning), from states of the clips with noise on them. It does not keep its balance yet;
+that is what the training is for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
+
+NUM_SAMPLES = 20_000
+"""States of the clips that are learned from."""
+_ROWS = 256
+_FIRST_RATE, _LAST_RATE = 1e-3, 1e-5
+_LEAST_STD = 0.1
+
+
+@dataclass(frozen=True)
+class TrackingDemo:
+    """Moments of the reference motions, for the actor to learn.
+
+    Attributes:
+        obs: (n, O) observations.
+        actions: (n, A) that make the drives go on as the clips do, within +-1.
+    """
+
+    obs: Tensor
+    actions: Tensor
+
+
+def clone_actions(
+    model: Any,
+    normalizer: RunningMeanStd | None,
+    demo: TrackingDemo,
+    num_steps: int,
+    noise: float,
+) -> float:
+    """Teach the actor the actions of a demonstration; return the root mean squared error.
+
+    The critic and a noise that is learned stay as they are.
+
+    Args:
+        model: rl_games' model, with an actor of layers of its own.
+        normalizer: of its observations, which takes the noisy ones in; None without one.
+        demo: on the model's device.
+        num_steps: of Adam, whose step size falls linearly.
+        noise: standard deviation of the noise on observations, as a share of theirs.
+    """
+    std = noise * demo.obs.std(dim=0)
+    if normalizer is not None:
+        normalizer.count_in(demo.obs + std * torch.randn_like(demo.obs))
+        # Of entries that hardly differ in the clips; else a falling robot's were all at the limit.
+        normalizer.running_var.clamp_(min=_LEAST_STD**2)
+    network = model.a2c_network
+    adam = torch.optim.Adam(actor_parameters(network), lr=_FIRST_RATE)
+    rates = torch.optim.lr_scheduler.LinearLR(adam, 1.0, _LAST_RATE / _FIRST_RATE, num_steps)
+    model.eval()
+    loss = torch.zeros(())
+    for _ in range(num_steps):
+        rows = torch.randint(len(demo.obs), (_ROWS,), device=demo.obs.device)
+        obs = demo.obs[rows]
+        with torch.no_grad():
+            inputs = model.norm_obs(obs + std * torch.randn_like(obs))
+        means, _ = network.eval_actor(inputs)
+        loss = (means - demo.actions[rows]).square().mean()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+        rates.step()
+    adam.zero_grad()
+    return float(loss.detach().sqrt())
+
+
+def actor_parameters(network: Any) -> list[torch.nn.Parameter]:
+    """Return the parameters of the mean action, in the order of `parameters()`."""
+    layers = (network.actor_mlp, network.mu)
+    return [parameter for layer in layers for parameter in layer.parameters()]

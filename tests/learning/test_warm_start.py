@@ -1,0 +1,85 @@
+"""The warm start: the mean action follows the clips, then rests a while, in new runs alone."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.learning.warm_start import TrackingDemo, actor_parameters, clone_actions
+from tests.tiny import CONFIG
+
+WARM = (f"{CONFIG}.warm_start_steps=50", f"{CONFIG}.warm_start_frozen_epochs=2")
+
+
+def values(parameters) -> torch.Tensor:
+    return torch.cat([parameter.detach().flatten().clone() for parameter in parameters])
+
+
+def test_the_actor_learns_the_actions_and_nothing_else_changes(make_agent):
+    agent = make_agent()
+    network = agent.model.a2c_network
+    torch.manual_seed(0)
+    obs = 3.0 + 2.0 * torch.randn(2000, agent.obs_shape[0])
+    # Of one number: the networks of the tests are tiny.
+    actions = 0.5 * torch.tanh(obs[:, :1] - 3.0).expand(-1, agent.actions_num)
+    ours = {id(parameter) for parameter in actor_parameters(network)}
+    others = [p for p in agent.model.parameters() if id(p) not in ours]
+    before = values(others)
+    normalizer = agent.model.running_mean_std
+    demo = TrackingDemo(obs, actions)
+    first = clone_actions(agent.model, normalizer, demo, num_steps=1, noise=0.1)
+    assert clone_actions(agent.model, normalizer, demo, num_steps=400, noise=0.1) < 0.7 * first
+    assert torch.equal(values(others), before)
+    # Of 2000 rows, with noise: the variance grows by 1 %.
+    torch.testing.assert_close(normalizer.running_mean.float(), obs.mean(dim=0), atol=0.02, rtol=0)
+    assert normalizer.running_var.mean() == pytest.approx(4.0 * 1.01, rel=0.05)
+
+
+def test_the_actor_rests_until_the_others_know_something(make_agent, caplog):
+    caplog.set_level(logging.INFO)
+    agent = make_agent(*WARM)
+    agent.max_epochs = 3
+    actor = actor_parameters(agent.model.a2c_network)
+    critic = list(agent.model.a2c_network.critic_mlp.parameters())
+    drawn = values(actor)
+    seen = []
+    train_epoch = agent.train_epoch
+
+    def watched():
+        seen.append((values(actor), values(critic)))
+        result = train_epoch()
+        seen.append((values(actor), values(critic)))
+        return result
+
+    agent.train_epoch = watched
+    agent.train()
+    assert "warm start: follows the clips' actions" in caplog.text
+    assert not torch.equal(seen[0][0], drawn)
+    for epoch, learns in enumerate((False, False, True)):
+        (actor_before, critic_before), (actor_after, critic_after) = seen[2 * epoch : 2 * epoch + 2]
+        assert torch.equal(actor_before, actor_after) != learns
+        assert not torch.equal(critic_before, critic_after)
+
+
+def test_a_checkpoint_is_not_taught_again(make_agent, tmp_path, caplog):
+    first = make_agent(*WARM)
+    first.max_epochs = 1
+    first.train()
+    first.save(str(tmp_path / "first"))
+    caplog.set_level(logging.INFO)
+    caplog.clear()
+    second = make_agent(*WARM)
+    second.restore(str(tmp_path / "first.pth"))
+    second.max_epochs = 1
+    second.train()
+    assert "warm start" not in caplog.text
+
+
+def test_what_clips_do_not_show_is_not_taught(make_agent, caplog):
+    caplog.set_level(logging.INFO)
+    agent = make_agent("task.env.pdControl=False", *WARM)
+    agent.max_epochs = 1
+    agent.train()
+    assert "no warm start" in caplog.text
