@@ -23,12 +23,16 @@ _NUM_FRAMES = 46  # 1.5 s
 
 
 def pytest_configure() -> None:
-    """Let processes that tests start end at Ctrl-C, also where a shell runs all in the background.
+    """Let processes that tests start end at Ctrl-C and SIGHUP, also in the background.
 
-    Such a shell ignores the signal, and children inherit that.
+    A shell ignores the first for what it runs there, nohup the second, and children inherit that.
     """
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number, handler in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def pytest_collection_finish() -> None:
