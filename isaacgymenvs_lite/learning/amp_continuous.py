@@ -72,11 +72,13 @@ class AMPAgent(StyleRewards, CommonAgent):
         params_class: the keys that it reads beside PPO's.
         env_contract: the members that it needs of a task.
         discriminator: buffers, normaliser, loss and reward.
+        acts_on_obs_alone: whether the actor has no other input; else it has no warm start.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
     """
 
     discriminator: DiscriminatorTrainer
     frozen_until = 0
+    acts_on_obs_alone = True
     stored = ("frozen_until",)
     stored_buffers = ("demo_buffer", "replay_buffer")
     default_disc_reward = "logistic"
@@ -213,7 +215,8 @@ class AMPAgent(StyleRewards, CommonAgent):
         Every process does so; rl_games then copies the first one's networks to all.
         """
         fetch = getattr(self._env, "fetch_tracking_demo", None)
-        fetched = fetch(NUM_SAMPLES) if fetch is not None else None
+        can_learn = fetch is not None and self.acts_on_obs_alone
+        fetched = fetch(NUM_SAMPLES) if can_learn else None
         if fetched is None or not self.model.a2c_network.separate:
             log.info("no warm start: the clips do not show all that the policy observes")
             return

@@ -59,6 +59,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     stored_episodes = ("schedule",)
+    acts_on_obs_alone = False
     # Its critic needs the latents.
     unsupported_keys = (*AMPAgent.unsupported_keys, "central_value_config")
     _amp: GenAMPParams

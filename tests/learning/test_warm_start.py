@@ -77,9 +77,22 @@ def test_a_checkpoint_is_not_taught_again(make_agent, tmp_path, caplog):
     assert "warm start" not in caplog.text
 
 
-def test_what_clips_do_not_show_is_not_taught(make_agent, caplog):
+@pytest.mark.parametrize(
+    "words", [("task.env.pdControl=False",), ("train.params.config.normalize_input=False",)]
+)
+def test_without_normalised_inputs_or_drives(make_agent, caplog, words):
+    """Torques have no targets that lead; without a normaliser there is nothing to count in."""
     caplog.set_level(logging.INFO)
-    agent = make_agent("task.env.pdControl=False", *WARM)
+    agent = make_agent(*words, *WARM)
+    agent.max_epochs = 1
+    agent.train()
+    assert ("no warm start" in caplog.text) == (words[0] == "task.env.pdControl=False")
+
+
+def test_skills_are_not_taught(make_agent, caplog):
+    """Their actor also reads a latent, which no clip shows."""
+    caplog.set_level(logging.INFO)
+    agent = make_agent("train=HumanoidASEPPO", *(f"+{word}" for word in WARM))
     agent.max_epochs = 1
     agent.train()
     assert "no warm start" in caplog.text
