@@ -232,7 +232,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         log.info("warm start: follows the clips' actions to %.3f, %.1f s", error, taken_s)
 
     def _frozen_parameters(self) -> list[torch.nn.Parameter]:
-        if self.epoch_num > self.frozen_until:
+        if self.frozen_until == 0 or self.epoch_num > self.frozen_until:
             return []
         return actor_parameters(self.model.a2c_network)
 

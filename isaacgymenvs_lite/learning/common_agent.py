@@ -621,7 +621,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """Return normalisers, and the rows (n, ...) of a minibatch that update them, in order."""
         if not self.normalize_input:
             return []
-        return [(self.model.running_mean_std, [self._preproc_obs(input_dict["obs"])])]
+        obs: Any = self._preproc_obs(input_dict["obs"])
+        return [(self.model.running_mean_std, [obs])]
 
     def _minibatch_extras(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return rows (M, ...) that join a minibatch before it is cut into slices.

@@ -391,7 +391,8 @@ def test_the_shown_actions_follow_the_clip(make_task) -> None:
     times = lib.sample_time(motion_ids, truncate_time=3 * dt_s)
     zero, one = (lib.get_motion_state(motion_ids, times + after * dt_s) for after in (0, 1))
     root = torch.cat((zero.root_pos, zero.root_rot, zero.root_vel, zero.root_ang_vel), dim=-1)
-    at_pose = (zero.dof_pos - task._action_offset) / task._action_scale
+    scaling = task.action_scaling()
+    at_pose = (zero.dof_pos - scaling.offset) / scaling.scale
     errors = []
     for chosen in (actions, at_pose, torch.zeros_like(actions)):
         task.simulation.write_state(torch.arange(64), root, zero.dof_pos, zero.dof_vel)
@@ -400,7 +401,7 @@ def test_the_shown_actions_follow_the_clip(make_task) -> None:
     shown, held, none = errors
     assert shown < 0.7 * held < none
     task.simulation.write_state(torch.arange(64), root, zero.dof_pos, zero.dof_vel)
-    torch.testing.assert_close(task._observe(None), obs, atol=2e-3, rtol=0)
+    torch.testing.assert_close(task.compute_obs(), obs, atol=2e-3, rtol=0)
 
 
 def test_the_shown_observations_have_the_command_that_the_clip_follows(make_task) -> None:
