@@ -215,8 +215,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         Every process does so; rl_games then copies the first one's networks to all.
         """
         fetch = getattr(self._env, "fetch_tracking_demo", None)
-        can_learn = fetch is not None and self.acts_on_obs_alone
-        fetched = fetch(NUM_SAMPLES) if can_learn else None
+        fetched = fetch(NUM_SAMPLES) if fetch is not None and self.acts_on_obs_alone else None
         if fetched is None or not self.model.a2c_network.separate:
             log.info("no warm start: the clips do not show all that the policy observes")
             return
