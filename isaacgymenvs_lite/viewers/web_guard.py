@@ -91,7 +91,7 @@ class PageGuard:
         self._connections: set[ServerConnection] = set()
         self._answers = asyncio.Semaphore(_MAX_ANSWERS)
 
-    def serve(
+    async def serve(
         self,
         handler: Callable[[ServerConnection], Any],
         *,
@@ -99,7 +99,7 @@ class PageGuard:
         process_response: Callable[[ServerConnection, Request, Response], Response | None],
         **options: Any,
     ) -> Server:
-        """Return a server as `websockets.serve` does, behind the guard.
+        """Return a server that listens, as `await websockets.serve` does, behind the guard.
 
         Args:
             handler: serves a WebSocket.
@@ -134,13 +134,14 @@ class PageGuard:
             "ping_interval": _PING_INTERVAL_S,
             "ping_timeout": _PING_TIMEOUT_S,
         }
-        self.started.set()
-        return serve(
+        server = await serve(
             handler,
             process_request=answer,
             process_response=add_headers,
             **{**options, **limits},
         )
+        self.started.set()  # not before: a browser would be refused
+        return server
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the refusal of a request, or the page that stores the token; None: go on."""

@@ -261,7 +261,7 @@ def impatient(monkeypatch) -> Iterator[int]:
         return Response(200, "OK", Headers({"Content-Length": str(8 * MB)}), bytes(8 * MB))
 
     async def serve() -> None:
-        async with guard.serve(
+        async with await guard.serve(
             lambda connection: None,
             process_request=answer,
             process_response=lambda *_: None,
@@ -275,6 +275,26 @@ def impatient(monkeypatch) -> Iterator[int]:
     loop.call_soon_threadsafe(stop.set)
     thread.join()
     loop.close()
+
+
+def test_the_page_is_not_announced_before_it_listens():
+    async def started_and_reachable() -> tuple[bool, bool]:
+        with socket.socket() as bound:
+            bound.bind(("127.0.0.1", 0))
+            address = bound.getsockname()
+            guard = web_guard.PageGuard("localhost", *address, ())
+            serving = guard.serve(
+                lambda connection: None,
+                process_request=lambda *_: None,
+                process_response=lambda *_: None,
+                sock=bound,
+            )
+            was_started = guard.started.is_set()
+            async with await serving:
+                with socket.create_connection(address, timeout=10):
+                    return was_started, guard.started.is_set()
+
+    assert asyncio.run(started_and_reachable()) == (False, True)
 
 
 def test_slow_clients_are_dropped(impatient):
