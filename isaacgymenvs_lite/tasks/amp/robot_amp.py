@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -263,13 +264,39 @@ class RobotAMPVelocity(RobotAMP):
         """As the base, and check that there is a clip to go with."""
         super().create_sim()
         ranges = self.goal.settings.command_ranges
+        if any((*ranges.linear_x, *ranges.linear_y)):
+            self._check_clips_go()
+
+    def _check_clips_go(self) -> None:
+        """Refuse clips of which none goes; warn of those that go sideways."""
         fastest_m_s = self.motion_lib.fastest_clip_m_s()
-        if any((*ranges.linear_x, *ranges.linear_y)) and fastest_m_s < _STANDING_M_S:
+        where = f"task.env.motion_file={self.env_cfg.motion_file}"
+        if fastest_m_s < _STANDING_M_S:
             raise ConfigError(
-                f"task.env.motion_file={self.env_cfg.motion_file}: no clip moves along the ground"
+                f"{where}: no clip moves along the ground"
                 f" (the fastest at {fastest_m_s:.3f} m/s), so that there is no style to follow"
                 " task.env.randomCommandVelocityRanges with; give clips whose root moves"
             )
+        forward_m_s, left_m_s, _ = self.goal.planar_motion(self._roots_of_clips()).mean(0).tolist()
+        if abs(left_m_s) > max(abs(forward_m_s), _STANDING_M_S):
+            quarter = math.copysign(math.pi / 2, left_m_s)
+            front_rad = self.goal.settings.forward_yaw_rad + quarter
+            log.warning(
+                "%s: the clips go to the left at %.2f m/s and forward at %.2f m/s; if that is the"
+                " front of the robot, which is not the x axis of its base, set"
+                " task.env.forwardYaw=%.2f",
+                *(where, left_m_s, forward_m_s, math.remainder(front_rad, 2 * math.pi)),
+            )
+
+    def _roots_of_clips(self) -> Tensor:
+        """Return (frames of all clips, 13), the states of the root."""
+        parts = []
+        for index in range(self.motion_lib.num_motions()):
+            clip = self.motion_lib.get_motion(index)
+            velocities = clip.linear_velocity_w[:, 0], clip.angular_velocity_w[:, 0]
+            arrays = (clip.root_translation, clip.local_rotation[:, 0], *velocities)
+            parts.append(torch.cat([torch.from_numpy(a).float() for a in arrays], dim=-1))
+        return torch.cat(parts)
 
 
 @functools.lru_cache(maxsize=1)

@@ -23,8 +23,13 @@ def in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
 def xy_in_heading_frame(root_rot: Tensor, vectors_w: Tensor) -> Tensor:
     """As `in_heading_frame`, of vectors (n, 2) in the plane."""
     cos, sin = heading_cos_sin(*root_rot.unbind(-1))
-    x, y = vectors_w.unbind(-1)
-    return torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1)
+    return turned(cos, -sin, vectors_w)
+
+
+def turned(cos: Tensor | float, sin: Tensor | float, vectors: Tensor) -> Tensor:
+    """Turn vectors (n, 2) to the left by angles, given as their cosines and sines (n,)."""
+    x, y = vectors.unbind(-1)
+    return torch.stack((cos * x - sin * y, cos * y + sin * x), dim=-1)
 
 
 def facing_reward(root_rot: Tensor, direction: Tensor) -> Tensor:

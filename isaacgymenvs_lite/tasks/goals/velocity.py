@@ -10,6 +10,7 @@ fro with every step, which a reward of each moment's velocity would suppress.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -24,7 +25,7 @@ from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.velocity_tracking import CommandRangesConfig, tracking_kernels
 from isaacgymenvs_lite.tasks.goals.goal import GoalSettings, TimedGoal
-from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
+from isaacgymenvs_lite.tasks.goals.planar import facing, turned, xy_in_heading_frame
 
 log = logging.getLogger(__name__)
 
@@ -46,13 +47,16 @@ _LEAST_ARROW_M = 0.05
 _COMMANDED_HEIGHT_M, _ACTUAL_HEIGHT_M = 0.03, 0.15
 
 
-def compute_planar_motion(root_states: Tensor) -> Tensor:
+def compute_planar_motion(root_states: Tensor, forward_yaw_rad: float = 0.0) -> Tensor:
     """Return (n, 3) the velocity forward and to the left (m/s), and the turn rate (rad/s).
 
     Args:
         root_states: (n, 13) world position, rotation xyzw, linear and angular velocity.
+        forward_yaw_rad: from the heading of the root's x axis to forward, about z.
     """
     velocity = xy_in_heading_frame(root_states[:, 3:7], root_states[:, 7:9])
+    if forward_yaw_rad:
+        velocity = turned(math.cos(forward_yaw_rad), -math.sin(forward_yaw_rad), velocity)
     return torch.cat((velocity, root_states[:, 12:13]), dim=-1)
 
 
@@ -81,6 +85,9 @@ class VelocitySettings(GoalSettings):
     """The command changes before so many control steps."""
     standing_share: float = setting(0.15, key="standingShare", minimum=0, maximum=1)
     """Share of the commands that are to stand still, whatever the ranges are."""
+    forward_yaw_rad: float = setting(0.0, key="forwardYaw", minimum=-math.pi, maximum=math.pi)
+    """Direction (rad) that is forward in the heading frame: pi / 2 if the robot's front is the y
+    axis of its base."""
     clip_share: float = setting(0.0, key="clipCommandShare", minimum=0, maximum=1)
     """Of the starts in a clip, first commanded what the clip does in the next second."""
     end_stalled: bool = setting(False, key="endStalled")
@@ -140,6 +147,10 @@ class Velocity(TimedGoal):
         limits = torch.tensor(self.settings.command_ranges.limits(), device=device)
         return limits[:, 0], limits[:, 1]
 
+    def planar_motion(self, root_states: Tensor) -> Tensor:
+        """Return (n, 3) what `root_states` (n, 13) move, see `compute_planar_motion`."""
+        return compute_planar_motion(root_states, self.settings.forward_yaw_rad)
+
     # --- commands ----------------------------------------------------------------------------
 
     def reset(self, env_ids: Tensor) -> None:
@@ -164,7 +175,7 @@ class Velocity(TimedGoal):
     def observe_clip(self, root_states: Tensor) -> Tensor:
         """Return (n, 3), the command within the ranges that is nearest to a clip's next second."""
         low, high = self._limits(root_states.device)
-        motion = compute_planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
+        motion = self.planar_motion(root_states.flatten(0, 1)).view(len(root_states), -1, 3)
         return torch.minimum(torch.maximum(motion.mean(1), low), high)
 
     def start_in_clip(self, env_ids: Tensor, root_states: Tensor) -> None:
@@ -205,7 +216,7 @@ class Velocity(TimedGoal):
 
     def after_step(self) -> None:
         """Store what the step moved less than commanded."""
-        shortfall = self.commands - compute_planar_motion(self.root_states())
+        shortfall = self.commands - self.planar_motion(self.root_states())
         self._shortfalls[self._next_row] = shortfall
         self._next_row = (self._next_row + 1) % len(self._shortfalls)
         self._num_shortfalls += 1
@@ -262,12 +273,13 @@ class Velocity(TimedGoal):
         Velocities begin at the feet, 1 m for 1 m/s; turns in front of them, 1 m for 1 rad/s.
         """
         root = self.root_states()[env_id : env_id + 1]
-        ahead = facing(root[:, 3:7])[0]
+        yaw_rad = self.settings.forward_yaw_rad
+        ahead = turned(math.cos(yaw_rad), math.sin(yaw_rad), facing(root[:, 3:7]))[0]
         to_left = torch.stack((-ahead[1], ahead[0]))
         arrows: list[Marker] = []
         for (forward, left, turn), height, colour in (
             (self.commands[env_id], _COMMANDED_HEIGHT_M, GO_COLOUR),
-            (compute_planar_motion(root)[0], _ACTUAL_HEIGHT_M, ACTUAL_COLOUR),
+            (self.planar_motion(root)[0], _ACTUAL_HEIGHT_M, ACTUAL_COLOUR),
         ):
             for start, vector in (
                 (root[0, :2], forward * ahead + left * to_left),

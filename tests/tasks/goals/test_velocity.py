@@ -50,6 +50,39 @@ def test_motion_is_in_the_heading_frame():
     np.testing.assert_allclose(compute_planar_motion(root), [[2.0, -0.5, 0.3]], atol=1e-6)
 
 
+def test_the_front_of_a_robot_may_be_the_y_axis_of_its_base():
+    # The x axis is along +y, so that the front is along -x; it moves there and along +y, its right.
+    root = torch.zeros(1, 13)
+    root[0, 3:7] = torch.from_numpy(leaning(math.pi / 2))
+    root[0, 7:9] = torch.tensor([-2.0, 0.5])
+    np.testing.assert_allclose(
+        compute_planar_motion(root, math.pi / 2), [[2.0, -0.5, 0.0]], atol=1e-6
+    )
+
+
+def test_clips_that_go_sideways_are_a_warning(make, caplog):
+    """Seen from the y axis of the base, the shipped walk goes to the right."""
+    words = ("task.env.motion_file=g1_walk", f"task.env.forwardYaw={math.pi / 2}")
+    make(*words)
+    (warning,) = [record.message for record in caplog.records if "forwardYaw" in record.message]
+    assert warning.endswith("set task.env.forwardYaw=0.00")
+    caplog.clear()
+    task = make(words[0], "task.env.clipCommandShare=1")
+    assert not [record for record in caplog.records if "forwardYaw" in record.message]
+    task.reset()
+    assert (task.goal.commands[:, 0] > 0.5).all()
+
+
+def test_the_arrows_point_where_forward_is(make):
+    task = make("task.env.forwardYaw=1.5707963")
+    task.reset()
+    task.goal.commands[:] = torch.tensor([1.0, 0.0, 0.0])
+    move(task, 0.0, [0.0, 0.0], 0.0)
+    (arrow,) = task.goal.markers(0)
+    way = np.array(arrow.end_w[:2]) - np.array(arrow.start_w[:2])
+    np.testing.assert_allclose(way, [0.0, 1.0], atol=1e-5)
+
+
 def test_the_reward_of_a_known_miss(make):
     task = make(
         "task.env.linearVelocityXYRewardScale=0.5", "task.env.angularVelocityZRewardScale=2"
