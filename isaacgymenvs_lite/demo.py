@@ -7,8 +7,8 @@
 
 For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
 the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
-video shows the first one. For skills, and a hierarchy over skills, the video shows the first three
-of 16 episodes, which start from the default pose.
+video shows the first one. For skills, and policies with a goal, the video shows the first three of
+16 episodes, and the goals; skills start from the default pose.
 """
 
 from __future__ import annotations
@@ -139,13 +139,14 @@ def perform(name: str, seconds: float) -> Performance:
         "num_threads=1",  # so few humanoids are slower on more
     )
     cfg = compose([*playing_overrides(name), *fixed])
-    imitates = _imitates(cfg)
-    cfg.task.env.stateInit = "Random" if imitates else "Default"
+    has_skills = cfg.train.params.network.name in _SKILL_NETWORKS
+    cfg.task.env.stateInit = "Default" if has_skills else "Random"
     dt_s = cfg.task.sim.dt * cfg.task.env.controlFrequencyInv
     num_steps = max(1, round(seconds / dt_s))
     cfg.task.env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
     with load_player(cfg) as player:
         env = player.env
+        imitates = not has_skills and env.get_task_obs_size() == 0
         recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
         result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
         tracks = recorder.tracks()
@@ -157,22 +158,16 @@ def perform(name: str, seconds: float) -> Performance:
             tuple(tracks),
             _LABELS if imitates else (),
             () if imitates else tuple(recorder.markers()),
-            _summary(result, cfg),
+            str(result.imitation) if imitates else _summary_of_goal(result, cfg),
         )
 
 
-def _imitates(cfg: DictConfig) -> bool:
-    return cfg.train.params.network.name not in _SKILL_NETWORKS
-
-
-def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
+def _summary_of_goal(result: EvaluationResult, cfg: DictConfig) -> str:
     assert result.imitation is not None  # a task with reference motions
-    if _imitates(cfg):
-        return str(result.imitation)
-    falls = result.imitation.falls()
-    if cfg.train.params.network.name != "hrl":
-        return falls  # skills have no task
-    return f"task reward {result.reward / result.steps:.2f} per step, {falls}"
+    parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
+    if cfg.train.params.network.name == "hrl":  # skills have no task
+        parts.append(f"task reward {result.reward / result.steps:.2f} per step")
+    return ", ".join((*parts, result.imitation.falls()))
 
 
 def save_performance(performance: Performance, path: Path) -> Path:

@@ -122,6 +122,15 @@ def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch,
         assert image.size == (3 * 48, 64)
 
 
+def test_a_policy_with_a_goal_is_shown_with_its_goals():
+    performance = demo.perform("g1_velocity", 0.3)
+    assert len(performance.tracks) == 3
+    assert performance.labels == ()
+    assert any(marker for figures in performance.markers for marker in figures)
+    assert "velocity_error_m_s 0." in performance.summary
+    assert "of 16 episodes without a fall" in performance.summary
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -226,7 +226,7 @@ def _run_config(checkpoint: Path, model: Mapping[str, Any]) -> dict[str, Any]:
             f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
             " the folder nn of the run folder that train.py made"
         )
-    tree = read_run_config(file, model)
+    tree = read_run_config(file, model, to_play=True)
     units = units_of_config(tree)
     if units != units_of_model(model, units):
         raise CheckpointError(

@@ -44,7 +44,9 @@ def run_config_file(checkpoint: Path) -> Path:
     return checkpoint.absolute().parent.parent / "config.yaml"
 
 
-def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
+def read_run_config(
+    file: Path, model: Mapping[str, Any], *, to_play: bool = False
+) -> dict[str, Any]:
     """Return a run's tree, resolved for the kind of device that it was trained on.
 
     The default networks depend on the device, and this machine may have another one: the layers of
@@ -53,6 +55,7 @@ def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     Args:
         file: config.yaml of a run folder.
         model: parameters by name; empty if they are not known.
+        to_play: with the values of a play (`test=True`), where those of a training differ.
 
     Raises:
         ConfigError: the file cannot be read, or is no configuration of a run.
@@ -60,6 +63,8 @@ def read_run_config(file: Path, model: Mapping[str, Any]) -> dict[str, Any]:
     register_resolvers()
     stored = read_yaml(file)
     check_expansion(stored)
+    if to_play:
+        stored.test = True
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
     try:
         return next((tree for tree in trees if has_units_of(tree, model)), trees[0])

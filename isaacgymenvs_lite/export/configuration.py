@@ -77,7 +77,7 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
     file = run_config_file(Path(path))
     if not is_shipped and file.is_file() and "train" not in typed:
         model = load_checkpoint(path).get("model", {})
-        cfg = OmegaConf.create(read_run_config(file, model))
+        cfg = OmegaConf.create(read_run_config(file, model, to_play=True))
         if composed is None or composed.task.name == cfg.task.name:
             log.info("task and train settings: %s", file)
             return _plain(_changed(cfg, overrides), path)
