@@ -259,6 +259,7 @@ class RobotAMPVelocity(RobotAMP):
     """
 
     goal_class = Velocity
+    goal: Velocity
 
     def create_sim(self) -> None:
         """As the base, and check that there is a clip to go with."""
