@@ -39,8 +39,9 @@ _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
 # Beyond a joint's limits: what is reported, and what no file in radians has.
 _ODD_EXCESS_RAD, _MAX_EXCESS_RAD = 0.1, 2.0 * np.pi
-# A root is upright where its z axis is within 60 degrees of the world's.
+# A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
 _UPRIGHT_COSINE = 0.5
+UP: tuple[float, ...] = (0.0, 0.0, 1.0)
 _HAND_WORDS = {"hand", "finger", "thumb", "index", "middle", "ring", "pinky", "little", "gripper"}
 _SUFFIX = re.compile(r"(_joint|_dof)+$")
 
@@ -157,9 +158,13 @@ class JointClip:
         """Return the joints' speeds (T-1, D) in rad/s."""
         return np.abs(np.diff(self.dof_pos.astype(np.float64), axis=0)) * self.fps
 
-    def oddities(self) -> list[str]:
-        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion."""
-        found = [*self._tilt()]
+    def oddities(self, up_b: Sequence[float] = UP) -> list[str]:
+        """Return one line for each thing that few robots do: a wrong unit, rate or quaternion.
+
+        Args:
+            up_b: (3,) the upward direction in the frame of a root that is upright.
+        """
+        found = [*self._tilt(up_b)]
         root, joints = float(self._root_speed().max()), self._joint_speed()
         if root > _ODD_ROOT_SPEED_M_S:
             found.append(
@@ -182,13 +187,13 @@ class JointClip:
             )
         return found
 
-    def _tilt(self) -> list[str]:
-        lying = 1.0 - _upright_share(self.root_rot)
+    def _tilt(self, up_b: Sequence[float]) -> list[str]:
+        lying = 1.0 - _upright_share(self.root_rot, up_b)
         if lying <= 0.5:
             return []
         text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
         for order in QUAT_ORDERS if self.file_quat_order else ():
-            if _upright_share(self.reread(order).root_rot) > 0.5:
+            if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
                 text += (
                     f", but not if the quaternions of the file are {order}: motion.convert reads"
                     f" them so with quat_order={order}"
@@ -276,10 +281,13 @@ class JointClip:
         _log.warning("%s; a policy cannot follow there", text)
 
 
-def _upright_share(root_rot: FloatArray) -> float:
-    """Return the share of rotations (T, 4) that keep z within 60 degrees of the world's."""
-    x, y = root_rot[:, 0], root_rot[:, 1]
-    return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT_COSINE).mean())
+def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
+    """Return the share of rotations (T, 4) that turn `up_b` (3,) within 60 degrees of z."""
+    turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
+    up_w = rotations.quat_apply(
+        turns, torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
+    )
+    return float((up_w[:, 2] > _UPRIGHT_COSINE).double().mean())
 
 
 def _comparable(names: Sequence[str], others: Sequence[str]) -> list[str]:

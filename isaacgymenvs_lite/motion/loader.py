@@ -214,13 +214,16 @@ def _load_from_package(name: str, skeleton: Skeleton) -> list[tuple[MotionClip, 
 
 
 def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skeleton:
-    """Return the first humanoid that has the bodies of DeepMimic's clips.
+    """Return the first humanoid that has the bodies and joints of DeepMimic's clips.
+
+    Robots may have the same bodies, as dm_control's humanoid, with other joints.
 
     Raises:
         MotionFileError: all are skeletons of robots.
     """
     for skeleton in skeletons:
-        if set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names):
+        has_bodies = set(deepmimic.MOVED_BODIES) <= set(skeleton.body_names)
+        if has_bodies and skeleton.has_simple_joints:
             return skeleton
     raise MotionFileError(f"{motion_file}: is a DeepMimic clip of the humanoid; {RETARGET_HINT}")
 
@@ -264,7 +267,7 @@ def _load_file(
 
 def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings) -> MotionClip:
     """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
-    joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order)
+    joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order, up_b=skeleton.up_b)
     try:
         joints = joints.fitted_to(skeleton.dof_names, settings.by_order)
     except MotionFileError as error:

@@ -127,6 +127,14 @@ class Skeleton:
         return tuple(_FREE_JOINT_DOFS + offset for offset in self.dof_offsets)
 
     @functools.cached_property
+    def up_b(self) -> tuple[float, ...]:
+        """The upward direction in the frame of a root that is upright, as in its model."""
+        turn = np.array((1.0, 0.0, 0.0, 0.0)) if self.model is None else self.model.qpos0[3:7]
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, turn)
+        return tuple(matrix[6:])
+
+    @functools.cached_property
     def has_offset_joints(self) -> bool:
         """Whether a joint is beside the origin of its body, which then moves in its parent."""
         return bool(self.joint_anchors.any())

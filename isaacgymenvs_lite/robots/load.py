@@ -172,6 +172,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     notes.append("reused the file's floor" if spec.worldbody.geoms else "added a floor")
     add_stage(spec)
     final = _compile(spec)
+    final.qpos0[3:7] = qpos[3:7]  # upright, which the rotations of its clips are compared with
     return PreparedRobot(
         spec=spec,
         model=final,

@@ -15,15 +15,18 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import convert as command
 from isaacgymenvs_lite.motion import plot, strip, view
 from isaacgymenvs_lite.motion import robot as robot_command
+from isaacgymenvs_lite.motion.formats.deepmimic import MOVED_BODIES
 from isaacgymenvs_lite.motion.formats.robot_clip import read_joint_clip
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.loader import load_clips, load_single_clip
 from isaacgymenvs_lite.motion.robot_file import load_clip_robot
-from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.robots.settings import RobotSettings
 
 G1 = "robot=mjcf/g1.xml"
+AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 URDF_LEG = """
 <joint name="{side}_hip" type="revolute"><parent link="base"/><child link="{side}_thigh"/>
 <origin xyz="0 {y} 0"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="80" velocity="9"/>
@@ -164,7 +167,7 @@ def test_a_urdf_without_a_mapping(caplog) -> None:
     assert 0.04 < clip.global_poses()[0][:, feet, 2].min() < 0.06  # the sole is 0.05 m below
 
 
-def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
+def test_a_robot_that_lies_in_its_file_is_stood_up(refused, caplog) -> None:
     pytest.importorskip("mink")
     write_biped(lies=True)
     line = refused("walk", "a.npz", "robot=biped.urdf")
@@ -184,6 +187,11 @@ def test_a_robot_that_lies_in_its_file_is_stood_up(refused) -> None:
         heights = load_single_clip(file, [robot])[0].global_poses()[0][:, :, 2]
         assert 0.04 < heights[:, feet].min() < 0.06
         assert heights[:, 0].min() > 0.7
+    assert "the root lies on its side" in caplog.text
+    caplog.clear()
+    upright = RobotSettings(start_rotation=(0.7071068, 0.0, 0.0, 0.7071068))
+    load_single_clip("start.npz", [load_clip_robot("biped.urdf", upright).skeleton])
+    assert not caplog.text
 
 
 @pytest.mark.parametrize(
@@ -286,3 +294,25 @@ def test_deepmimics_clips_are_not_a_robots(g1: Skeleton) -> None:
     pytest.importorskip("pybullet_data")
     with pytest.raises(MotionFileError, match=r"is a DeepMimic clip of the humanoid; retarget it"):
         load_clips("deepmimic:walk", g1)
+
+
+def test_a_robot_with_the_humanoids_bodies_is_no_humanoid() -> None:
+    """dm_control's humanoid has the names of DeepMimic's bodies, and several hinges on some."""
+    pytest.importorskip("pybullet_data")
+    hinges = "".join(f'<joint name="{{0}}_{axis}" axis="{rows}"/>' for axis, rows in AXES.items())
+    bodies = "".join(
+        f'<body name="{name}">{hinges.format(name)}<geom size=".1"/></body>'
+        for name in MOVED_BODIES
+        if name != "pelvis"
+    )
+    Path("robot.xml").write_text(
+        f'<mujoco><worldbody><body name="pelvis"><freejoint/><geom size=".1"/>{bodies}</body>'
+        "</worldbody></mujoco>",
+        encoding="utf-8",
+    )
+    robot = Skeleton.from_mjcf("robot.xml")
+    assert set(MOVED_BODIES) <= set(robot.body_names)
+    humanoid = skeleton_for_num_dofs(28)
+    clip, of = load_single_clip("deepmimic:walk", [robot, humanoid])
+    assert of is humanoid
+    assert set(clip.body_names) == set(humanoid.body_names)

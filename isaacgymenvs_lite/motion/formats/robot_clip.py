@@ -13,7 +13,7 @@ from isaacgymenvs_lite.motion.formats.joint_csv import COLUMN, POSITION, ROTATIO
 from isaacgymenvs_lite.motion.formats.robot_csv import is_number, load_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import is_robot_npz, load_robot_npz
 from isaacgymenvs_lite.motion.formats.robot_pickle import load_robot_pickle
-from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS, JointClip, QuatOrder
+from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS, UP, JointClip, QuatOrder
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, skeleton_for_num_dofs
 
 _log = logging.getLogger(__name__)
@@ -53,6 +53,7 @@ def read_joint_clip(
     fps: float | None = None,
     joint_names: Sequence[str] | None = None,
     quat_order: QuatOrder | None = None,
+    up_b: Sequence[float] = UP,
 ) -> JointClip:
     """Read a robot's clip by the content of its file; what looks odd is logged as a warning.
 
@@ -61,6 +62,8 @@ def read_joint_clip(
         fps: frames per second of a table that has no rate (by default 30, BONES-SEED 120).
         joint_names: of the file's columns, in place of those that it has or implies.
         quat_order: of the file's quaternions; None: as usual for its form, or as its bodies show.
+        up_b: (3,) the upward direction in the frame of the robot's root, for the warning about a
+            root that lies down.
 
     Raises:
         MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
@@ -84,6 +87,6 @@ def read_joint_clip(
         clip.validate()
         if quat_order is not None:
             clip = clip.reread(quat_order)
-        for oddity in clip.oddities():
+        for oddity in clip.oddities(up_b):
             _log.warning("%s: %s", path, oddity)
     return clip

@@ -21,6 +21,8 @@ _CLEARANCE, _RISE_SHARE, _BLEND = 0.12, 0.3, 0.05
 _MOST_TWIST_RAD = np.radians(20.0)
 # Contacts of this length are noise, and so are gaps in them.
 _NOISE_S = 0.05
+# A point this much above the lowest one bears 1 / e of its share of a foot.
+_RESTS_M = 0.005
 
 
 def pin_feet(
@@ -43,10 +45,7 @@ def pin_feet(
     touching = _any_point(contact)
     turns = _untwisted(sole, feet, turns, contact)
     points = sole.places(feet, turns)
-    moved = np.zeros_like(feet)
-    for start, end in spans(touching):
-        moved[start:end, :2] = _unslid(points[start:end, :, :2], contact[start:end])
-        moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
+    moved = _planted(points, contact)
     _bridge(moved, touching)
     lowest = points[..., 2].min(axis=1)
     length = sole.length_m
@@ -132,13 +131,48 @@ def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
     return np.maximum(rise[:, 0], -lowest)
 
 
-def mean_in_contact(values: FloatArray, contact: Flags) -> FloatArray:
-    """Return the mean (T, 3) of values (T, K, 3) of points in contact; smooth ways between."""
+def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatArray:
+    """Return how a foot must move (T, 3) m so that it rests without sliding, near where it should.
+
+    Between contacts it passes smoothly from one to the next.
+
+    Args:
+        points: (T, K, 3) m, of its sole, where they are.
+        wanted: (T, K, 3) m, where they should be.
+        contact: (T, K), which of them are in contact.
+    """
     touching = _any_point(contact)
-    count = np.maximum(contact.sum(axis=1), 1)[:, None]
-    mean = (values * contact[..., None]).sum(axis=1) / count
-    _bridge(mean, touching)
-    return mean
+    moved = _planted(points, contact)
+    share = _resting(points[..., 2], contact)[..., None]
+    missed = ((wanted - points)[..., :2] * share).sum(axis=1)
+    for start, end in spans(touching):
+        moved[start:end, :2] += missed[start:end].mean(axis=0)
+    _bridge(moved, touching)
+    return moved
+
+
+def _planted(points: FloatArray, contact: Flags) -> FloatArray:
+    """Return how a foot must move (T, 3) so that its points rest on z = 0; 0 between contacts."""
+    moved = np.zeros((len(points), 3))
+    for start, end in spans(_any_point(contact)):
+        moved[start:end, :2] = _unslid(points[start:end], contact[start:end])
+        moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
+    return moved
+
+
+def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
+    """Return how much of a foot rests on each point, (T, K) with sum 1, 0 without contact.
+
+    A foot rests on its lowest points. The others in contact are a little higher, and move as it
+    rolls over its heel or toes; their weight falls with their height, without a jump.
+
+    Args:
+        heights: (T, K) m, of the points.
+        contact: (T, K), which of them are in contact.
+    """
+    above = heights - np.where(contact, heights, np.inf).min(axis=1, keepdims=True)
+    weights = np.where(contact, np.exp(-np.where(contact, above, 0.0) / _RESTS_M), 0.0)
+    return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
 
 
 def find_contacts(points: FloatArray, fps: float) -> Flags:
@@ -163,14 +197,14 @@ def spans(flags: Flags) -> list[tuple[int, int]]:
 
 
 def _unslid(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return the shift (T, 2) that removes the mean sliding of the points (T, K, 2) in contact.
+    """Return the shift (T, 2) that removes the sliding of the points (T, K, 3) that rest.
 
     Its mean is zero: the foot stays where the source has it.
     """
-    steps = np.diff(points, axis=0)
-    both = (contact[1:] & contact[:-1])[..., None]
-    sliding = (steps * both).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
-    shift = np.concatenate((np.zeros((1, 2)), -np.cumsum(sliding, axis=0)))
+    steps = np.diff(points[..., :2], axis=0)
+    middle = 0.5 * (points[1:, :, 2] + points[:-1, :, 2])
+    share = _resting(middle, contact[1:] & contact[:-1])[..., None]
+    shift = np.concatenate((np.zeros((1, 2)), -np.cumsum((steps * share).sum(axis=1), axis=0)))
     return shift - shift.mean(axis=0)
 
 

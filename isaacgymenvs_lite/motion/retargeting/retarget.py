@@ -17,7 +17,7 @@ from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
-from isaacgymenvs_lite.motion.retargeting.contacts import Flags, mean_in_contact, onto_ground
+from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, replanted
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.report import (
@@ -138,7 +138,7 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
         ]
     )
     for _ in range(_CORRECTIONS):
-        problem = _with_corrected_feet(robot, problem, wanted - robot.soles(qpos), contact)
+        problem = _with_corrected_feet(robot, problem, wanted, robot.soles(qpos), contact)
         qpos = solve_poses(problem)
     _make_continuous(robot.model, qpos)
     qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
@@ -160,7 +160,7 @@ def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> No
 
 
 def _with_corrected_feet(
-    robot: Robot, problem: IkProblem, missed: FloatArray, contact: Flags
+    robot: Robot, problem: IkProblem, wanted: FloatArray, points: FloatArray, contact: Flags
 ) -> IkProblem:
     """Return the problem with the feet moved by what their points in contact miss.
 
@@ -170,14 +170,15 @@ def _with_corrected_feet(
     Args:
         robot: it.
         problem: that was solved.
-        missed: (T, 2, K, 3) m, of all points of the soles, right foot first.
+        wanted: (T, 2, K, 3) m, where the points of the soles should be, right foot first.
+        points: (T, 2, K, 3) m, where they are.
         contact: (T, 2, K), which of them are in contact.
     """
     goals = dict(problem.goals)
     for side, foot in enumerate(FEET):
         body = robot.mapping.bodies[foot].body
         goal = goals[body].copy()
-        goal[problem.lead_in :, 4:] += mean_in_contact(missed[:, side], contact[:, side])
+        goal[problem.lead_in :, 4:] += replanted(points[:, side], wanted[:, side], contact[:, side])
         goals[body] = goal
     return dataclasses.replace(problem, goals=goals)
 

@@ -8,6 +8,7 @@ from isaacgymenvs_lite.motion.retargeting.contacts import (
     find_contacts,
     onto_ground,
     pin_feet,
+    replanted,
     spans,
     swing_profile,
 )
@@ -94,3 +95,48 @@ def test_the_root_rises_with_the_lowest_point_in_contact() -> None:
     np.testing.assert_allclose(
         onto_ground(points, contact), [0.02, 0.02, 0.005, -0.01, -0.01], atol=1e-12
     )
+
+
+def pitched(sole: Sole, feet: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the points of a sole whose foot is turned about y by angles (T,) rad."""
+    return sole.places(feet, about_y(angles))
+
+
+def about_y(angles: np.ndarray) -> np.ndarray:
+    zeros = np.zeros_like(angles)
+    return np.stack((zeros, np.sin(0.5 * angles), zeros, np.cos(0.5 * angles)), axis=1)
+
+
+# A thick sole: above each toe another point, as the corners of boxes have.
+THICK = Sole(np.concatenate((SOLE.points, SOLE.points[2:] + np.array((0, 0, 0.015)))), np.zeros(6))
+
+
+def rolls_over_its_toes(sole: Sole) -> tuple[np.ndarray, np.ndarray]:
+    """Return a foot (T, 3) that lifts its heel within half a second, and its angles (T,) rad."""
+    angles = np.linspace(0.0, 0.6, 30)
+    toes = pitched(sole, np.zeros((30, 3)), angles)[:, 2]
+    return np.array((0.1, 0.0, 0.0)) - toes * (1.0, 0.0, 1.0), angles
+
+
+def test_a_foot_rolls_over_the_edge_of_its_toes() -> None:
+    feet, angles = rolls_over_its_toes(THICK)
+    slides = feet + np.linspace(0.0, 0.03, 30)[:, None] * np.array((1.0, 0.0, 0.0))
+    _, held, turns = pin_feet(THICK, slides, about_y(angles), FPS)
+    toes = THICK.places(held, turns)[:, 2]
+    # The mean of all points would let the edge slide at 0.01 m/s and more.
+    speed = np.abs(np.diff(toes[:, 0])) * FPS
+    assert speed.max() < 0.005
+
+
+def test_a_foot_of_another_attitude_is_replanted() -> None:
+    """An ankle at its limit leaves the foot flat: it must rest where it should, without sliding."""
+    feet, angles = rolls_over_its_toes(SOLE)
+    wanted = pitched(SOLE, feet, angles)
+    contact = find_contacts(wanted, FPS)
+    moved = feet + np.linspace(0.0, 0.02, 30)[:, None] * (1.0, 1.0, 2.0)
+    points = pitched(SOLE, moved, np.zeros(30))
+    rests = points + replanted(points, wanted, contact)[:, None]
+    np.testing.assert_allclose(rests[..., 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(rests[..., :2], axis=0), 0.0, atol=1e-12)
+    middle = (wanted - rests)[..., :2]
+    assert abs(middle[contact].mean(axis=0)).max() < 0.01
