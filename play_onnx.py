@@ -12,6 +12,8 @@ ONNX file is described in docs/taking_it_with_you.md.
 import argparse
 import itertools
 import json
+import os
+import sys
 import time
 from collections import deque
 
@@ -136,6 +138,10 @@ def main():
     parser.add_argument("--command", type=float, nargs=3, default=(0, 0, 0), metavar="V")
     parser.add_argument("--trace", help=".npz file for qpos, before the first and after each step")
     args = parser.parse_args()
+    shows = sys.platform != "linux" or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    if not args.steps and not shows:
+        args.steps = 300
+        print(f"no display, so no window: plays {args.steps} control steps")
 
     policy, about = read_policy(args.policy)
     scene = args.scene or args.policy.removesuffix(".onnx") + "_scene.xml"

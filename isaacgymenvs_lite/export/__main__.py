@@ -1,11 +1,13 @@
 """Writes a policy into one file: python -m isaacgymenvs_lite.export checkpoint=... format=onnx.
 
     python -m isaacgymenvs_lite.export checkpoint=walk                          # walk.onnx
-    python -m isaacgymenvs_lite.export checkpoint=last format=torchscript out=policy.pt
+    python -m isaacgymenvs_lite.export checkpoint=last                          # policy.onnx
+    python -m isaacgymenvs_lite.export checkpoint=last task=Ant format=torchscript out=ant.pt
     python -m isaacgymenvs_lite.export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
 
 The file takes raw observations and returns actions within the task's limits; the normalisers are
-part of it. `checkpoint` is a .pth file, `last`, or a shipped policy. Task and train settings are
+part of it. `checkpoint` is a .pth file, `last` (the newest one of all runs, or of `task=`), or a
+shipped policy. Task and train settings are
 read from the run; other words override them as on the command line of train.py. Of a robot's task
 its model is written, too, so that play_onnx.py can play the file without this package.
 """

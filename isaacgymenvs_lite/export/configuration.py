@@ -53,8 +53,8 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
     there. With `train=`, or `task=` of another task, the tree is composed anew.
 
     Args:
-        checkpoint: a path, `last` as in train.py (the newest of the task that the overrides
-            name, or of the default one), or the name of a shipped policy.
+        checkpoint: a path, `last`, or the name of a shipped policy. `last` is the newest of all
+            runs, or, as in train.py, of the task and train file that the overrides name.
         overrides: of the configuration, as on the command line of train.py.
         runs: folder of the runs that `last` looks at.
 
@@ -69,7 +69,8 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
     typed = dict(word.split("=", 1) for word in overrides if "=" in word)
     is_shipped = checkpoint in shipped_policies()
     # What train.py would play with these words: it decides the task, and what `last` means.
-    composed = compose(overrides) if checkpoint == "last" or "task" in typed else None
+    composes = "task" in typed or (checkpoint == "last" and "train" in typed)
+    composed = compose(overrides) if composes else None
     if composed is None or is_shipped:
         path = resolve_checkpoint(checkpoint, runs, "")
     else:

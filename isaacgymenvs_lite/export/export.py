@@ -38,7 +38,8 @@ class ExportSettings:
     """A .pth file of a run, `last`, or the name of a shipped policy."""
     format: str = setting("onnx", choices=tuple(FORMATS))
     out: str = setting("")
-    """File; '': the checkpoint's name with the format's suffix, in the working folder."""
+    """File; '': in the working folder the checkpoint's name, of `last` `policy`, with the format's
+    suffix."""
     runs: str = setting("runs")
     """Folder of the runs, for `last`."""
 
@@ -60,7 +61,8 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
     kind = FORMATS[settings.format]
     kind.check_packages(settings.format)
     cfg = configuration_of(settings.checkpoint, overrides, settings.runs)
-    path = Path(settings.out or f"{Path(cfg.checkpoint).stem}{kind.suffix}")
+    name = "policy" if settings.checkpoint == "last" else Path(cfg.checkpoint).stem
+    path = Path(settings.out or f"{name}{kind.suffix}")
     if path.suffix != kind.suffix:
         raise ConfigError(f"out={path}: expected a name that ends in {kind.suffix}")
     with load_player(cfg) as player:

@@ -207,7 +207,10 @@ def test_settings_of_the_run_and_what_was_typed(checkpoint, project, monkeypatch
         (["checkpoint=absent.pth"], "no file"),
         (["checkpoint=last", "task=Ant"], "no checkpoint of task=Ant"),
         (["checkpoint=last", "task.env.maxEfort=1"], "task.env.maxEfort"),
-        (["checkpoint=last"], "no checkpoint of task=HumanoidAMP .*; there are some of task=Cart"),
+        (
+            ["checkpoint=last", "train=AntPPO"],
+            "no checkpoint of task=HumanoidAMP .*; there are some",
+        ),
         (["checkpoint=last", "task=Cartpole", "out=x.pt"], "ends in .onnx"),
         (
             ["checkpoint=last", "task=Cartpole", "out=taken/x.pt", "format=torchscript"],
@@ -247,6 +250,17 @@ def test_last_is_the_same_file_for_all(
         assert f"checkpoint: {expected}" in caplog.messages
 
 
+def test_last_is_of_any_task_and_named_policy(project, checkpoint, tmp_path, monkeypatch) -> None:
+    pytest.importorskip("onnxruntime")
+    shutil.copytree(project / "runs", tmp_path / "runs")
+    monkeypatch.chdir(tmp_path)
+    assert main(["checkpoint=last"]) == 0
+    assert load_policy("policy.onnx").metadata["task"] == "Cartpole"
+    cfg = configuration_of("last", (), "runs")
+    assert cfg.task.name == "Cartpole"
+    assert cfg.checkpoint == str(tmp_path / checkpoint.relative_to(project))
+
+
 def test_last_without_any_run(tmp_path) -> None:
-    with pytest.raises(CheckpointError, match=r"no checkpoint of task=HumanoidAMP .*below"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint of any task below"):
         configuration_of("last", (), str(tmp_path))

@@ -291,6 +291,24 @@ def test_commands_reach_the_policy(make_player, tmp_path) -> None:
     assert np.abs(expected[7] - expected[0]).max() > 0.2
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a display is always there")
+def test_without_a_display_it_plays_without_a_window(
+    make_player, tmp_path, monkeypatch, capsys
+) -> None:
+    player, policy = make_player(), tmp_path / "policy.onnx"
+    act = Linear(player.env.num_obs, player.env.num_actions)
+    policy.write_bytes(act.onnx_file(metadata_of(player)))
+    write_scene(player, policy)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "argv", ["play_onnx.py", str(policy)])
+    capsys.readouterr()
+    runpy.run_path(str(SCRIPT), run_name="__main__")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "no display, so no window: plays 300 control steps"
+    assert lines[-1].startswith(" 10.0 s: height ")
+
+
 # --- files of other people ------------------------------------------------------------------------
 
 
