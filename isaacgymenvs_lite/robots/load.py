@@ -164,8 +164,10 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     ends = limb_ends(model, qpos)
     contacts = contacts or touching_bodies(model, qpos)
-    if not set(ends) & set(contacts):
-        notes.append(f"stands on {', '.join(contacts)}, no end of a limb: startRotation turns it")
+    stands_on = set(ends) & set(contacts)
+    if len(stands_on) < min(2, len(ends)):
+        number = "one end" if stands_on else "no end"
+        notes.append(f"stands on {', '.join(contacts)}, {number} of a limb: startRotation turns it")
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)

@@ -138,6 +138,13 @@ def test_a_robot_that_lies_is_noted():
     leg = LEG.replace('pos="0 0 -0.1"', 'pos="0 0 0.4"')
     (note,) = [note for note in prepared(mjcf(leg=leg)).notes if "startRotation" in note]
     assert note.startswith("stands on base, no end of a limb")
+    # On its side, one limb below and one above.
+    above = leg
+    for name in ("thigh", "foot", "hip", "knee"):
+        above = above.replace(f'"{name}"', f'"other_{name}"')
+    (note,) = [n for n in prepared(mjcf(leg=LEG + above)).notes if "startRotation" in n]
+    assert note == "stands on foot, one end of a limb: startRotation turns it"
+    assert not [note for note in prepared(mjcf()).notes if "startRotation" in note]
 
 
 def test_all_that_can_touch_touches_the_floor():
