@@ -13,7 +13,12 @@ from pathlib import Path
 
 from benchmarks.fuzz.mutators import mutate_bytes
 
-_MODULES = ("benchmarks.fuzz.clips", "benchmarks.fuzz.trees", "benchmarks.fuzz.checkpoints")
+_MODULES = (
+    "benchmarks.fuzz.clips",
+    "benchmarks.fuzz.robots",
+    "benchmarks.fuzz.trees",
+    "benchmarks.fuzz.checkpoints",
+)
 
 Mutator = Callable[[bytes, random.Random, Sequence[bytes]], bytes]
 """Gets a valid file, a generator, and all valid files of the kind; returns a broken one."""

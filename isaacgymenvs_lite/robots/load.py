@@ -153,6 +153,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     model = _compile(spec)
     if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
+    structure.check_numbers(model)
     qpos, more = _start(keys, model, settings, f"{where}.startPose")
     notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")

@@ -8,12 +8,27 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, printable
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
 _EQUALITY = mujoco.mjtEq
 _OVERLAP = 0.002  # m, by which bodies that touch in a start pose may overlap
+# Fields of a model, what they are, the largest that a robot may have, and its unit.
+_LARGEST = {
+    "body_pos": ("position", 100.0, "m"),
+    "body_quat": ("rotation", 1.01, "as a quaternion"),
+    "body_mass": ("mass", 1e5, "kg"),
+    "body_inertia": ("moment of inertia", 1e7, "kg m^2"),
+    "geom_pos": ("position", 100.0, "m"),
+    "geom_rbound": ("radius", 100.0, "m"),
+    "jnt_pos": ("position", 100.0, "m"),
+    "jnt_range": ("limit", 1e9, "rad"),
+    "jnt_stiffness": ("stiffness", 1e7, "Nm/rad"),
+    "dof_armature": ("armature", 1e5, "kg m^2"),
+    "dof_damping": ("damping", 1e7, "Nm s/rad"),
+    "dof_frictionloss": ("friction", 1e7, "Nm"),
+}
 
 
 def name_everything(spec: mujoco.MjSpec) -> list[str]:
@@ -156,6 +171,26 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
             spec.delete(equality)
             notes.append(f"released '{names[0] if names else '?'}', which was held in the world")
     return notes
+
+
+def check_numbers(model: mujoco.MjModel) -> None:
+    """Refuse a model with numbers that no robot has, or that are none: MuJoCo compiles them.
+
+    Raises:
+        ConfigError: naming the body, geom or joint.
+    """
+    rows = {"body": model.body, "geom": model.geom, "jnt": model.joint}
+    kinds = {"body": "body", "geom": "geom", "jnt": "joint", "dof": "joint"}
+    for field, (quantity, most, unit) in _LARGEST.items():
+        values = np.atleast_2d(getattr(model, field).T).T
+        largest = np.abs(values).max(axis=1, initial=0.0)
+        kind = field.partition("_")[0]
+        for row in np.flatnonzero(~(largest <= most)).tolist():  # NaN is among them
+            owner = model.joint(model.dof_jntid[row]) if kind == "dof" else rows[kind](row)
+            raise ConfigError(
+                f"{kinds[kind]} '{printable(owner.name)}' has the {quantity} {largest[row]:.3g}"
+                f" {unit}, expected at most {most:g} {unit}"
+            )
 
 
 def part_overlapping_bodies(

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from benchmarks.fuzz import __main__ as command
-from benchmarks.fuzz import clips
+from benchmarks.fuzz import clips, robots
 from benchmarks.fuzz.campaign import Plan, run
 from benchmarks.fuzz.examine import Examiner, Limits, Verdict
 from benchmarks.fuzz.kinds import Kind
@@ -26,8 +26,8 @@ LONGEST = 2**17
 LIMITS = Limits(memory_bytes=2**27)
 
 
-@pytest.mark.parametrize("kind", clips.KINDS, ids=lambda kind: kind.name)
-def test_every_broken_motion_file_is_accepted_or_refused_in_one_line(
+@pytest.mark.parametrize("kind", (*clips.KINDS, *robots.KINDS), ids=lambda kind: kind.name)
+def test_every_broken_file_of_a_clip_or_a_robot_is_accepted_or_refused_in_one_line(
     kind: Kind, tmp_path: Path
 ) -> None:
     if kind.suffix == ".bvh":

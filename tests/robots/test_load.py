@@ -147,6 +147,21 @@ def test_a_robot_that_lies_is_noted():
     assert not [note for note in prepared(mjcf()).notes if "startRotation" in note]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('pos="0 0 -0.1"', 'pos="0 0 1e30"', "body 'thigh' has the position 1e+30 m, expected"),
+        ('pos="0 0 -0.1"', 'pos="0 0 nan"', "body 'thigh' has the position nan m"),
+        ('range="-1 1"', 'range="-1 1" armature="inf"', "joint 'hip' has the armature inf kg m^2"),
+        ('size="0.03"', 'size="0.03" mass="1e9"', "body 'thigh' has the mass 1e+09 kg"),
+        ('size="0.05"', 'size="1e3" name="toe" mass="1"', "geom 'toe' has the radius 1e+03 m"),
+    ],
+)
+def test_numbers_that_no_robot_has_are_refused(old, new, message):
+    assert old in LEG
+    assert message in refusal(mjcf(leg=LEG.replace(old, new, 1)))
+
+
 def test_all_that_can_touch_touches_the_floor():
     leg = LEG.replace("<geom", '<geom contype="0" conaffinity="4"')
     robot = prepared(mjcf(leg=leg))
