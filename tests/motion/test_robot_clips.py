@@ -34,7 +34,9 @@ from isaacgymenvs_lite.motion.qpos import (
 )
 from isaacgymenvs_lite.motion.robot_clips import joints_of_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.robots.load import load_robot
 from isaacgymenvs_lite.utils import rotations
+from tests.packages import file_of_package
 
 FPS = 30.0
 Moving = Callable[..., np.ndarray]
@@ -137,11 +139,20 @@ def test_forward_kinematics_is_mujocos(
     _expect_mujocos_poses(plain, other, moving(plain))
 
 
-@pytest.mark.parametrize("file", ["anymal.xml", "ant.xml", "humanoid.xml", "amp_humanoid.xml"])
-def test_forward_kinematics_of_the_shipped_robots(file: str, moving: Moving) -> None:
-    skeleton = Skeleton.from_mjcf(paths.assets_dir() / "mjcf" / file)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(f"mjcf/{name}.xml" for name in ("g1", "quadruped", "anymal", "ant", "amp_humanoid")),
+        *(f"gymnasium/envs/mujoco/assets/{name}.xml" for name in ("humanoid", "ant")),
+        *(f"dm_control/suite/{name}.xml" for name in ("humanoid", "quadruped", "humanoid_CMU")),
+        *("dm_control/suite/dog.xml", "dm_control/locomotion/walkers/assets/rodent.xml"),
+    ],
+)
+def test_forward_kinematics_of_robots(name: str, moving: Moving) -> None:
+    path = paths.assets_dir() / name if name.startswith("mjcf/") else file_of_package(name)
+    skeleton = Skeleton.from_model(load_robot(path).model)
     poses = moving(skeleton)
-    clip = clip_from_qpos(file, FPS, skeleton, poses)
+    clip = clip_from_qpos(name, FPS, skeleton, poses)
     _expect_mujocos_poses(skeleton, clip, poses)
     model, back = clip_to_qpos(clip, skeleton)
     assert model is skeleton.model

@@ -13,9 +13,11 @@ import yaml
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.editing import cut
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
+from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_robot
 from isaacgymenvs_lite.motion.retargeting.retarget import RobotMotion, retarget_to_robot
 from isaacgymenvs_lite.motion.retargeting.robot import Robot, robot_from_model
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
@@ -26,6 +28,7 @@ from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
 from isaacgymenvs_lite.motion.retargeting.soles import find_sole
 from isaacgymenvs_lite.motion.retargeting.source import source_from_bvh, source_from_clip
 from isaacgymenvs_lite.robots.load import load_robot
+from tests.packages import file_of_package
 
 VALID = yaml.safe_load(shipped_robot_mappings()["g1"].read_text())
 # A walker with ball hips, without arms or ankles, that faces +y; its feet are balls.
@@ -60,6 +63,21 @@ def g1(g1_model: mujoco.MjModel) -> Robot:
 def retargeted(name: str, robot: Robot) -> RobotMotion:
     pytest.importorskip("mink")
     return retarget_to_robot(source_from_clip(load_clips(name)[0][0]), robot)
+
+
+@pytest.mark.parametrize("name", ["humanoid", "humanoid_CMU"])
+def test_other_peoples_humanoids_run_on_their_feet(name: str) -> None:
+    """dm_control has two, with up to three hinges on a body; one has toes."""
+    pytest.importorskip("mink")
+    prepared = load_robot(file_of_package(f"dm_control/suite/{name}.xml"))
+    mapping = recognise_robot(prepared.model, prepared.start_qpos)
+    robot = robot_from_model(prepared.model, mapping, prepared.start_qpos)
+    clip = cut(load_clips("run")[0][0], 0.0, 0.5)
+    report = retarget_to_robot(source_from_clip(clip), robot).report
+    assert report.deepest_m < 0.01
+    assert report.slide_m_s is not None
+    assert report.slide_m_s[1] < 0.05
+    assert max(mean for key, (mean, _) in report.errors_m.items() if key != "head") < 0.03
 
 
 def corners(model: mujoco.MjModel, qpos: np.ndarray, geom: str) -> np.ndarray:
