@@ -27,7 +27,9 @@ _ARMATURE_OF_EFFORT = 1.5e-4
 _MOST_OF_WEIGHT = 0.6
 # Unknown efforts, likewise. A G1 has 0.35 at the hips and 0.2 at the ankles.
 _EFFORT_OF_WEIGHT = 0.35
-_MAX_ACCELERATION = 5000.0  # rad/s^2, which keeps fingers from the efforts of legs
+# rad/s^2, which keeps fingers from the efforts of legs. It is no limit of a joint above the ground,
+# which moves the robot over its foot: a light foot would leave an ankle without any effort.
+_MAX_ACCELERATION = 5000.0
 # What the typical drive would answer to an action of 1, in its efforts. The noise of AMP's policies
 # (0.055) is then about a fifth of an effort; twice as much threw a quadruped over.
 _EFFORTS_OF_AN_ACTION = 4.0
@@ -69,6 +71,7 @@ def choose_drives(
     weight_moment: float,
     patterns: Mapping[str, DriveSettings],
     where: str,
+    contact_bodies: Sequence[str] = (),
 ) -> list[Drive]:
     """Choose the gains of all hinges and balls: the user's, then the file's, then sensible ones.
 
@@ -81,10 +84,12 @@ def choose_drives(
         weight_moment: the robot's weight times its height above the floor (Nm).
         patterns: names of joints to settings; the first that matches counts.
         where: key of the patterns, for messages.
+        contact_bodies: on which the robot stands.
 
     Raises:
         ConfigError: a pattern matches no joint, or no pattern matches a joint.
     """
+    carrying = _carrying_bodies(model, contact_bodies)
     joints = [
         joint for joint in range(model.njnt) if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE
     ]
@@ -93,8 +98,33 @@ def choose_drives(
     chosen = []
     for joint, name in zip(joints, names, strict=True):
         given = next((d for p, d in patterns.items() if fnmatchcase(name, p)), DriveSettings())
-        chosen.append(_drive(model, joint, motors.get(name, Motor()), weight_moment, given))
+        motor = motors.get(name, Motor())
+        carries = int(model.jnt_bodyid[joint]) in carrying
+        unknown = _unknown_effort(model, joint, weight_moment, carries)
+        effort = given.effort or motor.effort or unknown
+        chosen.append(_drive(model, joint, motor, effort, weight_moment, given))
     return chosen
+
+
+def _carrying_bodies(model: mujoco.MjModel, contact_bodies: Sequence[str]) -> set[int]:
+    """Return the bodies between those in contact and the root, both included."""
+    carrying: set[int] = set()
+    for name in contact_bodies:
+        body = model.body(name).id
+        while body and body not in carrying:
+            carrying.add(body)
+            body = int(model.body_parentid[body])
+    return carrying
+
+
+def _unknown_effort(
+    model: mujoco.MjModel, joint: int, weight_moment: float, carries: bool
+) -> float:
+    """Return a sensible effort (Nm) of a joint whose file says nothing of it."""
+    effort = _EFFORT_OF_WEIGHT * weight_moment
+    dof = int(model.jnt_dofadr[joint])
+    inertia = model.dof_M0[dof : dof + (3 if model.jnt_type[joint] == _BALL else 1)].max()
+    return effort if carries else min(effort, _MAX_ACCELERATION * float(inertia))
 
 
 def _check_patterns(
@@ -115,14 +145,13 @@ def _check_patterns(
 
 
 def _drive(
-    model: mujoco.MjModel, joint: int, motor: Motor, weight_moment: float, given: DriveSettings
+    model: mujoco.MjModel,
+    joint: int,
+    motor: Motor,
+    effort: float,
+    weight_moment: float,
+    given: DriveSettings,
 ) -> Drive:
-    dof = int(model.jnt_dofadr[joint])
-    count = 3 if model.jnt_type[joint] == _BALL else 1
-    inertia = float(np.max(model.dof_M0[dof : dof + count]))
-    effort = given.effort or motor.effort
-    if effort is None:
-        effort = min(_EFFORT_OF_WEIGHT * weight_moment, _MAX_ACCELERATION * inertia)
     kp, kd = given.kp, given.kd
     if kp is None and motor.follows:
         kp = 0.0
@@ -133,7 +162,7 @@ def _drive(
         kd = _KD_OF_KP * kp
     armature = given.armature
     if armature is None:
-        armature = float(model.dof_armature[dof])
+        armature = float(model.dof_armature[model.jnt_dofadr[joint]])
     if given.armature is None and armature == 0 and kp > 0 and motor.kp is None:
         armature = _ARMATURE_OF_EFFORT * _useful(effort, weight_moment)
     return Drive(model.joint(joint).name, kp, kd, effort, armature)

@@ -159,12 +159,12 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     patterns = read_drives(settings.drives, f"{where}.drives")
     mass_height = _mass_height(model, qpos)
     moment = _weight_moment(model, qpos, mass_height)
-    drives = choose_drives(model, motors, moment, patterns, f"{where}.drives")
+    contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
+    contacts = contacts or touching_bodies(model, qpos)
+    drives = choose_drives(model, motors, moment, patterns, f"{where}.drives", contacts)
     notes += _rotors_added(model, drives)
     key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
-    contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
     ends = limb_ends(model, qpos)
-    contacts = contacts or touching_bodies(model, qpos)
     stands_on = set(ends) & set(contacts)
     if len(stands_on) < min(2, len(ends)):
         number = "one end" if stands_on else "no end"

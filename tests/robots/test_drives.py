@@ -56,6 +56,20 @@ def test_without_efforts_the_weight_counts():
     assert hip.kp == pytest.approx(4 * hip.effort)
 
 
+def test_an_ankle_carries_the_robot_and_a_finger_does_not():
+    """Of unknown efforts: a light foot moves the robot over it, a light finger only itself."""
+    foot = LEG.replace('size="0.05"', 'size="0.05" mass="1e-3"')
+    finger = """<body name="finger" pos="0.1 0 0"><joint name="finger" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.05 0 0" size="0.01" mass="1e-2"/></body>"""
+    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf(leg=foot + finger)))
+    by_name = {drive.joint: drive.effort for drive in robot.drives}
+    assert by_name["knee"] == by_name["hip"] == pytest.approx(0.35 * weight_moment(robot))
+    inertia = robot.model.dof_M0[robot.model.joint("finger").dofadr[0]]
+    inertia -= robot.model.dof_armature[robot.model.joint("finger").dofadr[0]]
+    assert by_name["finger"] == pytest.approx(5000 * inertia, rel=1e-6)
+    assert by_name["finger"] < 0.02 * by_name["knee"]
+
+
 def test_efforts_beyond_reason_do_not_make_gains_beyond_reason():
     robot = prepared(effort=1e5)
     assert robot.drives[1].effort == 1e5
