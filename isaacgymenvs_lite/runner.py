@@ -158,75 +158,112 @@ def train(
         return _train(launch, command, group, stop or StopRequest(), direction)
 
 
+@dataclass(frozen=True)
+class _Training:
+    """What a training consists of before rl_games makes its agent."""
+
+    task: VecTask
+    params: dict[str, Any]
+    objective: Objective
+    observers: TrainingObservers
+    viewers: Viewers
+
+
 def _train(
     launch: _Launch, command: TypedCommand, group: ProcessGroup, stop: StopRequest, direction: str
 ) -> float | None:
     """Train in a run folder that the main process has reserved; see `train`."""
-    interrupt: KeyboardInterrupt | None = None
     with _open_tasks(launch) as make_task, ExitStack() as stack:
         with group.together():
             pbt = stack.enter_context(_population(launch, group, stop))
-            viewers = Viewers(launch.settings)
-            task, params = _make_task(launch, make_task)
-            imitation = _imitation_observer(params["config"], task, make_task)
-            objective = objective_of(params["config"], imitation is not None)
-            objective.check_direction(direction, str(launch.cfg.task.name))
-            observers = TrainingObservers(
-                launch.cfg,
-                launch.settings,
-                launch.folder.name,
-                imitation,
-                task.max_episode_length,
-                stop,
-                pbt,
-            )
+            training = _set_up_training(launch, make_task, pbt, stop, direction)
         with group.together():
             if group.is_main:
                 if launch.settings.resume:
                     command = command.after(launch.folder.typed())
                 launch.folder.create(launch.repeatable, command.words)
                 mark_run(launch.folder.path)
+        task, observers = training.task, training.observers
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
-            log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
-        try:
-            viewers.start(task, launch.folder.path, stop.request)
-            with stop, _output_to_log(), group.lost_peers_explained():
-                runner = _load_runner(params, task, observers)
-                runner.run({"train": True, "play": False, **launch.overrides})
-                if group.is_main and objective is POSE_ERROR and not stop.requested:
-                    observers.evaluate_end()
-        except NotFiniteError:
-            raise  # the run folder shows how it happened
-        except UserError as error:
-            launch.folder.remove_if_unused()
-            if not getattr(observers.agent, "has_joined", False):
-                group.fail_together(error)
-            raise
-        except RestartRequest:
-            if not stop.requested:
-                raise
-            _save(observers.agent, launch, "_interrupted")  # the user was faster
-        except KeyboardInterrupt as error:
-            interrupt = error
-            log.warning("stopped at once")
-            _save(observers.agent, launch, "_interrupted")
-            launch.folder.remove_if_unused()
-        finally:
-            observers.close_log()
-            viewers.close()  # before wandb: its run gets the last videos
-            observers.close_wandb()
-        best = observers.best(objective) if group.is_main else None
+            log.info("%s, %d thread(s) each", sizes, training.params["torch_threads"])
+        interrupt = _run_training(training, launch, group, stop)
+        best = observers.best(training.objective) if group.is_main else None
         if group.is_main:
             _save_best(observers.agent, launch)
             if best is not None:
-                log.info("%s", objective.describe(best))
+                log.info("%s", training.objective.describe(best))
             _report_end(launch, command, stop.requested)
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)
         return best
+
+
+def _set_up_training(
+    launch: _Launch,
+    make_task: Callable[[int], VecTask],
+    pbt: PBTObserver | None,
+    stop: StopRequest,
+    direction: str,
+) -> _Training:
+    """Make the task and the observers of a training; mistakes show here."""
+    viewers = Viewers(launch.settings)
+    task, params = _make_task(launch, make_task)
+    imitation = _imitation_observer(params["config"], task, make_task)
+    objective = objective_of(params["config"], imitation is not None)
+    objective.check_direction(direction, str(launch.cfg.task.name))
+    observers = TrainingObservers(
+        launch.cfg,
+        launch.settings,
+        launch.folder.name,
+        imitation,
+        task.max_episode_length,
+        stop,
+        pbt,
+    )
+    return _Training(task, params, objective, observers, viewers)
+
+
+def _run_training(
+    training: _Training, launch: _Launch, group: ProcessGroup, stop: StopRequest
+) -> KeyboardInterrupt | None:
+    """Train until the end, and close what was opened; return a second Ctrl-C.
+
+    Raises:
+        UserError: as `train`.
+        RestartRequest: as `train`.
+    """
+    observers, viewers = training.observers, training.viewers
+    try:
+        viewers.start(training.task, launch.folder.path, stop.request)
+        with stop, _output_to_log(), group.lost_peers_explained():
+            runner = _load_runner(training.params, training.task, observers)
+            runner.run({"train": True, "play": False, **launch.overrides})
+            if group.is_main and training.objective is POSE_ERROR and not stop.requested:
+                observers.evaluate_end()
+    except NotFiniteError:
+        raise  # the run folder shows how it happened
+    except UserError as error:
+        launch.folder.remove_if_unused()
+        if not getattr(observers.agent, "has_joined", False):
+            group.fail_together(error)
+        raise
+    except RestartRequest:
+        if not stop.requested:
+            raise
+        _save(observers.agent, launch, "_interrupted")  # the user was faster
+    except KeyboardInterrupt as error:
+        log.warning("stopped at once")
+        _save(observers.agent, launch, "_interrupted")
+        launch.folder.remove_if_unused()
+        return error
+    finally:
+        observers.close_log()
+        viewers.close()  # before wandb: its run gets the last videos
+        observers.close_wandb()
+    return None
 
 
 def _make_task(

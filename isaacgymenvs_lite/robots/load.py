@@ -159,16 +159,10 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     patterns = read_drives(settings.drives, f"{where}.drives")
     mass_height = _mass_height(model, qpos)
     moment = _weight_moment(model, qpos, mass_height)
-    contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
-    contacts = contacts or touching_bodies(model, qpos)
+    key_bodies, contacts, more = _key_bodies_and_contacts(model, qpos, settings, where)
+    notes += more
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives", contacts)
     notes += _rotors_added(model, drives)
-    key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
-    ends = limb_ends(model, qpos)
-    stands_on = set(ends) & set(contacts)
-    if len(stands_on) < min(2, len(ends)):
-        number = "one end" if stands_on else "no end"
-        notes.append(f"stands on {', '.join(contacts)}, {number} of a limb: startRotation turns it")
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
@@ -181,7 +175,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
         model=final,
         layout=ModelLayout.from_model(final),
         drives=tuple(drives),
-        key_bodies=key_bodies or ends,
+        key_bodies=key_bodies,
         contact_bodies=contacts,
         start_qpos=qpos,
         mass_height=mass_height,
@@ -215,6 +209,22 @@ def _start(
         return qpos, [note]
     bent[2] = start_height(model, bent) if height is None else height
     return bent, [f"{note}, legs bent with each foot below its hip"]
+
+
+def _key_bodies_and_contacts(
+    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], settings: RobotSettings, where: str
+) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
+    """Return the key bodies, the bodies in contact, and a note on a robot that seems to lie."""
+    key_bodies = bodies_named(model, settings.key_bodies, f"{where}.keyBodies")
+    contacts = bodies_named(model, settings.contact_bodies, f"{where}.contactBodies")
+    contacts = contacts or touching_bodies(model, qpos)
+    ends = limb_ends(model, qpos)
+    stands_on = set(ends) & set(contacts)
+    if len(stands_on) >= min(2, len(ends)):
+        return key_bodies or ends, contacts, []
+    number = "one end" if stands_on else "no end"
+    note = f"stands on {', '.join(contacts)}, {number} of a limb: startRotation turns it"
+    return key_bodies or ends, contacts, [note]
 
 
 def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
