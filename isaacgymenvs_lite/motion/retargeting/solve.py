@@ -30,10 +30,11 @@ _CONVERGED_RAD = 1e-3  # largest step (rad, m) of the last iteration
 _DAMPING = 1e-4
 # Weights of places (1/m) and attitudes (1/rad), by the humanoid's names without their side. The
 # feet come first, then hands and trunk, then knees and elbows, which decide to which side a limb
-# bends. An ankle at its limit tilts the foot rather than turn the leg out.
+# bends. An ankle at its limit tilts the foot rather than turn the leg out. The torso has a place so
+# that a spine of several joints does not bend back where an arm is at its limit.
 WEIGHTS = {
     "pelvis": (10.0, 3.0),
-    "torso": (0.0, 3.0),
+    "torso": (4.0, 3.0),
     "head": (0.0, 2.0),
     "lower_arm": (6.0, 0.0),
     "hand": (10.0, 0.5),
