@@ -7,9 +7,9 @@
 
 The file takes raw observations and returns actions within the task's limits; the normalisers are
 part of it. `checkpoint` is a .pth file, `last` (the newest one of all runs, or of `task=`), or a
-shipped policy. Task and train settings are
-read from the run; other words override them as on the command line of train.py. Of a robot's task
-its model is written, too, so that play_onnx.py can play the file without this package.
+shipped policy. Task and train settings are read from the run; other words override them as on the
+command line of train.py. Of a robot's task its model is written, too, so that play_onnx.py can play
+the file without this package.
 """
 
 from __future__ import annotations
