@@ -5,6 +5,17 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import pytest
+
+
+def needs(package: str) -> pytest.MarkDecorator:
+    """Return a mark that skips a test without a package; unlike importorskip it does not import.
+
+    A stand-in for the package, as other tests make, is found only before the package is imported.
+    """
+    missing = importlib.util.find_spec(package) is None
+    return pytest.mark.skipif(missing, reason=f"{package} is not installed")
+
 
 def file_of_package(name: str) -> Path:
     """Return a file `package/path` without importing the package, which may take seconds."""

@@ -24,6 +24,7 @@ from isaacgymenvs_lite.motion.loader import load_clips, load_single_clip
 from isaacgymenvs_lite.motion.robot_file import load_clip_robot
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.robots.settings import RobotSettings
+from tests.packages import needs
 
 G1 = "robot=mjcf/g1.xml"
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -290,15 +291,15 @@ def test_clips_of_others_are_not_shown(line_of, main) -> None:
     assert not Path("a.png").exists()
 
 
+@needs("pybullet_data")
 def test_deepmimics_clips_are_not_a_robots(g1: Skeleton) -> None:
-    pytest.importorskip("pybullet_data")
     with pytest.raises(MotionFileError, match=r"is a DeepMimic clip of the humanoid; retarget it"):
         load_clips("deepmimic:walk", g1)
 
 
+@needs("pybullet_data")
 def test_a_robot_with_the_humanoids_bodies_is_no_humanoid() -> None:
     """dm_control's humanoid has the names of DeepMimic's bodies, and several hinges on some."""
-    pytest.importorskip("pybullet_data")
     hinges = "".join(f'<joint name="{{0}}_{axis}" axis="{rows}"/>' for axis, rows in AXES.items())
     bodies = "".join(
         f'<body name="{name}">{hinges.format(name)}<geom size=".1"/></body>'

@@ -1,4 +1,3 @@
-import importlib.util
 import json
 import logging
 from pathlib import Path
@@ -11,6 +10,7 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.formats import deepmimic
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from tests.packages import needs
 
 # Zero joints: the soles are 0.421546 + 0.409870 + 0.05 m under the pelvis.
 SOLE_DEPTH_M = 0.881416
@@ -156,9 +156,7 @@ def test_body_without_the_joints_is_refused(tiny: Skeleton) -> None:
         deepmimic.clip_from_deepmimic(walk(), tiny, "walk")
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("pybullet_data") is None, reason="pybullet_data is not installed"
-)
+@needs("pybullet_data")
 def test_real_walk_goes_forward_on_the_ground(humanoid: Skeleton) -> None:
     ((clip, _),) = load_clips("deepmimic:walk")
     assert clip.num_frames == 39

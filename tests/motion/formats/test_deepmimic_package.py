@@ -11,12 +11,11 @@ from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import find_in_package
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from tests.packages import needs
 
 WALKS = ["humanoid3d_walk", "walker/0walk_forward"]
 TURNS = [f"walker/turn_{side}" for side in ("left0", "left1", "right0", "right1")]
-needs_the_package = pytest.mark.skipif(
-    importlib.util.find_spec("pybullet_data") is None, reason="pybullet_data is not installed"
-)
+needs_the_package = needs("pybullet_data")
 
 
 @pytest.fixture

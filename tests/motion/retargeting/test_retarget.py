@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.report import KEY_BODIES
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
+from tests.packages import needs
 from tools.clip_synthesis.checks import foot_figures
 
 # The search ends with a step of at most 1e-3 rad, which moves a hand by 1 mm at most. The pull
@@ -72,8 +72,7 @@ def test_joint_limits_hold(tmp_path: Path, write_bvh, humanoid, make_humanoid_cl
     assert dofs[-1, humanoid.dof_names.index("abdomen_z")] == pytest.approx(upper[2], abs=1e-3)
 
 
-# Looked for, not imported: other tests put a package of that name in its place.
-@pytest.mark.skipif(importlib.util.find_spec("pybullet_data") is None, reason="no pybullet")
+@needs("pybullet_data")
 @pytest.mark.parametrize("name", ["cartwheel", "dance_a", "getup_faceup"])
 def test_published_motion_follows_within_its_joint_limits(
     tmp_path: Path, write_bvh, humanoid, name
