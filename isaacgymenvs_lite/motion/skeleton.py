@@ -128,7 +128,7 @@ class Skeleton:
 
     @functools.cached_property
     def up_b(self) -> tuple[float, ...]:
-        """The upward direction in the frame of a root that is upright, as in its model."""
+        """The upward direction (3,) in the frame of a root that is upright, as in its model."""
         turn = np.array((1.0, 0.0, 0.0, 0.0)) if self.model is None else self.model.qpos0[3:7]
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, turn)

@@ -39,6 +39,7 @@ from isaacgymenvs_lite.utils import rotations
 from tests.packages import file_of_package
 
 FPS = 30.0
+SHIPPED = ("g1", "quadruped", "anymal", "ant", "humanoid")
 Moving = Callable[..., np.ndarray]
 # One hinge per body, bodies turned at rest, no anchors: rotations determine the angles.
 PLAIN = """
@@ -142,7 +143,7 @@ def test_forward_kinematics_is_mujocos(
 @pytest.mark.parametrize(
     "name",
     [
-        *(f"mjcf/{name}.xml" for name in ("g1", "quadruped", "anymal", "ant", "amp_humanoid")),
+        *(f"mjcf/{name}.xml" for name in (*SHIPPED, "amp_humanoid")),
         *(f"gymnasium/envs/mujoco/assets/{name}.xml" for name in ("humanoid", "ant")),
         *(f"dm_control/suite/{name}.xml" for name in ("humanoid", "quadruped", "humanoid_CMU")),
         *("dm_control/suite/dog.xml", "dm_control/locomotion/walkers/assets/rodent.xml"),
