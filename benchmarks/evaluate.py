@@ -74,6 +74,7 @@ def measure(
         pose_error_m=plain(outcome.imitation.pose_error_m),
         no_fall_share=outcome.imitation.no_fall_share,
         tempo=plain(outcome.imitation.tempo),
+        motion_shown=plain(outcome.imitation.motion_shown),
         speed_m_s=plain(outcome.speed_m_s),
         clip_speed_m_s=outcome.clip_speed_m_s,
         goal_errors=outcome.goal_errors,

@@ -18,6 +18,7 @@ TAGS = {
     "pose_error_m": ("imitation/pose_error_m",),
     "no_fall_share": ("imitation/no_fall_share",),
     "tempo": ("imitation/tempo",),
+    "motion_shown": ("imitation/motion_shown",),
     "style_reward": ("info/disc_reward_mean",),
     "episode_return": ("rewards/frame", "rewards/step"),
 }

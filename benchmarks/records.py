@@ -27,6 +27,7 @@ class Record:
         minutes_to_280: until the mean episode length in training first was at least 280.
         frames_to_280: the same in frames.
         no_fall_share: 0 to 1.
+        motion_shown: share of the clips' motion, 0 to 1, see `evaluation.motion_coverage`.
         speed_m_s: of the root along the ground.
         goal_errors: means by name, such as `velocity_error_m_s`; {} for a task without a goal.
         evaluation_seed: of the episodes' starts.
@@ -57,6 +58,7 @@ class Record:
     commit: str | None
     cores: int | None
     settings: list[str] | None
+    motion_shown: float | None = None
     goal_errors: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -64,8 +66,8 @@ class Record:
 
 
 # What a median is taken of.
-_MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "speed_m_s")
-_MEDIANS += ("clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
+_MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "motion_shown")
+_MEDIANS += ("speed_m_s", "clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
 
 
 def medians(records: Sequence[Record]) -> dict[str, Any]:
@@ -103,6 +105,7 @@ def numbers_line(n: dict[str, Any]) -> str:
         f" pose error {_number(n['pose_error_m'], '.4f')} m,"
         f" without a fall {_number(n['no_fall_share'], '.2f')},"
         f" tempo {_number(n['tempo'], '.2f')},"
+        f" motion shown {_number(n['motion_shown'], '.2f')},"
         f" speed {_number(n['speed_m_s'], '.2f')} m/s (clip {n['clip_speed_m_s']:.2f}),"
         f"{errors} episode {n['mean_episode_steps']:.0f} steps;"
         f" {GOOD_EPISODE_STEPS} steps in training {reached}"
@@ -129,6 +132,7 @@ def markdown_table(records: Sequence[Record]) -> str:
         ("pose error (m)", "pose_error_m", 1, ".3f"),
         ("episodes without a fall", "no_fall_share", 1, ".2f"),
         ("tempo", "tempo", 1, ".2f"),
+        ("motion shown", "motion_shown", 1, ".2f"),
         ("speed (m/s)", "speed_m_s", 1, ".2f"),
         ("the clip's", "clip_speed_m_s", 1, ".2f"),
         (f"minutes to {GOOD_EPISODE_STEPS} steps", "minutes_to_280", 1, ".1f"),

@@ -19,6 +19,8 @@ from isaacgymenvs_lite.env_interface import (
     diverged_in,
     fits,
 )
+from isaacgymenvs_lite.evaluation.body_tracks import tracks_of_clips
+from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
 from isaacgymenvs_lite.evaluation.pose_error import (
     EpisodeRecorder,
     ImitationResult,
@@ -72,7 +74,12 @@ class _ImitationProbe:
 
     def __init__(self, env: ReferenceEnv, episodes_per_env: int) -> None:
         self._sim = env.simulation
-        self._metric = PoseErrorMetric(ReferencePoses.from_motion_lib(env.motion_lib, env.dt))
+        clips = tracks_of_clips(env.motion_lib, env.dt)
+        self._metric = PoseErrorMetric(
+            ReferencePoses.from_tracks(clips),
+            MotionCoverage(clips, env.dt),
+            env.max_episode_length,
+        )
         self._recorder = EpisodeRecorder(
             env.num_envs,
             len(self._sim.body_names),

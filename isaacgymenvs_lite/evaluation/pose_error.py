@@ -21,6 +21,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
+from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
 from isaacgymenvs_lite.evaluation.time_warping import Alignment, align
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
@@ -72,20 +74,13 @@ class ReferencePoses:
 
     @classmethod
     def from_motion_lib(cls, motion_lib: MotionLib, dt_s: float) -> ReferencePoses:
-        """Sample every clip of a motion library at the times 0, dt_s, 2 dt_s, ... < its length.
+        """Sample the clips of a motion library, see `tracks_of_clips`."""
+        return cls.from_tracks(tracks_of_clips(motion_lib, dt_s))
 
-        The end is left out, because the last pose of a clip that closes is the first one.
-        """
-        clips = []
-        for motion_id in range(motion_lib.num_motions()):
-            length_s = float(motion_lib.get_motion_length([motion_id]))
-            # A length of a whole number of steps may come out a rounding error longer.
-            num_frames = max(1, math.ceil(length_s / dt_s - 1e-4))
-            ids = torch.full((num_frames,), motion_id)
-            times_s = torch.arange(num_frames, dtype=torch.float64) * dt_s
-            root_rot_w = motion_lib.get_motion_state(ids, times_s)[1]
-            clips.append(root_relative_pose(motion_lib.get_body_pos(ids, times_s), root_rot_w))
-        return cls(clips)
+    @classmethod
+    def from_tracks(cls, tracks: Sequence[Track]) -> ReferencePoses:
+        """Take the poses of clips, a row for each control step."""
+        return cls([root_relative_pose(t.body_pos_w, t.root_rot_w) for t in tracks])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +90,12 @@ class Episode:
     Attributes:
         poses: (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step.
         fell: whether it ended early by a fall.
+        track: where its bodies were, for the share of the motion; None: that is not measured.
     """
 
     poses: Tensor
     fell: bool
+    track: Track | None = None
 
 
 class EpisodeRecorder:
@@ -157,10 +154,12 @@ class EpisodeRecorder:
                 continue
             num_steps = slots[env]
             if not self._waiting[env] and num_steps > 0:
-                poses = root_relative_pose(
-                    self._body_pos_w[env, :num_steps], self._root_rot_w[env, :num_steps]
-                )
-                self.episodes.append(Episode(poses.cpu(), bool(has_fallen)))
+                steps = (env, slice(num_steps))
+                track = Track(self._body_pos_w[steps].cpu(), self._root_rot_w[steps].cpu())
+                # The buffers are written again in the next episode.
+                track = Track(track.body_pos_w.clone(), track.root_rot_w.clone())
+                poses = root_relative_pose(track.body_pos_w, track.root_rot_w)
+                self.episodes.append(Episode(poses, bool(has_fallen), track))
                 self._left[env] -= 1
             self._waiting[env] = False
             self._slots[env] = 0 if self._left[env] else self._max_steps
@@ -176,6 +175,8 @@ class ImitationResult:
         nearest_clip: (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
         tempo: mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a
             frozen pose, at most about 2. A low pose error means little when this is near 0.
+        motion_shown: share of the clips' motion that the episodes show, 0 to 1, see
+            `motion_coverage`; nan if it was not measured.
         no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
             not be measured counts as a fall.
         mean_episode_steps: mean length in control steps.
@@ -189,9 +190,12 @@ class ImitationResult:
     no_fall_share: float
     mean_episode_steps: float
     num_episodes: int
+    motion_shown: float = math.nan
 
     def __str__(self) -> str:
-        return f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}, {self.falls()}"
+        shown = "" if math.isnan(self.motion_shown) else f", {self.motion_shown:.0%} of the motion"
+        error = f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}"
+        return f"{error}{shown}, {self.falls()}"
 
     def falls(self) -> str:
         """Return, for users, how the episodes ended."""
@@ -206,10 +210,19 @@ class PoseErrorMetric:
 
     Args:
         reference: the clips, sampled at the episodes' control step.
+        coverage: measures the share of the clips' motion, too; None: that is not measured.
+        max_steps: control steps of an episode that does not end early, for `coverage`.
     """
 
-    def __init__(self, reference: ReferencePoses) -> None:
+    def __init__(
+        self,
+        reference: ReferencePoses,
+        coverage: MotionCoverage | None = None,
+        max_steps: int = 300,
+    ) -> None:
         self.reference = reference
+        self._coverage = coverage
+        self._max_steps = max_steps
 
     def evaluate(self, episodes: Sequence[Episode]) -> ImitationResult:
         """Measure E >= 1 episodes.
@@ -248,7 +261,14 @@ class PoseErrorMetric:
             no_fall_share=float(np.mean(no_fall)),
             mean_episode_steps=float(lengths.mean()),
             num_episodes=len(episodes),
+            motion_shown=self._motion_shown([episodes[i] for i in measurable]),
         )
+
+    def _motion_shown(self, episodes: Sequence[Episode]) -> float:
+        if self._coverage is None:
+            return math.nan
+        tracks = [episode.track for episode in episodes if episode.track is not None]
+        return self._coverage.share(tracks, self._max_steps)
 
 
 def _mean(values: npt.NDArray[np.float64]) -> float:

@@ -14,6 +14,7 @@ determines its format: .npz (this project's), .npy (poselib's), .txt or .json (D
     mapping=cmu         for .bvh: cmu, lafan1, or a YAML file; see docs/motion_formats.md (default:
                         by the names of joints)
     num_dofs=31         of the humanoid: 28, or 31 with sword and shield (default: as IN, else 28)
+    ground=True         raise or lower it, so that its lowest points are on the ground
     overwrite=True      OUT may exist
 
 For a clip of a robot:
@@ -49,6 +50,7 @@ from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS
 from isaacgymenvs_lite.motion.loader import JointFileSettings, load_single_clip
+from isaacgymenvs_lite.motion.plausibility import put_on_ground, warn_of_implausible
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_skeleton
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
@@ -117,6 +119,8 @@ class ConvertSettings:
     """Of the quaternions in a robot's file; None: as usual for its form, or as its bodies show."""
     by_order: bool = setting(False)
     """Whether the joints of a robot's file count by their order, not by their names."""
+    ground: bool = setting(False)
+    """Whether the whole clip is raised or lowered, so that its lowest points are on the ground."""
     overwrite: bool = setting(False)
     """Whether an existing output is replaced."""
 
@@ -132,6 +136,9 @@ def convert(source: str, out: str, settings: ConvertSettings) -> Path:
     formats = _ROBOT_FORMATS if settings.robot else _FORMATS
     check_output(path, formats, settings.overwrite)
     clip, skeleton = _robots_clip(source, settings) if settings.robot else _clip(source, settings)
+    if settings.ground:
+        clip = put_on_ground(clip, skeleton)
+    warn_of_implausible([clip], skeleton)
     formats[path.suffix].save(path, clip, skeleton)
     _log.info(
         "%s: %d frames at %g Hz, %.2f s, %d degrees of freedom; lost: %s",

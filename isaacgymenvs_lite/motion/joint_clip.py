@@ -37,8 +37,8 @@ _UNIT_TOLERANCE = 1e-3
 # What no robot does, and what is reported only: G1's fastest joints reach 37 rad/s.
 _ODD_JOINT_SPEED_RAD_S, _ODD_ROOT_SPEED_M_S = 60.0, 15.0
 _ODD_JOINT_RAD, _ODD_HEIGHT_M = 10.0, 20.0
-# Beyond a joint's limits: what is reported, and what no file in radians has.
-_ODD_EXCESS_RAD, _MAX_EXCESS_RAD = 0.1, 2.0 * np.pi
+# Beyond a joint's limits: what no file in radians has.
+_MAX_EXCESS_RAD = 2.0 * np.pi
 # A root is upright where its upward axis, by default z, is within 60 degrees of the world's.
 _UPRIGHT_COSINE = 0.5
 UP: tuple[float, ...] = (0.0, 0.0, 1.0)
@@ -260,7 +260,9 @@ class JointClip:
         return dataclasses.replace(self, dof_pos=dof_pos, joint_names=names)
 
     def check_limits(self, dof_limits: FloatArray) -> None:
-        """Check the joints against the limits (D, 2) rad of a robot, in its order; log an excess.
+        """Check that the joints are in rad, by the limits (D, 2) rad of a robot, in its order.
+
+        Smaller excesses are `plausibility`'s.
 
         Raises:
             MotionFileError: a joint is so far beyond its limits that its unit is another one.
@@ -268,17 +270,14 @@ class JointClip:
         excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
         joint = int(excess_rad.max(axis=0).argmax())
         worst_rad = float(excess_rad.max())
-        if worst_rad <= _ODD_EXCESS_RAD:
+        if worst_rad <= _MAX_EXCESS_RAD:
             return
         low, high = dof_limits[joint]
         name = self.joint_names[joint] if self.joint_names else f"joint {joint}"
-        text = (
+        raise MotionFileError(
             f"{self.name}: {name} leaves its limits ({low:.3g} to {high:.3g} rad) by up to"
-            f" {worst_rad:.3g} rad"
+            f" {worst_rad:.3g} rad; is the unit degrees?"
         )
-        if worst_rad > _MAX_EXCESS_RAD:
-            raise MotionFileError(f"{text}; is the unit degrees?")
-        _log.warning("%s; a policy cannot follow there", text)
 
 
 def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:

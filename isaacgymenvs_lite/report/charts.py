@@ -74,6 +74,7 @@ _PLANS = (
         {"in training": ("info/fall_rate",), "mean policy": (_FALL_TAG,)},
     ),
     _Plan("Tempo, multiple of the clip's", {"tempo": ("imitation/tempo",)}),
+    _Plan("Share of the clips' motion shown", {"motion shown": ("imitation/motion_shown",)}),
     _Plan(
         "Discriminator accuracy, share of the samples",
         {

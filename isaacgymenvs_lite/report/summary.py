@@ -20,6 +20,7 @@ _NEWEST = {
     "steps of an episode": (LENGTH_TAGS, "{:.4g}"),
     "style reward per step": (("info/disc_reward_mean",), "{:.3f}"),
     "pose error": (("imitation/pose_error_m",), "{:.3f} m"),
+    "motion shown": (("imitation/motion_shown",), "{:.0%}"),
     "falls in training": (("info/fall_rate",), "{:.0%}"),
     "discriminator accuracy": (("info/disc_acc",), "{:.2f}"),
     "learning rate": (("info/last_lr",), "{:.3g}"),

@@ -134,33 +134,42 @@ def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
 def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
     """Return the least height (m) of each body's geoms that can touch others, by body number."""
     lows: dict[int, float] = {}
-    paired = {*model.pair_geom1, *model.pair_geom2}
-    for geom in range(model.ngeom):
+    for geom in geoms_that_touch(model):
+        down = -data.geom_xmat[geom].reshape(3, 3)[2]  # the world's -z in the frame of the geom
         body = int(model.geom_bodyid[geom])
-        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
-        if model.body_weldid[body] != 0 and touches:
-            low = float(data.geom_xpos[geom, 2]) - _reach_down(model, data, geom)
-            lows[body] = min(low, lows.get(body, np.inf))
+        low = float(data.geom_xpos[geom, 2] - reach_down(model, geom, down))
+        lows[body] = min(low, lows.get(body, np.inf))
     return lows
 
 
-def _reach_down(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Return how far a geom reaches below its centre (m)."""
-    down = -data.geom_xmat[geom].reshape(3, 3)[2]  # the world's -z in the frame of the geom
+def geoms_that_touch(model: mujoco.MjModel) -> list[int]:
+    """Return the geoms of moving bodies that can touch others."""
+    paired = {*model.pair_geom1, *model.pair_geom2}
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[geom]] != 0
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired)
+    ]
+
+
+def reach_down(
+    model: mujoco.MjModel, geom: int, down: npt.NDArray[np.floating]
+) -> npt.NDArray[np.float64]:
+    """Return how far (...) m a geom reaches from its centre in directions (..., 3) of its frame."""
     size, kind = model.geom_size[geom], model.geom_type[geom]
-    if kind == _GEOM.mjGEOM_SPHERE:
-        return float(size[0])
     if kind == _GEOM.mjGEOM_CAPSULE:
-        return float(size[0] + size[1] * abs(down[2]))
+        return size[0] + size[1] * np.abs(down[..., 2])
     if kind == _GEOM.mjGEOM_CYLINDER:
-        return float(size[0] * np.hypot(down[0], down[1]) + size[1] * abs(down[2]))
+        return size[0] * np.hypot(down[..., 0], down[..., 1]) + size[1] * np.abs(down[..., 2])
     if kind == _GEOM.mjGEOM_ELLIPSOID:
-        return float(np.linalg.norm(size * down))
+        return np.linalg.norm(size * down, axis=-1)
     if kind == _GEOM.mjGEOM_BOX:
-        return float(size @ np.abs(down))
+        return np.abs(down) @ size
     if kind == _GEOM.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
         vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-        return float((vertices @ down).max())
-    return float(model.geom_rbound[geom])
+        return (down @ vertices.T).max(axis=-1)
+    radius = size[0] if kind == _GEOM.mjGEOM_SPHERE else model.geom_rbound[geom]
+    return np.full(down.shape[:-1], radius)

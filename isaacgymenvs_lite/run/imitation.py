@@ -133,6 +133,7 @@ class ImitationObserver(AlgoObserver):
             writer.add_scalar("imitation/pose_error_m", result.imitation.pose_error_m, frame)
             writer.add_scalar("imitation/no_fall_share", result.imitation.no_fall_share, frame)
             writer.add_scalar("imitation/tempo", result.imitation.tempo, frame)
+            writer.add_scalar("imitation/motion_shown", result.imitation.motion_shown, frame)
         for name, error in result.goal_errors.items():
             writer.add_scalar(f"goal/{name}", error, frame)
         log.info("after %d frames: %s", frame, result)

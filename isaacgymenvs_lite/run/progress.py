@@ -108,6 +108,7 @@ class ProgressObserver(AlgoObserver):
         return {
             "pose error": f"{measured.pose_error_m:.3f} m",
             "tempo": f"{measured.tempo:.2f}",
+            "motion shown": f"{measured.motion_shown:.0%}",
             **{name: f"{error:.2f}" for name, error in result.goal_errors.items()},
         }
 

@@ -28,6 +28,7 @@ RECORD = Record(
     pose_error_m=0.03,
     no_fall_share=1.0,
     tempo=1.0,
+    motion_shown=0.97,
     speed_m_s=1.5,
     clip_speed_m_s=1.5,
     mean_episode_steps=299.0,
@@ -63,7 +64,7 @@ def test_medians(column, expected):
 def test_a_line_names_all_numbers():
     assert str(RECORD) == (
         "walk seed 1: 1.00 M frames, 3.0 min; pose error 0.0300 m, without a fall 1.00, tempo 1.00,"
-        " speed 1.50 m/s (clip 1.50), episode 299 steps;"
+        " motion shown 0.97, speed 1.50 m/s (clip 1.50), episode 299 steps;"
         " 280 steps in training after 2.0 min, 0.50 M frames"
     )
     lost = replace(RECORD, pose_error_m=None, minutes_to_280=None, frames_to_280=None)

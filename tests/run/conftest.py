@@ -73,6 +73,7 @@ def result() -> EvaluationResult:
         no_fall_share=0.9,
         mean_episode_steps=90.5,
         num_episodes=16,
+        motion_shown=0.87,
     )
     return EvaluationResult(16, 100.0, 90.5, 0.3, measured)
 

@@ -50,6 +50,7 @@ def test_cheap_evaluations_come_every_so_many_epochs(clock, agent, result):
     assert [x for x, _ in tags["imitation/pose_error_m"]] == list(range(10_000, 101_000, 10_000))
     assert tags["imitation/no_fall_share"][0] == (10_000, 0.9)
     assert tags["imitation/tempo"][0] == (10_000, 1.02)
+    assert tags["imitation/motion_shown"][0] == (10_000, 0.87)
     assert tags["imitation/episode_steps"][0] == (10_000, 90.5)
     assert observer.last is result
     assert observer.last_frame == 100_000

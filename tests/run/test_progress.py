@@ -130,7 +130,7 @@ def test_the_pose_error_is_shown_once_known(agent, clock, result, monkeypatch, c
         imitation.last = result
         end_epoch(observer, clock, 2, 1.0)
     assert "pose error" not in caplog.messages[0]
-    assert caplog.messages[1].endswith("pose error 0.123 m, tempo 1.02")
+    assert caplog.messages[1].endswith("pose error 0.123 m, tempo 1.02, motion shown 87%")
 
 
 def test_a_request_makes_the_epoch_the_last_one(agent, clock, monkeypatch):

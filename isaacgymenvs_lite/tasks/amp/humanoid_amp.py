@@ -14,6 +14,7 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.schema import read_section
+from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -27,12 +28,14 @@ from isaacgymenvs_lite.tasks.base.humanoid_observations import (
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
-from isaacgymenvs_lite.tasks.base.vec_task import RobotState
+from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
+# A failure in this time is one of the start: about as long as a leap with its landing.
+_FAILS_SOON_S = 1.5
 
 
 def build_amp_observations(
@@ -115,6 +118,8 @@ class HumanoidAMP(HumanoidAMPBase):
             self.device,
             repair_repeated_frames=self.env_cfg.repair_repeated_frames,
             skeleton=self.reference_skeleton(),
+            interpolation=self.env_cfg.clip_interpolation,
+            ground=self.env_cfg.ground_clips,
         )
 
     def reference_skeleton(self) -> Skeleton | None:
@@ -133,6 +138,13 @@ class HumanoidAMP(HumanoidAMPBase):
         self._starts = PrefetchedSampler(
             self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME)
         )
+        self._adaptive = AdaptiveStarts(
+            self._motion_lib.get_motion_length(range(self._motion_lib.num_motions())),
+            self._motion_lib.motion_weights(),
+            round(_FAILS_SOON_S / self.control_dt_s),
+        )
+        # Where the episodes started; -1: in the default pose.
+        self._start_bins = torch.full_like(self.progress_buf, -1)
         self.goal.attach(self.simulation, self.control_dt_s)
 
     @property
@@ -232,9 +244,18 @@ class HumanoidAMP(HumanoidAMPBase):
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
         super().post_physics_step()
+        self._count_starts()
         history = self._amp_obs_buf
         push_newest(history, self.current_amp_features())
         self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
+
+    def _count_starts(self) -> None:
+        """Store where the episodes that end in this step had started."""
+        ended = ((self.done_buf != Done.RUNNING) & (self._start_bins >= 0)).nonzero().flatten()
+        if self.env_cfg.adaptive_starts == 0.0 or len(ended) == 0:
+            return
+        failed = self.done_buf[ended] == Done.FAILED
+        self._adaptive.count(self._start_bins[ended], self.progress_buf[ended], failed)
 
     # --- demonstrations ----------------------------------------------------------------------
 
@@ -379,6 +400,7 @@ class HumanoidAMP(HumanoidAMPBase):
             reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
         self._reset_to_reference(reference_ids)
         if len(default_ids) > 0:
+            self._start_bins[default_ids] = -1
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
         if len(reference_ids) > 0:
@@ -403,19 +425,31 @@ class HumanoidAMP(HumanoidAMPBase):
         """Draw moments of the clips: their states, and what is before and after them.
 
         Root states (n, 13), DOF positions and velocities (n, D), the AMP features of the steps
-        before (n, steps - 1, ...), the root states that the goal looks ahead (n, T, 13).
+        before (n, steps - 1, ...), the root states that the goal looks ahead (n, T, 13), and the
+        bins (n,) of `adaptive_starts`.
         """
-        lib = self._motion_lib
-        motion_ids = lib.sample_motions(n)
-        times = torch.zeros(n, device=self.device)
-        if self.env_cfg.state_init != "Start":
-            times = lib.sample_time(motion_ids)
+        motion_ids, times = self._draw_moments(n)
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
         root, dof_pos, dof_vel, key_pos = self._reference_states(motion_ids, times, steps)
         before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
         ahead = self._roots_ahead_of(motion_ids, times)
-        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead
+        bins = self._adaptive.bins_of(motion_ids, times)
+        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead, bins
+
+    def _draw_moments(self, n: int) -> tuple[Tensor, Tensor]:
+        """Draw motions (n,) and times (n,) s in them at which episodes start."""
+        lib = self._motion_lib
+        motion_ids = lib.sample_motions(n)
+        if self.env_cfg.state_init == "Start":
+            return motion_ids, torch.zeros(n, device=self.device)
+        times = lib.sample_time(motion_ids)
+        if self.env_cfg.adaptive_starts > 0.0:
+            is_adaptive = torch.rand(n, device=self.device) < self.env_cfg.adaptive_starts
+            hard_ids, hard_times = self._adaptive.draw(n)
+            motion_ids = torch.where(is_adaptive, hard_ids, motion_ids)
+            times = torch.where(is_adaptive, hard_times, times)
+        return motion_ids, times
 
     def _roots_ahead_of(self, motion_ids: Tensor, times: Tensor) -> Tensor:
         """Return the root states (n, T, 13) that the goal looks ahead from times (n,) s on."""
@@ -432,7 +466,8 @@ class HumanoidAMP(HumanoidAMPBase):
         if len(env_ids) == 0:
             return
         starts = self._starts.next(len(env_ids))
-        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
+        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead, bins = starts
+        self._start_bins[env_ids] = bins
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:

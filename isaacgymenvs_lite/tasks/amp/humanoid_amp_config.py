@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from isaacgymenvs_lite.motion.interpolation import INTERPOLATIONS
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
 
@@ -43,6 +44,13 @@ class HumanoidAMPConfig(TaskConfig):
     repair_repeated_frames: bool = setting(True, key="repairRepeatedFrames")
     """This project's: drop the repeats of a clip that stores every frame twice, whose joint
     velocities would alternate between zero and twice the truth."""
+    clip_interpolation: str = setting("spline", key="clipInterpolation", choices=INTERPOLATIONS)
+    """This project's: what is between the frames of clips: a spline, whose derivative gives the
+    velocities, or what the originals compute, see `motion.interpolation`."""
+    adaptive_starts: float = setting(0.0, key="adaptiveStarts", minimum=0, maximum=1)
+    """This project's: share of the starts in clips that are drawn where the policy fails."""
+    ground_clips: bool = setting(False, key="groundClips")
+    """This project's: raise or lower each clip so that its lowest points are on the ground."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
     """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
     The originals do not limit them; docs/results.md has the cost of the limits."""

@@ -38,7 +38,7 @@ def _time_of(height_m: Tensor) -> Tensor:
 
 
 def _library(walk_clip: Path) -> MotionLib:
-    return MotionLib(walk_clip, 28, [5, 8, 11, 14], "cpu")
+    return MotionLib(walk_clip, 28, [5, 8, 11, 14], "cpu", interpolation="spline")
 
 
 def _features(library: MotionLib, times_s: Tensor, local_root_obs: bool = False) -> Tensor:

@@ -54,7 +54,7 @@ def three_clips(walk_clip: Path, tmp_path: Path) -> Path:
 def _shows(task: HumanoidViewMotion, motion_ids: list[int], times_s: list[float]) -> None:
     """Check that the characters are in the states of the clips, at rest."""
     sim, keys = task.simulation, [5, 8, 11, 14]
-    library = MotionLib(task.env_cfg.motion_file, 28, keys, "cpu")
+    library = MotionLib(task.env_cfg.motion_file, 28, keys, "cpu", interpolation="spline")
     state = library.get_motion_state(motion_ids, torch.tensor(times_s, dtype=torch.float64))
     root = torch.cat((state.root_pos, state.root_rot, torch.zeros(len(times_s), 6)), dim=-1)
     torch.testing.assert_close(sim.root_states, root, rtol=0.0, atol=ATOL)

@@ -191,7 +191,13 @@ def test_history_of_a_start_in_the_clip_is_the_clip_s(
     history = next(_random_steps(task, 1))[-1]["amp_obs"].view(16, 10, -1)
     torch.testing.assert_close(history[:, 1], start, rtol=0.0, atol=ATOL)
     dofs = task.num_actions
-    library = MotionLib(armed_walk_clip if armed else walk_clip, dofs, KEY_BODIES[dofs], "cpu")
+    library = MotionLib(
+        armed_walk_clip if armed else walk_clip,
+        dofs,
+        KEY_BODIES[dofs],
+        "cpu",
+        interpolation="spline",
+    )
     for k in range(1, 9):
         # Times before the beginning of the clip extrapolate.
         expected = _clip_features(library, times - k * DT)
@@ -246,7 +252,13 @@ def test_demonstrations_lie_inside_the_clip(
     clear = _away_from_frames(newest)
     assert clear.sum() > 150
     dofs = task.num_actions
-    library = MotionLib(armed_walk_clip if armed else walk_clip, dofs, KEY_BODIES[dofs], "cpu")
+    library = MotionLib(
+        armed_walk_clip if armed else walk_clip,
+        dofs,
+        KEY_BODIES[dofs],
+        "cpu",
+        interpolation="spline",
+    )
     for k in (0, 4, 9):
         expected = _clip_features(library, newest - k * DT)
         torch.testing.assert_close(demos[clear, k], expected[clear], rtol=0.0, atol=CLIP_ATOL)

@@ -1,0 +1,348 @@
+"""States of clips between their frames: on splines through the poses, or as published.
+
+All clips are concatenated in flat tensors, so that a call is a few gathers for any number of
+clips. Quaternions are xyzw.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, joint_rotations
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.simulation.kinematics import Kinematics
+from isaacgymenvs_lite.utils import rotations
+
+INTERPOLATIONS = ("spline", "published")
+
+
+class MotionState(NamedTuple):
+    """States of n samples, float32 on the library's device; K key bodies.
+
+    Attributes:
+        root_pos: (n, 3) m, world.
+        root_rot: (n, 4), world.
+        dof_pos: (n, num_dofs) rad, rotation vectors of ball joints and angles of hinges.
+        root_vel: (n, 3) m/s, world.
+        root_ang_vel: (n, 3) rad/s, world.
+        dof_vel: (n, num_dofs) rad/s, rates of hinges' angles; of ball joints the angular velocity
+            in the child's frame.
+        key_pos: (n, K, 3) m, world.
+    """
+
+    root_pos: Tensor
+    root_rot: Tensor
+    dof_pos: Tensor
+    root_vel: Tensor
+    root_ang_vel: Tensor
+    dof_vel: Tensor
+    key_pos: Tensor
+
+
+class Moments(NamedTuple):
+    """Times in clips.
+
+    Attributes:
+        row: (n,) number of the frame at or before each, among the frames of all clips.
+        next_row: (n,) of the frame after it; the same at the end of a clip.
+        blend: (n,) time since the first in frames; negative before the start of a clip.
+        frame_s: (n,) s, from one frame to the next.
+    """
+
+    row: Tensor
+    next_row: Tensor
+    blend: Tensor
+    frame_s: Tensor
+
+
+class Frames(Protocol):
+    """The frames of all clips of a library, on a device."""
+
+    def states(self, at: Moments) -> MotionState:
+        """Return the states at n moments."""
+        ...
+
+    def body_pos(self, at: Moments) -> Tensor:
+        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        ...
+
+
+class PoseSplines:
+    """Cubic splines through the poses, twice continuously differentiable; velocities are theirs.
+
+    Splines go through the root's position, the angles of hinges, and the quaternions of the root
+    and of ball joints, which are scaled to unit length. They end "not-a-knot": no velocity is
+    assumed at the ends. Bodies are placed by the forward kinematics of the robot's model. Before
+    the start of a clip the pose goes on backwards at the first velocity; after the end the last
+    state is kept.
+
+    Args:
+        clips: their bodies in the order of the skeleton.
+        skeleton: with a model.
+        key_ids: K body ids.
+        device: of the tensors.
+
+    Raises:
+        ConfigError: the skeleton has no model.
+        MotionFileError: a clip's poses do not determine its joint angles.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MotionClip],
+        skeleton: Skeleton,
+        key_ids: Sequence[int],
+        device: torch.device,
+    ) -> None:
+        if skeleton.model is None:
+            raise ConfigError(
+                "interpolation=spline: the skeleton has no model whose kinematics places the"
+                " bodies; read it with Skeleton.from_mjcf, or give interpolation=published"
+            )
+        self._device = device
+        self._skeleton = skeleton
+        self._joints = JointColumns(skeleton, with_angles=True)
+        self._dof_columns = torch.tensor(self._joints.columns, device=device)
+        self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
+        root = int(skeleton.model.jnt_bodyid[0])
+        self._bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
+        self._kinematics = Kinematics(skeleton.model, self._bodies.stop)
+        self._qpos0 = skeleton.model.qpos0.astype(np.float32)
+        rows = [self._rows_of(clip) for clip in clips]
+        # (frames, 2, columns): values, and their changes from one frame to the next.
+        self._rows = torch.from_numpy(np.concatenate(rows)).float().to(device)
+
+    def _rows_of(self, clip: MotionClip) -> FloatArray:
+        """Return (T, 2, columns): root position, angles of hinges, quaternions; their slopes."""
+        angles, turns = self._joints.poses(clip)
+        turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
+        # A quaternion and its negative are the same rotation; a spline needs neighbours.
+        is_other_side = (turns[1:] * turns[:-1]).sum(axis=-1) < 0.0
+        turns[1:] *= np.where(np.cumsum(is_other_side, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
+        parts = (clip.root_translation, angles, turns.reshape(clip.num_frames, -1))
+        values = np.concatenate(parts, axis=1).astype(np.float64)
+        slopes = CubicSpline(np.arange(clip.num_frames), values)(np.arange(clip.num_frames), 1)
+        return np.stack((values, slopes), axis=1)
+
+    def states(self, at: Moments) -> MotionState:
+        """Return the states at n moments."""
+        values, rates = self._on_splines(at)
+        num_angles = len(self._joints.angles)
+        root_pos, angles, turns = values.split([3, num_angles, values.shape[1] - 3 - num_angles], 1)
+        root_vel, angle_rates, turn_rates = rates.split([3, num_angles, turns.shape[1]], dim=1)
+        turns, turn_rates = turns.unflatten(1, (-1, 4)), turn_rates.unflatten(1, (-1, 4))
+        length = turns.norm(dim=-1, keepdim=True)
+        turns, turn_rates = turns / length, turn_rates / length
+        # d/dt q = 1/2 w q, of the angular velocity w in the world, or 1/2 q w in the body's frame.
+        inverse = rotations.quat_conjugate(turns)
+        root_ang_vel = 2.0 * rotations.quat_mul(turn_rates[:, 0], inverse[:, 0])[:, :3]
+        joint_rates = 2.0 * rotations.quat_mul(inverse[:, 1:], turn_rates[:, 1:])[..., :3]
+        joint_vectors = rotations.quat_to_exp_map(turns[:, 1:])
+        dof_pos = torch.cat((joint_vectors.flatten(1), angles), dim=1)
+        dof_vel = torch.cat((joint_rates.flatten(1), angle_rates), dim=1)
+        return MotionState(
+            root_pos=root_pos,
+            root_rot=turns[:, 0],
+            dof_pos=dof_pos.index_select(1, self._dof_columns),
+            root_vel=root_vel,
+            root_ang_vel=root_ang_vel,
+            dof_vel=dof_vel.index_select(1, self._dof_columns),
+            key_pos=self._place_bodies(values).index_select(1, self._key_ids),
+        )
+
+    def body_pos(self, at: Moments) -> Tensor:
+        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        return self._place_bodies(self._on_splines(at)[0])
+
+    def _on_splines(self, at: Moments) -> tuple[Tensor, Tensor]:
+        """Return values (n, columns) and their rates per second."""
+        before, slope = self._rows.index_select(0, at.row).unbind(1)
+        after, next_slope = self._rows.index_select(0, at.next_row).unbind(1)
+        # At the end of a clip there is no next frame to go on to.
+        blend = torch.where(at.next_row == at.row, 0.0, at.blend).unsqueeze(1)
+        s = blend.clamp(0.0, 1.0)
+        # Hermite's form of the cubic between two frames, and its derivative.
+        change = after - before
+        bend = slope + next_slope - 2.0 * change
+        turn = 3.0 * change - 2.0 * slope - next_slope
+        values = before + s * (slope + s * (turn + s * bend)) + (blend - s) * slope
+        rates = slope + s * (2.0 * turn + 3.0 * s * bend)
+        return values, rates / at.frame_s.unsqueeze(1)
+
+    def _place_bodies(self, values: Tensor) -> Tensor:
+        """Return the positions (n, J, 3) m of all bodies by forward kinematics."""
+        n, first_turn = len(values), 3 + len(self._joints.angles)
+        rows = values.cpu().numpy()
+        turns = rows[:, first_turn:].reshape(n, -1, 4)[..., [3, 0, 1, 2]]  # MuJoCo's wxyz
+        addresses = self._skeleton.qpos_addresses
+        qpos = np.repeat(self._qpos0[:, None], n, axis=1)
+        qpos[:3], qpos[3:7] = rows[:, :3].T, turns[:, 0].T
+        for place, group in enumerate(self._joints.turned, start=1):
+            qpos[addresses[group] : addresses[group + 1]] = turns[:, place].T
+        qpos[[addresses[group] for group in self._joints.hinges]] = rows[:, 3:first_turn].T
+        positions = np.empty((3, self._bodies.stop, n), dtype=np.float32)
+        turned = np.empty((4, self._bodies.stop, n), dtype=np.float32)
+        self._kinematics.poses(qpos, positions, turned)
+        return torch.from_numpy(positions[:, self._bodies]).permute(2, 1, 0).to(self._device)
+
+
+class PublishedFrames:
+    """Between frames as the AMP and ASE motion libraries.
+
+    Positions, key bodies among them, are interpolated linearly in the world and rotations as
+    rotations; before the start of a clip they are extrapolated from its first two frames.
+    Velocities are those of the frame at or before a moment: the root's stored ones, which poselib
+    has smoothed over frames, and differences of the joints from each frame to the next.
+
+    Ball joints are kept as rotations. So are hinges of the shipped humanoids, as in the original;
+    hinges of other skeletons, and all if a clip has `dof_pos`, by their angles.
+
+    Args:
+        clips: their bodies in the order of the skeleton.
+        skeleton: of the clips.
+        key_ids: K body ids.
+        device: of the tensors.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MotionClip],
+        skeleton: Skeleton,
+        key_ids: Sequence[int],
+        device: torch.device,
+    ) -> None:
+        has_dofs = any(clip.dof_pos is not None for clip in clips)
+        self._joints = JointColumns(
+            skeleton, with_angles=has_dofs or not skeleton.has_simple_joints
+        )
+        self._dof_columns = torch.tensor(self._joints.columns, device=device)
+        self._num_positions = 1 + len(key_ids)
+        frames, body_pos = [], []
+        for clip in clips:
+            positions, _ = clip.global_poses()
+            body_pos.append(positions)
+            frames.append(self._rows_of(clip, positions[:, [0, *key_ids]]))
+        self._rows = torch.from_numpy(np.concatenate(frames)).float().to(device)
+        self._body_pos = torch.from_numpy(np.concatenate(body_pos)).float().to(device)
+
+    def _rows_of(self, clip: MotionClip, positions: FloatArray) -> FloatArray:
+        """Return the frames (T, columns): positions, angles of joints, rotations, velocities.
+
+        `positions` (T, 1 + K, 3) m belong to the root and the key bodies. The rotations are the
+        root's and the joints', the velocities the root's and the DOFs'.
+        """
+        angles, turns = self._joints.poses(clip)
+        rates = np.diff(angles, axis=0) * clip.fps
+        turning = kinematics.joint_velocities(turns, clip.fps).reshape(clip.num_frames, -1)
+        dof_vel = np.concatenate((turning, np.concatenate((rates, rates[-1:]))), axis=1)
+        parts = (
+            positions,
+            angles,
+            clip.local_rotation[:, :1],
+            turns,
+            clip.linear_velocity_w[:, 0],
+            clip.angular_velocity_w[:, 0],
+            dof_vel[:, self._joints.columns],
+        )
+        return np.concatenate([part.reshape(clip.num_frames, -1) for part in parts], axis=-1)
+
+    def states(self, at: Moments) -> MotionState:
+        """Return the states at n moments."""
+        frame = self._rows.index_select(0, at.row)
+        next_frame = self._rows.index_select(0, at.next_row)
+        num_rotations = 1 + len(self._joints.turned)
+        num_lerped = 3 * self._num_positions + len(self._joints.angles)
+        sizes = [num_lerped, 4 * num_rotations, 3, 3, len(self._joints.columns)]
+        lerped, turns, root_vel, root_ang_vel, dof_vel = frame.split(sizes, dim=-1)
+        next_lerped, next_turns = next_frame.split(sizes, dim=-1)[:2]
+
+        lerped = torch.lerp(lerped, next_lerped, at.blend.unsqueeze(-1))
+        positions = lerped[:, : 3 * self._num_positions].unflatten(-1, (-1, 3))
+        turns = turns.unflatten(-1, (num_rotations, 4))
+        next_turns = next_turns.unflatten(-1, (num_rotations, 4))
+        turns = rotations.slerp(turns, next_turns, at.blend.view(-1, 1, 1))
+        joint_vectors = rotations.quat_to_exp_map(turns[:, 1:]).flatten(1)
+        if self._joints.angles:
+            angles = lerped[:, 3 * self._num_positions :]
+            joint_vectors = torch.cat((joint_vectors, angles), dim=-1)
+        return MotionState(
+            root_pos=positions[:, 0],
+            root_rot=turns[:, 0],
+            dof_pos=joint_vectors.index_select(1, self._dof_columns),
+            root_vel=root_vel,
+            root_ang_vel=root_ang_vel,
+            dof_vel=dof_vel,
+            key_pos=positions[:, 1:],
+        )
+
+    def body_pos(self, at: Moments) -> Tensor:
+        """Return the world positions (n, J, 3) m of all bodies at n moments."""
+        before, after = self._body_pos[at.row], self._body_pos[at.next_row]
+        return torch.lerp(before, after, at.blend.view(-1, 1, 1))
+
+
+FRAMES: dict[str, type[PoseSplines] | type[PublishedFrames]] = dict(
+    zip(INTERPOLATIONS, (PoseSplines, PublishedFrames), strict=True)
+)
+"""The kinds of frames by their names in `task.env.clipInterpolation`."""
+
+
+class JointColumns:
+    """How joints are kept: some groups as rotations, the others by their angles.
+
+    Args:
+        skeleton: its joint groups.
+        with_angles: keep hinges by their angles, which may exceed pi; else as rotations about y.
+
+    Attributes:
+        skeleton: see above.
+        turned: groups that are kept as rotations.
+        hinges: groups that are kept as angles.
+        angles: their DOFs.
+        columns: (num_dofs,) where the DOFs are among the three components of the vectors of
+            `turned`, followed by `angles`.
+    """
+
+    def __init__(self, skeleton: Skeleton, with_angles: bool) -> None:
+        self.skeleton = skeleton
+        self.turned: list[int] = []
+        self.hinges: list[int] = []
+        self.angles: list[int] = []
+        starts = [0] * skeleton.num_dofs
+        for group, (start, end) in enumerate(itertools.pairwise(skeleton.dof_offsets)):
+            if with_angles and end - start == 1:
+                starts[start] = len(self.angles)
+                self.hinges.append(group)
+                self.angles.append(start)
+                continue
+            # Hinges kept as rotations are about y: the second of the three.
+            components = range(3) if end - start == 3 else (1,)
+            starts[start:end] = [3 * len(self.turned) + i for i in components]
+            self.turned.append(group)
+        shift = 3 * len(self.turned)
+        self.columns = [
+            shift + place if dof in self.angles else place for dof, place in enumerate(starts)
+        ]
+        self.with_angles = with_angles
+
+    def poses(self, clip: MotionClip) -> tuple[FloatArray, FloatArray]:
+        """Return the angles (T, H) rad and the rotations (T, R, 4) xyzw of a clip's joints."""
+        if not self.with_angles:
+            turns = clip.local_rotation[:, list(self.skeleton.dof_body_ids)]
+            return np.zeros((clip.num_frames, 0)), turns
+        dofs = dofs_of_clip(self.skeleton, clip)
+        turns = joint_rotations(self.skeleton, dofs).numpy()[:, self.turned]
+        angles = dofs[:, self.angles]
+        # Angles read off rotations are within pi.
+        return (np.unwrap(angles, axis=0) if clip.dof_pos is None else angles), turns

@@ -1,0 +1,233 @@
+"""Finds in a clip what no body does: ground, flight, joint limits, and how it starts and ends.
+
+A policy cannot imitate it, and a run may fail for that alone. A clip is used all the same: its
+owner decides, by the line that `warn_of_implausible` logs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.motion.clip import MotionClip
+from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.qpos import dofs_of_clip, qpos_from_clip
+from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.robots.start_pose import geoms_that_touch, reach_down
+from isaacgymenvs_lite.simulation.kinematics import Kinematics
+from isaacgymenvs_lite.utils.rotations import rotate_components
+
+_log = logging.getLogger(__name__)
+
+GROUND_QUANTILE = 0.05
+"""Of the lowest points of all frames, the one that belongs on the ground. The very lowest may be a
+toe that one frame puts too deep."""
+_DEEP_M, _HIGH_M = 0.03, 0.03
+_IN_AIR_M = 0.05
+_GRAVITY_M_S2 = 9.81
+# Of a fall in which the body's shape changes; recorded jumps have 9.6 to 10.8 m/s^2.
+_FALL_TOLERANCE_M_S2 = 1.2
+_FALL_MISFIT_M = 0.02
+_HOVERING_M_S2 = 5.0
+# A shorter flight, or one of fewer frames, does not show how fast the body falls.
+_FLIGHT_S, _FLIGHT_FRAMES = 0.2, 5
+_EXCESS_RAD = 0.1
+# The first and the last pose of a clip that closes are nearer than this, mean over the bodies.
+_CLOSED_M = 0.1
+# Of a longer clip so many frames are looked at, evenly spaced.
+_MAX_FRAMES = 4000
+_MAX_NAMED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """T frames of a clip, at most `_MAX_FRAMES`.
+
+    Attributes:
+        fps: of these frames.
+        lowest_m: (T,) height of the lowest point that can touch the ground.
+        mass_height_m: (T,) height of the centre of mass.
+        body_pos: (T, J, 3) m, without the root's place on the ground.
+    """
+
+    fps: float
+    lowest_m: npt.NDArray[np.float64]
+    mass_height_m: npt.NDArray[np.float64]
+    body_pos: FloatArray
+
+    @classmethod
+    def of(cls, clip: MotionClip, skeleton: Skeleton) -> _Poses | None:
+        """Return the poses; None if the skeleton has no model, or nothing touches the ground."""
+        model = skeleton.model
+        if model is None or not geoms_that_touch(model):
+            return None
+        every = -(-clip.num_frames // _MAX_FRAMES)
+        rows = qpos_from_clip(skeleton, clip)[::every, : skeleton.qpos_addresses[-1]]
+        qpos = np.repeat(model.qpos0[:, None], len(rows), axis=1).astype(np.float32)
+        qpos[: rows.shape[1]] = rows.T
+        root = int(model.jnt_bodyid[0])
+        bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
+        pos = np.empty((3, bodies.stop, len(rows)), dtype=np.float32)
+        rot = np.empty((4, bodies.stop, len(rows)), dtype=np.float32)
+        Kinematics(model, bodies.stop).poses(qpos, pos, rot)
+
+        def height(body: int, point: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+            """Return the heights (T,) m of a point in a body's frame."""
+            offset = rotate_components(rot[:, body - 1], point.astype(np.float32)[:, None])[2]
+            return np.asarray(pos[2, body - 1] + offset, dtype=np.float64)
+
+        lows = []
+        for geom in geoms_that_touch(model):
+            body = int(model.geom_bodyid[geom])
+            if root <= body <= bodies.stop:
+                down = _down_in_geom(model.geom_quat[geom], rot[:, body - 1])
+                lows.append(height(body, model.geom_pos[geom]) - reach_down(model, geom, down))
+        if not lows:
+            return None
+        ids = range(root, bodies.stop + 1)
+        masses = model.body_mass[list(ids)]
+        heights = np.stack([height(body, model.body_ipos[body]) for body in ids])
+        body_pos = pos[:, bodies].transpose(2, 1, 0).astype(np.float64)
+        body_pos[..., :2] -= body_pos[:, :1, :2]
+        mass_height_m = masses @ heights / max(float(masses.sum()), 1e-9)
+        return cls(clip.fps / every, np.min(lows, axis=0), mass_height_m, body_pos)
+
+
+def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
+    """Return the world's -z in a geom's frame (T, 3), of body rotations (4, T) xyzw."""
+    x, y, z, w = body_rot
+    zeros = np.zeros_like(x)
+    in_body = rotate_components((-x, -y, -z, w), (zeros, zeros, zeros - 1.0))
+    w, x, y, z = geom_quat[:, None]
+    return np.stack(rotate_components((-x, -y, -z, w), in_body), axis=-1)
+
+
+def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
+    """Return the clip, raised or lowered as a whole, so that its lowest points are on the ground.
+
+    `GROUND_QUANTILE` of its frames stay a little below. A clip of a skeleton without a model is
+    returned as it is.
+    """
+    poses = _Poses.of(clip, skeleton)
+    if poses is None:
+        return clip
+    raised = np.asarray(clip.root_translation) - [0.0, 0.0, _ground_m(poses)]
+    return dataclasses.replace(clip, root_translation=raised.astype(clip.root_translation.dtype))
+
+
+def _ground_m(poses: _Poses) -> float:
+    return float(np.quantile(poses.lowest_m, GROUND_QUANTILE))
+
+
+def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
+    """Return what is implausible in a clip, a few words each, for users.
+
+    Args:
+        clip: its bodies in the order of the skeleton.
+        skeleton: with a model; else only the joint limits are looked at.
+    """
+    found = [_beyond_limits(clip, skeleton)]
+    poses = _Poses.of(clip, skeleton)
+    if poses is not None:
+        found = [_off_ground(poses), *_odd_flights(poses), *found, _ends_in_air(poses)]
+    return [text for text in found if text]
+
+
+def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> None:
+    """Log a line for each implausible clip, the first few of many."""
+    found = {clip.name: text for clip in clips if (text := "; ".join(implausible(clip, skeleton)))}
+    lines = [f"{name}: implausible: {text}" for name, text in found.items()]
+    if len(lines) > _MAX_NAMED:
+        lines[_MAX_NAMED:] = [f"{len(lines) - _MAX_NAMED} more clips are implausible"]
+    _warn_once(tuple(lines))
+
+
+@functools.lru_cache(maxsize=8)
+def _warn_once(lines: tuple[str, ...]) -> None:
+    """Log lines; a training loads its clips again to measure the policy."""
+    for line in lines:
+        _log.warning("%s", line)
+
+
+def _off_ground(poses: _Poses) -> str:
+    ground_m = _ground_m(poses)
+    if -_DEEP_M <= ground_m <= _HIGH_M:
+        return ""
+    where = f"{-ground_m:.2f} m below" if ground_m < 0 else f"{ground_m:.2f} m above"
+    return (
+        f"its lowest points are {where} the ground (task.env.groundClips=True or motion.convert"
+        " ground=True puts them on it)"
+    )
+
+
+def _flights(poses: _Poses) -> list[slice]:
+    """Return the frames of each flight that is long enough to say something."""
+    is_in_air = poses.lowest_m > max(_ground_m(poses), 0.0) + _IN_AIR_M
+    ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
+    least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
+    return [slice(start, end) for start, end in ends if end - start >= least]
+
+
+def _odd_flights(poses: _Poses) -> list[str]:
+    """Return the worst flight that is no fall."""
+    worst, text = 0.0, ""
+    for flight in _flights(poses):
+        heights = poses.mass_height_m[flight]
+        times_s = np.arange(len(heights)) / poses.fps
+        parabola = np.polyfit(times_s, heights, 2)
+        fall_m_s2 = -2.0 * parabola[0]
+        misfit_m = float(np.sqrt(np.mean(np.square(np.polyval(parabola, times_s) - heights))))
+        off = abs(fall_m_s2 - _GRAVITY_M_S2)
+        if off <= _FALL_TOLERANCE_M_S2 and misfit_m <= _FALL_MISFIT_M:
+            continue
+        oddness = off / _FALL_TOLERANCE_M_S2 + misfit_m / _FALL_MISFIT_M
+        if oddness < worst:
+            continue
+        start_s, end_s = flight.start / poses.fps, (flight.stop - 1) / poses.fps
+        high_m = float(poses.lowest_m[flight].max())
+        how = (
+            f"it hovers up to {high_m:.2f} m above the ground"
+            if fall_m_s2 < _HOVERING_M_S2
+            else f"its flight is no fall: {fall_m_s2:.1f} m/s^2 in place of {_GRAVITY_M_S2:.1f},"
+            f" {100 * misfit_m:.0f} cm of misfit"
+        )
+        worst, text = oddness, f"{how} ({start_s:.2f} to {end_s:.2f} s)"
+    return [text]
+
+
+def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:
+    if len(skeleton.dof_limits) == 0:
+        return ""
+    dofs = dofs_of_clip(skeleton, clip)
+    excess_rad = np.maximum(skeleton.dof_limits[:, 0] - dofs, dofs - skeleton.dof_limits[:, 1])
+    joint = int(excess_rad.max(axis=0).argmax())
+    worst_rad = float(excess_rad[:, joint].max())
+    if worst_rad <= _EXCESS_RAD:
+        return ""
+    share = float((excess_rad.max(axis=1) > _EXCESS_RAD).mean())
+    low, high = skeleton.dof_limits[joint]
+    return (
+        f"{skeleton.dof_names[joint]} is up to {worst_rad:.2f} rad beyond its limits"
+        f" ({low:.2f} to {high:.2f}), joints are in {share:.0%} of the frames"
+    )
+
+
+def _ends_in_air(poses: _Poses) -> str:
+    """Return that a clip starts or ends in the air, unless it closes: a run may."""
+    difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
+    if difference_m.mean() < _CLOSED_M:
+        return ""
+    ground_m = max(_ground_m(poses), 0.0)
+    first_m, last_m = (float(poses.lowest_m[at]) - ground_m for at in (0, -1))
+    found = []
+    if first_m > _IN_AIR_M:
+        found.append(f"it starts {first_m:.2f} m in the air")
+    if last_m > _IN_AIR_M:
+        found.append(f"it ends {last_m:.2f} m in the air and shows no landing")
+    return "; ".join(found)

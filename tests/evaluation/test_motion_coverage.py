@@ -1,0 +1,126 @@
+"""The share of the clips' motion: all for the clip itself, next to nothing for standing still."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
+from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
+from isaacgymenvs_lite.evaluation.pose_error import (
+    EpisodeRecorder,
+    PoseErrorMetric,
+    ReferencePoses,
+)
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis, rotate_about_z
+
+DT_S = 1.0 / 30.0
+STEPS = 300
+
+
+def played(name: str, steps: int = STEPS, start: float = 0.0, tempo: float = 1.0) -> Track:
+    """A shipped clip, repeated where its end is the place to go on from; start: share of it."""
+    lib = MotionLib(name, 28, [5], "cpu", interpolation="spline")
+    length_s = float(lib.get_motion_length([0]))
+    times_s = start * length_s + tempo * DT_S * torch.arange(steps, dtype=torch.float64)
+    ids = torch.zeros(steps, dtype=torch.long)
+    ends = lib.get_motion_state([0, 0], [0.0, length_s]).root_pos
+    moved = torch.floor(times_s / length_s).float().view(-1, 1, 1) * (ends[1] - ends[0])
+    state = lib.get_motion_state(ids, times_s % length_s)
+    return Track(lib.get_body_pos(ids, times_s % length_s) + moved, state.root_rot)
+
+
+def coverage(*names: str) -> MotionCoverage:
+    libs = [MotionLib(name, 28, [5], "cpu", interpolation="spline") for name in names]
+    return MotionCoverage([track for lib in libs for track in tracks_of_clips(lib, DT_S)], DT_S)
+
+
+def turned(track: Track, angle_rad: float) -> Track:
+    """The same, heading elsewhere, at another place."""
+    angle = torch.tensor(angle_rad)
+    about_z = quat_from_angle_axis(angle, torch.tensor([0.0, 0.0, 1.0]))
+    x, y, z, w = track.root_rot_w.unbind(-1)
+    s, c = about_z[2], about_z[3]
+    rot = torch.stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z), dim=-1)
+    place = torch.tensor([5.0, -3.0, 0.0])
+    return Track(rotate_about_z(angle.cos(), angle.sin(), track.body_pos_w) + place, rot)
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "jump", "turn_left", "stand"])
+def test_the_clip_itself_shows_all_whatever_phase_place_and_heading(name):
+    measured = coverage(name)
+    for start in (0.0, 0.4, 0.8):
+        episode = turned(played(name, start=start), 2.0)
+        assert measured.share([episode], STEPS) > 0.95
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "jump", "turn_left", "crouch_walk"])
+def test_standing_shows_next_to_nothing(name):
+    assert coverage(name).share([played("stand")], STEPS) < 0.15
+    frozen = played(name, steps=1)
+    still = Track(frozen.body_pos_w.expand(STEPS, -1, -1), frozen.root_rot_w.expand(STEPS, -1))
+    assert coverage(name).share([still], STEPS) < 0.15
+
+
+def test_standing_is_all_that_a_clip_of_standing_has():
+    assert coverage("stand").share([played("stand", start=0.3)], STEPS) > 0.95
+
+
+def test_walking_on_the_spot_is_not_walking():
+    track = played("walk")
+    on_the_spot = track.body_pos_w.clone()
+    on_the_spot[..., :2] -= track.body_pos_w[:, :1, :2]
+    assert coverage("walk").share([Track(on_the_spot, track.root_rot_w)], STEPS) < 0.3
+
+
+def test_half_as_fast_is_half_of_a_run_and_a_little_slower_is_all():
+    measured = coverage("run")
+    assert measured.share([played("run", tempo=0.5)], STEPS) < 0.7
+    assert measured.share([played("run", tempo=0.9)], STEPS) > 0.9
+
+
+def test_what_a_fall_leaves_out_is_missing():
+    """A second of the jump of three seconds, wherever it begins."""
+    measured = coverage("jump")
+    seconds = [played("jump", steps=30, start=share) for share in (0.0, 0.3, 0.6)]
+    assert measured.share(seconds, STEPS) < 0.75
+    assert measured.share([played("jump", steps=3)], STEPS) < 0.05
+
+
+def test_one_clip_of_two_is_a_part():
+    measured = coverage("walk", "run")
+    walked = measured.share([played("walk")], STEPS)
+    assert 0.15 < walked < 0.6
+    both = Track(
+        torch.cat((played("walk", 150).body_pos_w, played("run", 150).body_pos_w)),
+        torch.cat((played("walk", 150).root_rot_w, played("run", 150).root_rot_w)),
+    )
+    assert measured.share([both], STEPS) > 0.9
+
+
+def test_of_a_clip_longer_than_an_episode_as_much_is_expected_as_fits():
+    walked = played("walk", 900)
+    slowly = MotionCoverage([Track(walked.body_pos_w, walked.root_rot_w)], DT_S)
+    assert slowly.share([played("walk", 100)], 100) > 0.95
+
+
+def test_without_episodes_it_is_unknown():
+    assert math.isnan(coverage("walk").share([], STEPS))
+
+
+def test_the_metric_measures_recorded_episodes():
+    clip = played("walk", 109)
+    recorder = EpisodeRecorder(1, 15, 300, "cpu", episodes_per_env=2)
+    for name in ("walk", "stand"):
+        track = played(name, 300)
+        for body_pos, root_rot in zip(track.body_pos_w, track.root_rot_w, strict=True):
+            recorder.record(body_pos.unsqueeze(0), root_rot.unsqueeze(0))
+        recorder.finish(torch.tensor([0]), torch.tensor([False]))
+    metric = PoseErrorMetric(ReferencePoses.from_tracks([clip]), MotionCoverage([clip], DT_S))
+    walked, stood = (metric.evaluate([episode]).motion_shown for episode in recorder.episodes)
+    assert walked > 0.95
+    assert stood < 0.15
+    assert f"{walked:.0%} of the motion" in str(metric.evaluate(recorder.episodes[:1]))
