@@ -56,9 +56,12 @@ class AdaptiveStarts:
         return self._first[motion_ids] + torch.minimum(place, last)
 
     def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
-        """Take in episodes that ended: where they started (n,), their steps, and whether they failed.
+        """Take in episodes that ended; those that were cut off early do not count.
 
-        Episodes that were cut off before they could show it do not count.
+        Args:
+            bins: (n,) where they started.
+            steps: (n,) control steps that they lasted.
+            failed: (n,) bool.
         """
         failed_soon = failed & (steps <= self._soon_steps)
         is_known = failed_soon | (steps > self._soon_steps)
