@@ -1,4 +1,4 @@
-"""Fixtures of several test folders: a small clip of each humanoid, a machine that can draw."""
+"""Fixtures of several test folders: clips of the humanoids, models, a machine that can draw."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,6 +18,7 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s
@@ -120,3 +122,45 @@ def _walk(skeleton: Skeleton) -> MotionClip:
         local_rotation,
         root,
     )
+
+
+# Every type of joint, several on one body, anchors beside the origin, turned bodies, references,
+# bodies without joints below and above bodies with some, two trees.
+MADE_UP = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="drone" pos="1 2 3" quat="0.5 0.5 -0.5 0.5"><freejoint/><geom size="0.1"/>
+    <body name="mast" pos="0.1 0.2 0.3" euler="0.4 -0.2 0.7"><geom size="0.1"/>
+      <body name="arm" pos="0 0.1 0.5" euler="0.1 0.2 0.3">
+        <joint type="slide" axis="1 2 -1" pos="0.3 0 0" ref="0.2"/>
+        <joint type="hinge" axis="0 1 1" pos="0.1 -0.2 0.3" ref="-0.4"/>
+        <joint type="slide" axis="0 0 1"/>
+        <geom size="0.1"/>
+        <body name="hand" pos="0.4 0 0"><joint type="ball" pos="0.05 0.02 -0.1"/><geom size="0.1"/>
+          <body name="finger" pos="0 0 0.2"><geom size="0.1"/></body></body>
+      </body>
+      <body name="tail" pos="0 -0.3 0"><joint type="ball"/><joint type="slide" axis="0 1 0"/>
+        <geom size="0.1"/></body>
+    </body>
+  </body>
+  <body name="post" pos="-1 0 0.5" euler="0 0 1"><geom size="0.1"/>
+    <body name="door" pos="0.2 0 0">
+      <joint type="hinge" axis="1 0 0"/><joint type="hinge" axis="0 0 1" pos="0.1 0.1 0"/>
+      <geom size="0.1"/></body></body>
+</worldbody></mujoco>
+"""
+
+
+@pytest.fixture(scope="session")
+def made_up_model() -> mujoco.MjModel:
+    """A model with all types of joints (`MADE_UP`); do not change it."""
+    model = mujoco.MjModel.from_xml_string(MADE_UP)
+    assert set(model.jnt_type) == {0, 1, 2, 3}
+    return model
+
+
+@pytest.fixture(scope="session")
+def humanoid_model() -> mujoco.MjModel:
+    """The AMP humanoid with the published keys; do not change it."""
+    task = HumanoidAMPBase({"env": {"numEnvs": 1}, "sim": {"dt": 0.0166}}, "cpu", "cpu", -1, True)
+    task.close()
+    return task.simulation.model

@@ -261,7 +261,9 @@ class PoseErrorMetric:
             no_fall_share=float(np.mean(no_fall)),
             mean_episode_steps=float(lengths.mean()),
             num_episodes=len(episodes),
-            motion_shown=self._motion_shown([episodes[i] for i in measurable]),
+            motion_shown=self._motion_shown(
+                [e for e, ok in zip(episodes, finite, strict=True) if ok]
+            ),
         )
 
     def _motion_shown(self, episodes: Sequence[Episode]) -> float:

@@ -21,8 +21,8 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, joint_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.simulation.kinematics import Kinematics
 from isaacgymenvs_lite.utils import rotations
+from isaacgymenvs_lite.utils.kinematics import Kinematics
 
 INTERPOLATIONS = ("spline", "published")
 
@@ -183,8 +183,9 @@ class PoseSplines:
     def _place_bodies(self, values: Tensor) -> Tensor:
         """Return the positions (n, J, 3) m of all bodies by forward kinematics."""
         n, first_turn = len(values), 3 + len(self._joints.angles)
-        rows = values.cpu().numpy()
-        turns = rows[:, first_turn:].reshape(n, -1, 4)[..., [3, 0, 1, 2]]  # MuJoCo's wxyz
+        values = values.cpu()
+        rows = values.numpy()
+        turns = rotations.wxyz_from_xyzw(values[:, first_turn:].reshape(n, -1, 4)).numpy()
         addresses = self._skeleton.qpos_addresses
         qpos = np.repeat(self._qpos0[:, None], n, axis=1)
         qpos[:3], qpos[3:7] = rows[:, :3].T, turns[:, 0].T

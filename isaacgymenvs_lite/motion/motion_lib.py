@@ -19,7 +19,11 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.interpolation import FRAMES, Frames, Moments, MotionState
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.plausibility import put_on_ground, warn_of_implausible
+from isaacgymenvs_lite.motion.plausibility import (
+    bodies_on_ground,
+    put_on_ground,
+    warn_of_implausible,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 
 __all__ = ["MotionLib", "MotionState"]
@@ -101,6 +105,10 @@ class MotionLib:
         """Return the mean speed of the root along the ground, of the clip where it is highest."""
         velocities = (clip.linear_velocity_w[:, 0, :2] for clip in self._clips)
         return max(float(np.linalg.norm(v, axis=-1).mean()) for v in velocities)
+
+    def bodies_on_ground(self) -> list[str]:
+        """Return the bodies that touch the ground in the clips, see `plausibility`."""
+        return bodies_on_ground(self._clips, self.skeleton)
 
     def get_motion(self, motion_id: int) -> MotionClip:
         """Return a clip, with its bodies in the order of the humanoid."""

@@ -12,6 +12,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -19,8 +20,13 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, qpos_from_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-from isaacgymenvs_lite.robots.start_pose import geoms_that_touch, reach_down
-from isaacgymenvs_lite.simulation.kinematics import Kinematics
+from isaacgymenvs_lite.robots.start_pose import (
+    CLEARANCE,
+    geoms_that_touch,
+    reach_down,
+    start_height,
+)
+from isaacgymenvs_lite.utils.kinematics import Kinematics
 from isaacgymenvs_lite.utils.rotations import rotate_components
 
 _log = logging.getLogger(__name__)
@@ -30,6 +36,9 @@ GROUND_QUANTILE = 0.05
 toe that one frame puts too deep."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
 _IN_AIR_M = 0.05
+_TOUCH_M, _TOUCH_SHARE = 0.03, 0.02
+# Where the centre of mass is lower than this share of its usual height, a body rolls or lies.
+_LOW_MASS = 0.45
 _GRAVITY_M_S2 = 9.81
 # Of a fall in which the body's shape changes; recorded jumps have 9.6 to 10.8 m/s^2.
 _FALL_TOLERANCE_M_S2 = 1.2
@@ -51,13 +60,13 @@ class _Poses:
 
     Attributes:
         fps: of these frames.
-        lowest_m: (T,) height of the lowest point that can touch the ground.
+        lows_m: body -> (T,) height of its lowest point that can touch the ground.
         mass_height_m: (T,) height of the centre of mass.
         body_pos: (T, J, 3) m, without the root's place on the ground.
     """
 
     fps: float
-    lowest_m: npt.NDArray[np.float64]
+    lows_m: dict[int, npt.NDArray[np.float64]]
     mass_height_m: npt.NDArray[np.float64]
     body_pos: FloatArray
 
@@ -82,13 +91,14 @@ class _Poses:
             offset = rotate_components(rot[:, body - 1], point.astype(np.float32)[:, None])[2]
             return np.asarray(pos[2, body - 1] + offset, dtype=np.float64)
 
-        lows = []
+        lows_m: dict[int, npt.NDArray[np.float64]] = {}
         for geom in geoms_that_touch(model):
             body = int(model.geom_bodyid[geom])
             if root <= body <= bodies.stop:
                 down = _down_in_geom(model.geom_quat[geom], rot[:, body - 1])
-                lows.append(height(body, model.geom_pos[geom]) - reach_down(model, geom, down))
-        if not lows:
+                low_m = height(body, model.geom_pos[geom]) - reach_down(model, geom, down)
+                lows_m[body - root] = np.minimum(low_m, lows_m.get(body - root, np.inf))
+        if not lows_m:
             return None
         ids = range(root, bodies.stop + 1)
         masses = model.body_mass[list(ids)]
@@ -96,7 +106,18 @@ class _Poses:
         body_pos = pos[:, bodies].transpose(2, 1, 0).astype(np.float64)
         body_pos[..., :2] -= body_pos[:, :1, :2]
         mass_height_m = masses @ heights / max(float(masses.sum()), 1e-9)
-        return cls(clip.fps / every, np.min(lows, axis=0), mass_height_m, body_pos)
+        return cls(clip.fps / every, lows_m, mass_height_m, body_pos)
+
+    @functools.cached_property
+    def lowest_m(self) -> npt.NDArray[np.float64]:
+        """(T,) height of the lowest point of all bodies."""
+        lowest: npt.NDArray[np.float64] = np.min(list(self.lows_m.values()), axis=0)
+        return lowest
+
+    @functools.cached_property
+    def ground_m(self) -> float:
+        """The height that is meant to be the ground."""
+        return float(np.quantile(self.lowest_m, GROUND_QUANTILE))
 
 
 def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
@@ -117,12 +138,40 @@ def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     poses = _Poses.of(clip, skeleton)
     if poses is None:
         return clip
-    raised = np.asarray(clip.root_translation) - [0.0, 0.0, _ground_m(poses)]
+    raised = np.asarray(clip.root_translation) - [0.0, 0.0, poses.ground_m]
     return dataclasses.replace(clip, root_translation=raised.astype(clip.root_translation.dtype))
 
 
-def _ground_m(poses: _Poses) -> float:
-    return float(np.quantile(poses.lowest_m, GROUND_QUANTILE))
+def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[str]:
+    """Return the bodies that touch the ground in clips, in the order of the skeleton.
+
+    A body touches it where its lowest point is within 3 cm of the ground of its clip, in 2% of the
+    frames at least. Where the centre of mass comes near the ground, in a roll or a crawl, it is all
+    bodies: clips of that kind are seldom exact. None of a skeleton without a model.
+    """
+    found: set[int] = set()
+    for clip in clips:
+        poses = _Poses.of(clip, skeleton)
+        if poses is None:
+            continue
+        above_m = float(np.quantile(poses.mass_height_m, _TOUCH_SHARE)) - poses.ground_m
+        if above_m < _LOW_MASS * _usual_mass_height_m(skeleton):
+            return list(skeleton.body_names)
+        touch_m = poses.ground_m + _TOUCH_M
+        rates = {body: float((low < touch_m).mean()) for body, low in poses.lows_m.items()}
+        found.update(body for body, rate in rates.items() if rate >= _TOUCH_SHARE)
+    return [skeleton.body_names[body] for body in sorted(found)]
+
+
+def _usual_mass_height_m(skeleton: Skeleton) -> float:
+    """Return how high the centre of mass is above the lowest point, all joints at rest."""
+    model = skeleton.model
+    assert model is not None
+    data = mujoco.MjData(model)
+    data.qpos[2] = start_height(model, model.qpos0) - CLEARANCE
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return float(data.subtree_com[model.jnt_bodyid[0], 2])
 
 
 def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
@@ -156,7 +205,7 @@ def _warn_once(lines: tuple[str, ...]) -> None:
 
 
 def _off_ground(poses: _Poses) -> str:
-    ground_m = _ground_m(poses)
+    ground_m = poses.ground_m
     if -_DEEP_M <= ground_m <= _HIGH_M:
         return ""
     where = f"{-ground_m:.2f} m below" if ground_m < 0 else f"{ground_m:.2f} m above"
@@ -168,7 +217,7 @@ def _off_ground(poses: _Poses) -> str:
 
 def _flights(poses: _Poses) -> list[slice]:
     """Return the frames of each flight that is long enough to say something."""
-    is_in_air = poses.lowest_m > max(_ground_m(poses), 0.0) + _IN_AIR_M
+    is_in_air = poses.lowest_m > max(poses.ground_m, 0.0) + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
     return [slice(start, end) for start, end in ends if end - start >= least]
@@ -223,7 +272,7 @@ def _ends_in_air(poses: _Poses) -> str:
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""
-    ground_m = max(_ground_m(poses), 0.0)
+    ground_m = max(poses.ground_m, 0.0)
     first_m, last_m = (float(poses.lowest_m[at]) - ground_m for at in (0, -1))
     found = []
     if first_m > _IN_AIR_M:

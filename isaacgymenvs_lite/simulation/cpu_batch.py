@@ -22,7 +22,6 @@ from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.simulation.kinematics import Floats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.recording import Recording, StepHistory, model_identity
 from isaacgymenvs_lite.simulation.state_buffers import (
@@ -30,6 +29,7 @@ from isaacgymenvs_lite.simulation.state_buffers import (
     StateConverter,
     as_tensor,
 )
+from isaacgymenvs_lite.utils.kinematics import Floats
 from isaacgymenvs_lite.utils.threads import thread_count
 
 log = logging.getLogger(__name__)

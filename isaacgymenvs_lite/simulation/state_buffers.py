@@ -17,8 +17,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.simulation.kinematics import MIN_LENGTH, Floats, Kinematics, unit_quats
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
+from isaacgymenvs_lite.utils.kinematics import MIN_LENGTH, Floats, Kinematics, unit_quats
 from isaacgymenvs_lite.utils.rotations import quat_log, rotate_components, xyzw_from_wxyz
 
 Doubles = npt.NDArray[np.float64]

@@ -13,7 +13,12 @@ from isaacgymenvs_lite.motion.convert import ConvertSettings, convert
 from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.motion.plausibility import implausible, put_on_ground, warn_of_implausible
+from isaacgymenvs_lite.motion.plausibility import (
+    bodies_on_ground,
+    implausible,
+    put_on_ground,
+    warn_of_implausible,
+)
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos
 
 FPS = 60.0
@@ -120,6 +125,22 @@ def test_convert_puts_a_clip_on_the_ground(tmp_path, humanoid, clip_of_heights, 
     convert(str(file), str(out), ConvertSettings(ground=True))
     assert "implausible" not in caplog.text
     assert implausible(load_npz(out), humanoid) == []
+
+
+def test_bodies_on_the_ground(humanoid, clip_of_heights):
+    feet = ["right_foot", "left_foot"]
+    assert bodies_on_ground([clip_of_heights(np.zeros(60))], humanoid) == feet
+    # Below or above the ground: that of the clip counts.
+    assert bodies_on_ground([clip_of_heights(np.full(60, 0.4))], humanoid) == feet
+    lying = clip_of_heights(np.zeros(60))
+    root = np.array(lying.root_translation)
+    root[30:, 2] = 0.1
+    rolled = dataclasses.replace(lying, root_translation=root)
+    assert bodies_on_ground([lying, rolled], humanoid) == feet  # the feet are then deep below
+    turns = np.array(lying.local_rotation)
+    turns[30:, 0] = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # on the stomach
+    rolled = dataclasses.replace(rolled, local_rotation=turns)
+    assert bodies_on_ground([lying, rolled], humanoid) == list(humanoid.body_names)
 
 
 def test_of_many_clips_the_first_are_named(humanoid, clip_of_heights, caplog):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, ClassVar
 
 import gymnasium
@@ -31,6 +32,8 @@ from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
+
+log = logging.getLogger(__name__)
 
 NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
@@ -121,6 +124,20 @@ class HumanoidAMP(HumanoidAMPBase):
             interpolation=self.env_cfg.clip_interpolation,
             ground=self.env_cfg.ground_clips,
         )
+        if self.allows_contacts_of_clips:
+            self._allow_contacts_of_clips()
+
+    @property
+    def allows_contacts_of_clips(self) -> bool:
+        """Whether bodies that touch the ground in the clips may do so."""
+        return self.env_cfg.contact_bodies is None
+
+    def _allow_contacts_of_clips(self) -> None:
+        own = self.contact_body_names()
+        others = [body for body in self._motion_lib.bodies_on_ground() if body not in own]
+        if others:
+            log.info("may touch the ground, as in the clips: %s", ", ".join(others))
+            self.contact_body_ids = self._body_ids("contactBodies", (*own, *others))
 
     def reference_skeleton(self) -> Skeleton | None:
         """Return the skeleton of the reference motions; None: of the shipped humanoid."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
-from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import OWN_ASSET, HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import FEET, OWN_ASSET, HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.humanoid_model import dof_limits, set_actuators
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.humanoid_observations import (
@@ -94,8 +94,9 @@ class HumanoidAMPBase(MjcfTask):
         return KEY_BODY_NAMES
 
     def contact_body_names(self) -> tuple[str, ...]:
-        """Return the bodies that may touch the floor."""
-        return self.env_cfg.contact_bodies
+        """Return the bodies that may touch the floor, whatever the clips."""
+        bodies: tuple[str, ...] | None = self.env_cfg.contact_bodies
+        return FEET if bodies is None else bodies
 
     def set_sizes(self) -> None:
         """Set the sizes of observations and actions, which depend on the model."""

@@ -9,6 +9,7 @@ from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, TaskConfig
 
 OWN_ASSET = "mjcf/amp_humanoid.xml"
+FEET = ("right_foot", "left_foot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +34,8 @@ class HumanoidAMPConfig(TaskConfig):
     """Control steps in one AMP observation."""
     local_root_obs: bool = setting(False, key="localRootObs")
     """Take the heading out of the root rotation in the observation."""
-    contact_bodies: tuple[str, ...] = setting(("right_foot", "left_foot"), key="contactBodies")
-    """Bodies that may touch the floor."""
+    contact_bodies: tuple[str, ...] | None = setting(FEET, key="contactBodies")
+    """Bodies that may touch the floor; None: the feet, and what touches it in the clips."""
     termination_height: float = setting(0.5, key="terminationHeight")
     """An episode ends when a touched character has a body below this height (m)."""
     enable_early_termination: bool = setting(True, key="enableEarlyTermination")

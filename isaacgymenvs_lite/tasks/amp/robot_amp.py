@@ -117,6 +117,11 @@ class RobotAMP(HumanoidAMP):
         """Return the bodies that may touch the floor."""
         return self._robot.contact_bodies
 
+    @property
+    def allows_contacts_of_clips(self) -> bool:
+        """As the base, of the bodies that were found."""
+        return not self.env_cfg.contact_bodies
+
     def reference_skeleton(self) -> Skeleton:
         """Return the robot's skeleton."""
         return self._skeleton

@@ -254,7 +254,8 @@ def test_keys_steer_all_environments_within_the_ranges(make, caplog):
 
 
 def test_while_someone_steers_no_command_is_drawn(make):
-    task = make("task.env.commandChangeStepsMin=1", "task.env.commandChangeStepsMax=2")
+    steps = ("task.env.commandChangeStepsMin=1", "task.env.commandChangeStepsMax=2")
+    task = make(*steps, "task.env.standingShare=0")
     task.reset()
     task.on_key("space")
     task.on_key("up")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isaacgymenvs_lite.simulation.kinematics import Floats, Kinematics
+from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
 
 def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
