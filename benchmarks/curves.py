@@ -125,11 +125,20 @@ def _top(series: Sequence[Series]) -> float | None:
 
 
 def _figure(path: Path, num_panels: int = len(_PANELS)) -> Any:
+    return figure_for(path, (max(12.0, 2.4 * num_panels), 3.6))
+
+
+def figure_for(path: Path, size: tuple[float, float]) -> Any:
+    """Return a figure of matplotlib, of `size` (width, height) in inches, to be saved as `path`.
+
+    Raises:
+        MissingPackageError: matplotlib is not installed.
+        ConfigError: the folder of `path` does not exist.
+    """
     figure_module = import_package("matplotlib.figure", f"--out {path}")
     if not path.absolute().parent.is_dir():
         raise ConfigError(f"--out {path}: the folder {path.absolute().parent} does not exist")
-    width = max(12.0, 2.4 * num_panels)
-    return figure_module.Figure(figsize=(width, 3.6), dpi=110, layout="constrained")
+    return figure_module.Figure(figsize=size, dpi=110, layout="constrained")
 
 
 def markdown_table(curves: Curves) -> str:

@@ -17,6 +17,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks.learning_curve import read_learning_curve
 from benchmarks.protocol import SEED, evaluate_checkpoint
@@ -103,7 +104,7 @@ def evaluate_and_report(
     num_threads: int = 1,
     overrides: Sequence[str] = (),
 ) -> list[Record]:
-    """Measure runs, print a line for each and the medians, and write the records if asked to.
+    """Measure checkpoints, print a line for each and the medians, write the records if asked to.
 
     Args:
         runs: what to measure.
@@ -117,21 +118,41 @@ def evaluate_and_report(
     Raises:
         UserError: a run cannot be measured.
     """
-    records = []
-    for run, checkpoint in zip(runs, checkpoints or [None] * len(runs), strict=True):
-        records.append(measure(run, checkpoint, seed, num_threads, overrides))
-        print(records[-1], flush=True)
+    records = [
+        measure_and_keep(run, results_dir, checkpoint, seed, num_threads, overrides)
+        for run, checkpoint in zip(runs, checkpoints or [None] * len(runs), strict=True)
+    ]
+    print_medians(records)
+    if markdown:
+        print(markdown_table(records))
+    return records
+
+
+def measure_and_keep(run: Run, results_dir: Path | None, *settings: Any) -> Record:
+    """Measure a run, print a line, and write the record and the learning curve.
+
+    Args:
+        run: what to measure.
+        results_dir: where they are written; None writes none.
+        settings: further arguments of `measure`.
+
+    Raises:
+        UserError: the run cannot be measured.
+    """
+    record = measure(run, *settings)
+    print(record, flush=True)
+    if results_dir is not None:
+        for file in write_records([record], results_dir):
+            print(f"wrote {file}")
+        keep_curve(run, results_dir)
+    return record
+
+
+def print_medians(records: Sequence[Record]) -> None:
+    """Print the medians over the seeds of each experiment that has several."""
     for experiment, group in by_experiment(records).items():
         if len(group) > 1:
             print(f"{experiment}, median of {len(group)}: {numbers_line(medians(group))}")
-    if markdown:
-        print(markdown_table(records))
-    if results_dir is not None:
-        for file in write_records(records, results_dir):
-            print(f"wrote {file}")
-        for run in runs:
-            keep_curve(run, results_dir)
-    return records
 
 
 def keep_curve(run: Run, results_dir: Path) -> None:

@@ -2,12 +2,15 @@
 
     python -m benchmarks.learning EXPERIMENT [EXPERIMENT ...] [key=value ...]
         [--seeds 1 2 3] [--minutes 150] [--motion-file PATH] [--parallel 1] [--resume]
+    python -m benchmarks.learning clips [key=value ...] [--clips deepmimic shipped PATH ...] ...
 
 Each seed is one `train.py` process with a run folder of its own, `<experiment>_seed<n>`. With
 `--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
 not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
-with it, and minutes count together. Then `benchmarks.evaluate` plays the policies and writes
-benchmarks/results/<experiment>.jsonl. docs/protocol.md has the rest.
+with it, and minutes count together. When a run has ended, `benchmarks.evaluate` plays its policy
+and writes benchmarks/results/<experiment>.jsonl. `clips` stands for one experiment for each clip,
+seed 1, in folders of their own; `benchmarks.clips` prints their table. docs/protocol.md has the
+rest.
 """
 
 from __future__ import annotations
@@ -19,8 +22,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.evaluate import RESULTS_DIR, evaluate_and_report
+from benchmarks.clips import DEFAULT_CLIPS, clip_experiments
+from benchmarks.clips import NAME as CLIPS
+from benchmarks.evaluate import RESULTS_DIR, measure_and_keep, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
+from benchmarks.records import Record
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
 from benchmarks.training import Plan, log_file, plan, train_all
 from isaacgymenvs_lite.errors import ConfigError, UserError
@@ -34,17 +40,24 @@ def main() -> None:
     try:
         plans = _plans(args)
         slots = cpu_slots(args.parallel, args.cores_per_run)
+        records: list[Record] = []
+
+        def play(run: Run) -> None:
+            if not args.no_evaluation:
+                records.append(measure_and_keep(run, args.results_dir))
+
         with StopRequest() as stop:
             todo = [job for job in plans if job.minutes > 0]
-            failed = train_all(todo, slots, lambda: stop.requested)
+            failed = train_all(todo, slots, lambda: stop.requested, on_end=play)
         for run in failed:
             print(f"{run.label} failed, the end of {log_file(run)}:")
             print("\n".join(log_file(run).read_text(encoding="utf-8").splitlines()[-5:]))
         if stop.requested:
             sys.exit("stopped; --resume goes on")
-        if not args.no_evaluation:
-            trained = [job.run for job in plans if job.run not in failed]
-            evaluate_and_report(trained, results_dir=args.results_dir)
+        for job in plans:
+            if job.minutes == 0:  # had its time before
+                play(job.run)
+        print_medians(records)
     except UserError as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:  # the second Ctrl-C
@@ -58,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("what", nargs="+", help="experiments, and overrides for train.py")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--minutes", type=float, default=150.0, help="of each run, at most")
+    parser.add_argument("--clips", nargs="+", help="of the experiment clips; see benchmarks.clips")
     parser.add_argument("--motion-file", help="the clip of experiments that leave it open")
     parser.add_argument("--parallel", type=int, default=1, help="runs at a time")
     parser.add_argument("--cores-per-run", type=int, help="default: all, shared by --parallel")
@@ -80,12 +94,32 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
         raise ConfigError("give an experiment; benchmarks/experiments.yaml lists them")
     if args.motion_file and not any(needs_motion_file(name) for name in names):
         raise ConfigError(f"--motion-file has no effect: {', '.join(names)} have their own clips")
+    if args.clips and CLIPS not in names:
+        raise ConfigError(f"--clips has no effect: {', '.join(names)}; add {CLIPS}")
+    if CLIPS in names:
+        return _plans_of_clips(names, args, extra)
     experiments = [find_experiment(name, args.motion_file, extra) for name in names]
     return [
         plan(experiment, Run.of(args.runs_dir, experiment.name, seed), args.minutes, args.resume)
         for seed in args.seeds
         for experiment in experiments
     ]
+
+
+def _plans_of_clips(names: list[str], args: argparse.Namespace, extra: list[str]) -> list[Plan]:
+    """Return one run for each clip that is not done yet.
+
+    Raises:
+        ConfigError: other experiments beside them, or a clip or a run cannot be used.
+    """
+    if len(names) > 1:
+        raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
+    args.runs_dir, args.results_dir = args.runs_dir / CLIPS, args.results_dir / CLIPS
+    plans = [
+        plan(each, Run.of(args.runs_dir, each.name, 1), args.minutes, args.resume)
+        for each in clip_experiments(args.clips or DEFAULT_CLIPS, extra)
+    ]
+    return [job for job in plans if job.minutes > 0]
 
 
 def cpu_slots(parallel: int, cores_per_run: int | None = None) -> list[Sequence[int]]:

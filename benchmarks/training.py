@@ -205,6 +205,7 @@ def train_all(
     is_stopped: Callable[[], bool],
     start: Callable[[Plan, Sequence[int]], Process] = Training,
     say: Callable[[str], None] = print,
+    on_end: Callable[[Run], None] = lambda run: None,
 ) -> list[Run]:
     """Run all plans, as many at a time as there are slots; return the runs that failed.
 
@@ -214,6 +215,7 @@ def train_all(
         is_stopped: whether all should end now, with checkpoints; nothing is started then.
         start: starts a training on CPUs.
         say: shows a line to the user.
+        on_end: called with each run that ended well, unless all end now.
     """
     waiting, failed = list(plans), []
     active: dict[int, Process] = {}
@@ -232,6 +234,8 @@ def train_all(
                 say(f"{process.run.label}: ended with exit code {code}")
                 if code != 0:
                     failed.append(process.run)
+                elif not is_stopped():
+                    on_end(process.run)
             if is_stopped():
                 waiting.clear()
             if active:

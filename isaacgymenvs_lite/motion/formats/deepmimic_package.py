@@ -63,6 +63,15 @@ def is_package_name(motion_file: str | Path) -> bool:
     return str(motion_file).startswith(PREFIX)
 
 
+def clips_in_package() -> list[str]:
+    """Return the full names of all clips, such as `deepmimic:humanoid3d_walk`.
+
+    Raises:
+        MotionFileError: the package is not installed.
+    """
+    return [PREFIX + name for name in _paths_of_clips(PREFIX + _ALL_SET)]
+
+
 def find_in_package(motion_file: str) -> list[PackageClip]:
     """Return the clip, or the clips of the data set, with the name `deepmimic:<name>`.
 

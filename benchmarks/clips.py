@@ -1,0 +1,216 @@
+"""The clips that one preset is tried on: their list, the table of what was reached, and a picture.
+
+    python -m benchmarks.learning clips --minutes 60 --resume
+    python -m benchmarks.clips [--clips deepmimic shipped PATH ...] [--out docs/images/clips.png]
+
+The first command trains one clip after the other, each with the same settings and for the same
+time, and writes a record after each; it goes on where it was stopped. The second prints the table
+of all clips, those that are not done yet among them. Without `--clips` both take the 20 clips of
+DeepMimic in the package pybullet and the clips that ship. A folder stands for the clips in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.curves import figure_for
+from benchmarks.evaluate import CURVES, RESULTS_DIR
+from benchmarks.experiments import Experiment, find_experiment, override
+from benchmarks.learning_curve import LearningCurve
+from benchmarks.records import Record, read_records
+from benchmarks.saved_curves import find_saved_curves
+from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, clips_in_package
+from isaacgymenvs_lite.motion.loader import (
+    load_single_clip,
+    shipped_motions,
+    shipped_motions_dir,
+)
+
+NAME = "clips"
+"""Of the experiment, and of the folder of its records in benchmarks/results."""
+DEFAULT_CLIPS = ("deepmimic", "shipped")
+# Pose errors (m) of the AMP paper; of other clips this one is good.
+PAPER_M = {
+    "deepmimic_walk": 0.030,
+    "deepmimic_run": 0.075,
+    "deepmimic_jump": 0.083,
+    "deepmimic_cartwheel": 0.067,
+    "deepmimic_backflip": 0.150,
+    "deepmimic_roll": 0.072,
+    "deepmimic_spinkick": 0.058,
+}
+GOOD_M = 0.06
+GOOD_NO_FALL = 0.9
+# Standing shows a tenth of the motion of a clip that moves, half the tempo about a half.
+GOOD_SHOWN = 0.75
+_SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
+_COLUMNS = 5
+
+
+def named_clips(words: Sequence[str]) -> dict[str, str]:
+    """Return label -> motion file of the clips that words name.
+
+    Args:
+        words: `deepmimic` and `shipped` are all clips of a kind, a folder the clips in it; others
+            are motion files.
+
+    Raises:
+        UserError: there are no such clips.
+    """
+    clips: dict[str, str] = {}
+    for word in words:
+        folder = Path(word).expanduser()
+        if word == "deepmimic":
+            found = clips_in_package()
+        elif word == "shipped":
+            found = [name for name in shipped_motions() if not _is_data_set(name)]
+        elif folder.is_dir():
+            found = [str(f.absolute()) for f in sorted(folder.iterdir()) if f.suffix in _SUFFIXES]
+            if not found:
+                raise ConfigError(f"{word}: no clip in this folder ({', '.join(_SUFFIXES)})")
+        else:
+            load_single_clip(word)
+            found = [str(folder.absolute()) if folder.is_file() else word]
+        for file in found:
+            label = _label(file)
+            if clips.setdefault(label, file) != file:
+                raise ConfigError(f"{clips[label]} and {file} have the same name; rename one")
+    return clips
+
+
+def _is_data_set(name: str) -> bool:
+    return (shipped_motions_dir() / f"{name}.yaml").is_file()
+
+
+def _label(file: str) -> str:
+    """Return the name of a clip in folders and tables, such as `deepmimic_walk`."""
+    if file.startswith(PREFIX):
+        name = file.removeprefix(PREFIX).removeprefix("humanoid3d_")
+        return "deepmimic_" + name.replace("/", "_")
+    return Path(file).stem
+
+
+def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Experiment]:
+    """Return one experiment for each clip, all with the settings of the experiment `clips`.
+
+    Args:
+        words: see `named_clips`.
+        extra: further overrides, for all of them.
+
+    Raises:
+        UserError: there are no such clips.
+    """
+    base = find_experiment(NAME)
+    return [
+        Experiment(label, (*base.settings, override("task.env.motion_file", file), *extra))
+        for label, file in named_clips(words).items()
+    ]
+
+
+def is_learned(record: Record) -> bool:
+    """Return whether a policy moves as its clip does, and does not fall."""
+    return (
+        record.pose_error_m is not None
+        and record.pose_error_m <= PAPER_M.get(record.experiment, GOOD_M)
+        and record.no_fall_share >= GOOD_NO_FALL
+        and (record.motion_shown or 0.0) >= GOOD_SHOWN
+    )
+
+
+def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
+    """Return the table of clips for docs/, and a line that counts those that are learned."""
+    lines = [
+        "| clip | frames (M) | minutes | pose error (m) | at most | motion shown | without a fall"
+        " | tempo | learned |",
+        "|---" * 9 + "|",
+    ]
+    for label in labels:
+        most_m = f"{PAPER_M[label]:.3f}, paper" if label in PAPER_M else f"{GOOD_M:.2f}"
+        record = records.get(label)
+        if record is None:
+            lines.append(f"| {label} | | | | {most_m} | | | | not trained yet |")
+            continue
+        cells = (
+            f"{record.frames / 1e6:.1f}",
+            "" if record.minutes is None else f"{record.minutes:.0f}",
+            "?" if record.pose_error_m is None else f"{record.pose_error_m:.3f}",
+            most_m,
+            "?" if record.motion_shown is None else f"{record.motion_shown:.2f}",
+            f"{record.no_fall_share:.2f}",
+            "?" if record.tempo is None else f"{record.tempo:.2f}",
+            "yes" if is_learned(record) else "no",
+        )
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    done = [records[label] for label in labels if label in records]
+    learned = sum(is_learned(record) for record in done)
+    lines += [
+        "",
+        f"{learned} of {len(done)} clips are learned, {len(labels) - len(done)} not done.",
+    ]
+    return "\n".join(lines)
+
+
+def newest_records(labels: Sequence[str], folder: Path) -> dict[str, Record]:
+    """Return the record with most frames of each clip that has one."""
+    found = {}
+    for label in labels:
+        records = read_records(folder / f"{label}.jsonl")
+        if records:
+            found[label] = max(records, key=lambda record: record.frames)
+    return found
+
+
+def draw(labels: Sequence[str], records: Mapping[str, Record], folder: Path, out: Path) -> None:
+    """Write a picture: for each clip its pose error and the motion shown over the training.
+
+    Raises:
+        UserError: matplotlib is not installed, or the folder does not exist.
+    """
+    done = [label for label in labels if label in records]
+    rows = max(1, -(-len(done) // _COLUMNS))
+    figure = figure_for(out, (2.4 * _COLUMNS, 1.8 * rows))
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    for panel, label in zip(panels, done, strict=False):
+        (curve, *_) = find_saved_curves(label, folder / CURVES)
+        _draw_clip(panel, label, curve, is_learned(records[label]))
+    panels[0].legend(fontsize=6)
+    for panel in panels[len(done) :]:
+        panel.set_axis_off()
+    figure.savefig(out)
+
+
+def _draw_clip(panel: Any, label: str, curve: LearningCurve, learned: bool) -> None:
+    shown, error = curve["motion_shown"], curve["pose_error_m"]
+    panel.plot(shown.frames * 1e-6, shown.values, color="C0", label="motion shown")
+    panel.plot(error.frames * 1e-6, error.values * 5.0, color="C3", label="pose error, 0.2 m = 1")
+    good = 5.0 * PAPER_M.get(label, GOOD_M)
+    panel.axhline(good, color="C3", linestyle=":", linewidth=1.0)
+    panel.set_ylim(0.0, 1.05)
+    panel.set_title(label + (" (learned)" if learned else ""), fontsize=8)
+    panel.tick_params(labelsize=7)
+
+
+def main() -> None:
+    """Print the table, and draw."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--clips", nargs="+", default=DEFAULT_CLIPS)
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR / NAME)
+    parser.add_argument("--out", type=Path, help="the picture")
+    args = parser.parse_args()
+    try:
+        labels = list(named_clips(args.clips))
+        records = newest_records(labels, args.results_dir)
+        print(table(labels, records))
+        if args.out is not None:
+            draw(labels, records, args.results_dir, args.out)
+    except UserError as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

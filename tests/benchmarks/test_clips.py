@@ -1,0 +1,132 @@
+"""One preset for a list of clips: which ones, what counts as learned, the table and the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks import clips, learning
+from benchmarks.learning_curve import read_learning_curve
+from benchmarks.records import write_records
+from benchmarks.runs import Run
+from benchmarks.saved_curves import save_curve
+from isaacgymenvs_lite.errors import ConfigError
+from tests.benchmarks.test_records import RECORD
+from tests.packages import needs
+
+
+def of(label: str, **changes):
+    good = {"pose_error_m": 0.05, "no_fall_share": 1.0, "motion_shown": 0.9}
+    return replace(RECORD, experiment=label, run=f"{label}_seed1", **{**good, **changes})
+
+
+def test_the_shipped_clips_without_data_sets():
+    found = clips.named_clips(["shipped"])
+    assert len(found) == 16
+    assert found["walk"] == "walk"
+    assert "locomotion" not in found
+
+
+@needs("pybullet")
+def test_the_clips_of_deepmimic():
+    found = clips.named_clips(["deepmimic"])
+    assert len(found) == 20
+    assert found["deepmimic_backflip"] == "deepmimic:humanoid3d_backflip"
+    assert found["deepmimic_walker_turn_left0"] == "deepmimic:walker/turn_left0"
+
+
+def test_a_folder_a_file_and_a_name(tmp_path: Path, walk_clip: Path):
+    for name in ("hop.npz", "turn.csv", "notes.md"):
+        (tmp_path / name).write_bytes(walk_clip.read_bytes())
+    assert list(clips.named_clips([str(tmp_path)])) == ["hop", "turn"]
+    assert clips.named_clips([str(walk_clip), "run"]) == {"walk": str(walk_clip), "run": "run"}
+    with pytest.raises(ConfigError, match="have the same name"):
+        clips.named_clips([str(walk_clip), "walk"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="no clip in this folder"):
+        clips.named_clips([str(tmp_path / "empty")])
+
+
+def test_all_clips_get_the_same_settings():
+    first, second = clips.clip_experiments(["walk", "run"], ["num_envs=8"])
+    assert [first.name, second.name] == ["walk", "run"]
+    assert "task.env.motion_file=walk" in first.settings
+    others = [set(e.settings) - {f"task.env.motion_file={e.name}"} for e in (first, second)]
+    assert others[0] == others[1]
+    assert not any("disc_" in setting or "contactBodies" in setting for setting in first.settings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, True),
+        ({"pose_error_m": 0.061}, False),
+        ({"pose_error_m": None}, False),
+        ({"no_fall_share": 0.8}, False),
+        ({"motion_shown": 0.3}, False),  # it stands
+        ({"motion_shown": None}, False),
+    ],
+)
+def test_learned(changes, expected):
+    assert clips.is_learned(of("dance", **changes)) is expected
+
+
+def test_the_paper_counts_where_it_has_a_number():
+    assert clips.is_learned(of("deepmimic_backflip", pose_error_m=0.14))
+    assert not clips.is_learned(of("deepmimic_walk", pose_error_m=0.04))
+
+
+def test_table_and_picture(tmp_path, monkeypatch, capsys, write_events):
+    write_events(tmp_path / "summaries", [20.0, 31.25], poses={1: 0.0625})
+    curve = read_learning_curve(tmp_path / "summaries")
+    for label, shown in (("walk", 0.9), ("run", 0.2)):
+        early = of(label, frames=10, motion_shown=0.0)
+        write_records([early, of(label, motion_shown=shown)], tmp_path)
+        save_curve(curve, tmp_path / "curves" / f"{label}_seed1.json")
+    words = ["--clips", "walk", "run", "jump", "--results-dir", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["clips", *words])
+    clips.main()
+    text = capsys.readouterr().out
+    assert "| walk | 1.0 | 3 | 0.050 | 0.06 | 0.90 | 1.00 | 1.00 | yes |" in text
+    assert "| run | 1.0 | 3 | 0.050 | 0.06 | 0.20 | 1.00 | 1.00 | no |" in text
+    assert "| jump | | | | 0.06 | | | | not trained yet |" in text
+    assert "1 of 2 clips are learned, 1 not done." in text
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "clips.png"
+    monkeypatch.setattr("sys.argv", ["clips", *words, "--out", str(picture)])
+    clips.main()
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["clips", "walk"], "error: clips has folders of its own"),
+        (["walk", "--clips", "run"], "error: --clips has no effect"),
+        (["clips", "--clips", "/nowhere/x"], "error: motion file '/nowhere/x' not found"),
+    ],
+)
+def test_mistakes(words, message, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["learning", *words, "--runs-dir", str(tmp_path / "runs")])
+    with pytest.raises(SystemExit) as raised:
+        learning.main()
+    assert str(raised.value).startswith(message)
+
+
+@pytest.mark.slow
+def test_clips_are_trained_one_after_the_other_and_those_that_are_done_are_left(
+    tmp_path, monkeypatch
+):
+    words = ["clips", "--clips", "walk", "stand", "num_envs=8", "rl_device=cpu"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    command = ["learning", *words, *folders, "--cores-per-run", "1", "--minutes", "0.3", "--resume"]
+    monkeypatch.setattr("sys.argv", command)
+    learning.main()
+    labels = ["walk", "stand"]
+    records = clips.newest_records(labels, tmp_path / "results" / "clips")
+    assert list(records) == labels
+    learning.main()
+    for label in labels:
+        assert len(Run.of(tmp_path / "runs" / "clips", label, 1).starts()) == 1
