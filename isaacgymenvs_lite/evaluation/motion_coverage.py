@@ -31,6 +31,8 @@ _FAR_OF_FROZEN = 0.7
 _NEAR = 0.5
 # A moment must be shown once in the time of so many repetitions of the clips.
 _REPETITIONS = 2
+# How many falls must begin how near each other.
+_LEAST_FALLS, _FALLS_WITHIN_S, _FALLS_SHARE = 4, 0.25, 0.5
 _LEAST_SIZE_M = 0.01
 # Of a clip that does not move at all every moment counts the same.
 _LEAST_WEIGHT_M = 1e-6
@@ -82,6 +84,21 @@ class _Moments:
         return ((self.far_m - distances_m) / (self.far_m - near_m)).clamp(0.0, 1.0)
 
 
+@dataclass(frozen=True)
+class FallMoment:
+    """Where in the clips falls begin, if many begin at one moment.
+
+    Attributes:
+        clip: its number.
+        time_s: of the clip, where the character last showed it.
+        share: of the falls that begin within a quarter of a second of it.
+    """
+
+    clip: int
+    time_s: float
+    share: float
+
+
 class MotionCoverage:
     """Measures which share of the clips' motion episodes show.
 
@@ -91,6 +108,7 @@ class MotionCoverage:
     """
 
     def __init__(self, clips: Sequence[Track], dt_s: float) -> None:
+        self._dt_s = dt_s
         self._clips = [_Moments.of(clip, dt_s) for clip in clips]
         self._num_moments = sum(len(clip.rows) for clip in self._clips)
 
@@ -112,6 +130,35 @@ class MotionCoverage:
         expected = whole * min(1.0, stretch / self._num_moments)
         shown = torch.cat([self._shown(track, stretch) for track in episodes])
         return (shown / expected).clamp(max=1.0).mean().item()
+
+    def fall_moment(self, episodes: Sequence[Track]) -> FallMoment | None:
+        """Return the moment at which most of these episodes, which ended in falls, leave the clips.
+
+        None if they leave them here and there, or are fewer than four.
+        """
+        last = [found for track in episodes if (found := self._last_shown(track)) is not None]
+        if len(last) < _LEAST_FALLS:
+            return None
+        times_s = torch.tensor([time_s for _, time_s in last])
+        clips = torch.tensor([clip for clip, _ in last])
+        near = (times_s[:, None] - times_s).abs() <= _FALLS_WITHIN_S
+        near &= clips[:, None] == clips
+        most = int(near.sum(dim=1).argmax())
+        share = near[most].float().mean().item()
+        if share < _FALLS_SHARE:
+            return None
+        return FallMoment(last[most][0], times_s[near[most]].median().item(), share)
+
+    def _last_shown(self, track: Track) -> tuple[int, float] | None:
+        """Return the clip, and the time (s) in it, that an episode showed last."""
+        found: tuple[int, int, float] | None = None
+        for i, clip in enumerate(self._clips):
+            how_well, moments = clip.shown(track).max(dim=1)
+            steps = how_well.nonzero().flatten()
+            if len(steps) > 0 and (found is None or int(steps[-1]) > found[0]):
+                step = int(steps[-1])
+                found = step, i, int(moments[step]) * self._dt_s
+        return None if found is None else found[1:]
 
     def _shown(self, track: Track, stretch: int) -> Tensor:
         """Return the sum of the weights that each stretch of an episode shows."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
-from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
+from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment, MotionCoverage
 from isaacgymenvs_lite.evaluation.time_warping import Alignment, align
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
@@ -179,6 +180,7 @@ class ImitationResult:
             `motion_coverage`; nan if it was not measured.
         no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
             not be measured counts as a fall.
+        fall_moment: where in the clips most falls begin; None if here and there.
         mean_episode_steps: mean length in control steps.
         num_episodes: E.
     """
@@ -191,6 +193,7 @@ class ImitationResult:
     mean_episode_steps: float
     num_episodes: int
     motion_shown: float = math.nan
+    fall_moment: FallMoment | None = None
 
     def __str__(self) -> str:
         shown = "" if math.isnan(self.motion_shown) else f", {self.motion_shown:.0%} of the motion"
@@ -261,16 +264,20 @@ class PoseErrorMetric:
             no_fall_share=float(np.mean(no_fall)),
             mean_episode_steps=float(lengths.mean()),
             num_episodes=len(episodes),
-            motion_shown=self._motion_shown(
-                [e for e, ok in zip(episodes, finite, strict=True) if ok]
-            ),
+            **self._coverage_of([e for e, ok in zip(episodes, finite, strict=True) if ok]),
         )
 
-    def _motion_shown(self, episodes: Sequence[Episode]) -> float:
+    def _coverage_of(self, episodes: Sequence[Episode]) -> dict[str, Any]:
+        """Return the share of the motion that episodes show, and where they begin to fall."""
         if self._coverage is None:
-            return math.nan
-        tracks = [episode.track for episode in episodes if episode.track is not None]
-        return self._coverage.share(tracks, self._max_steps)
+            return {}
+        tracks = [
+            (episode.track, episode.fell) for episode in episodes if episode.track is not None
+        ]
+        return {
+            "motion_shown": self._coverage.share([track for track, _ in tracks], self._max_steps),
+            "fall_moment": self._coverage.fall_moment([track for track, fell in tracks if fell]),
+        }
 
 
 def _mean(values: npt.NDArray[np.float64]) -> float:

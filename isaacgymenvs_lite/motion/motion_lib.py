@@ -6,6 +6,7 @@ Clips are sampled, and times found among their frames, as in the motion librarie
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,6 +34,10 @@ _log = logging.getLogger(__name__)
 # The time of a frame, rounded to float32, must not pick the frame before: its velocities differ.
 _TIME_ROUNDING = 1.0 + 1e-7
 
+# The motion at a time is what bodies move in so many seconds; times are drawn from bins.
+_MOTION_S, _MOTION_BIN_S = 0.1, 1.0 / 30.0
+_LEAST_MOTION_M = 1e-6
+
 _Ids = Tensor | npt.NDArray[np.integer] | Sequence[int]
 _Times = Tensor | npt.NDArray[np.floating] | Sequence[float]
 
@@ -49,6 +54,10 @@ class MotionLib:
         skeleton: the robot, if it is none of the shipped humanoids.
         interpolation: `published`, or `spline`, which tasks use; see `interpolation`.
         ground: put the lowest points of each clip on the ground, see `plausibility.put_on_ground`.
+
+    Attributes:
+        skeleton: of the clips.
+        implausible: what no body does, by the names of the clips that do it.
 
     Raises:
         MotionFileError: a clip cannot be used.
@@ -88,7 +97,7 @@ class MotionLib:
         ]
         if ground:
             self._clips = [put_on_ground(clip, self.skeleton) for clip in self._clips]
-        warn_of_implausible(self._clips, self.skeleton)
+        self.implausible = warn_of_implausible(self._clips, self.skeleton)
         self._build_motion_table([weight for _, weight in clips_and_weights])
         make: type[Frames] = FRAMES[interpolation]
         self._frames = make(self._clips, self.skeleton, key_ids, self.device)
@@ -144,6 +153,41 @@ class MotionLib:
                 raise ConfigError(f"truncate_time is {truncate_time} s, expected at least 0")
             lengths = (lengths - truncate_time).clamp(min=0.0)
         return torch.rand_like(lengths) * lengths
+
+    def sample_moving_time(self, motion_ids: _Ids) -> Tensor:
+        """Return random times (n,) s in the clips (n,), in proportion to the motion at each time.
+
+        The motion is the mean distance that the bodies go in a tenth of a second. A clip that does
+        not move gives all its times alike.
+        """
+        ids = torch.as_tensor(motion_ids, dtype=torch.long, device=self.device)
+        cumulative, first_bins, widths_s = self._motion_bins
+        # The cumulative motion of clip k goes from k to k + 1.
+        wanted = ids + torch.rand(len(ids), device=self.device, dtype=torch.float64)
+        bins = torch.searchsorted(cumulative, wanted, right=True) - first_bins[ids]
+        within = torch.rand(len(ids), device=self.device)
+        times_s = (bins + within) * widths_s[ids]
+        return torch.minimum(times_s, self._lengths_s[ids])
+
+    @functools.cached_property
+    def _motion_bins(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Cumulative motion of all clips (B,), the first bin (M,) of each, widths (M,) s."""
+        cumulative, counts, widths_s = [], [], []
+        for motion_id, length_s in enumerate(self._lengths_s.tolist()):
+            count = max(1, round(length_s / _MOTION_BIN_S))
+            width_s = length_s / count
+            centres_s = (torch.arange(count, dtype=torch.float64) + 0.5) * width_s
+            ids = torch.full((count,), motion_id)
+            before, after = (
+                self.get_body_pos(ids, (centres_s + shift_s).clamp(0.0, length_s))
+                for shift_s in (-0.5 * _MOTION_S, 0.5 * _MOTION_S)
+            )
+            moved_m = (after - before).norm(dim=-1).mean(dim=-1).double() + _LEAST_MOTION_M
+            cumulative.append(motion_id + moved_m.cumsum(0) / moved_m.sum())
+            counts.append(count)
+            widths_s.append(width_s)
+        firsts = torch.tensor([0, *counts[:-1]], device=self.device).cumsum(0)
+        return torch.cat(cumulative), firsts, torch.tensor(widths_s, device=self.device)
 
     def get_motion_state(self, motion_ids: _Ids, motion_times: _Times) -> MotionState:
         """Return the states of clips (n,) at times (n,) in s.

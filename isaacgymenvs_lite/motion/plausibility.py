@@ -188,13 +188,14 @@ def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
     return [text for text in found if text]
 
 
-def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> None:
-    """Log a line for each implausible clip, the first few of many."""
+def warn_of_implausible(clips: Sequence[MotionClip], skeleton: Skeleton) -> dict[str, str]:
+    """Log a line for each implausible clip, the first few of many; return them by name."""
     found = {clip.name: text for clip in clips if (text := "; ".join(implausible(clip, skeleton)))}
     lines = [f"{name}: implausible: {text}" for name, text in found.items()]
     if len(lines) > _MAX_NAMED:
         lines[_MAX_NAMED:] = [f"{len(lines) - _MAX_NAMED} more clips are implausible"]
     _warn_once(tuple(lines))
+    return found
 
 
 @functools.lru_cache(maxsize=8)

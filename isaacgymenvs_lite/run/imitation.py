@@ -46,6 +46,7 @@ class ImitationObserver(AlgoObserver):
         last_frame: environment steps trained before it.
         best_pose_error_m: lowest of all results, None before the first one that has a pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
+        implausible: what is implausible in the clips, '' before the first evaluation.
     """
 
     MAX_TIME_SHARE = 0.02
@@ -68,6 +69,7 @@ class ImitationObserver(AlgoObserver):
         self.last: EvaluationResult | None = None
         self.last_frame: int | None = None
         self.clip_spread_m = math.nan
+        self.implausible = ""
 
     def after_init(self, algo: Any) -> None:
         """Store the agent and start the clock."""
@@ -113,6 +115,7 @@ class ImitationObserver(AlgoObserver):
                 self._env = env = self._make_env(self._num_episodes)
                 reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
                 self.clip_spread_m = clip_spread_m(reference)
+                self.implausible = "; ".join(env.motion_lib.implausible.values())
             torch.manual_seed(self._SEED)
             return evaluate(self._env, self._policy(), self._num_episodes)
 

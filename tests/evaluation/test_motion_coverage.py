@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from benchmarks import motion_shown
 from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
 from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
 from isaacgymenvs_lite.evaluation.pose_error import (
@@ -14,27 +15,18 @@ from isaacgymenvs_lite.evaluation.pose_error import (
     PoseErrorMetric,
     ReferencePoses,
 )
-from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis, rotate_about_z
 
-DT_S = 1.0 / 30.0
-STEPS = 300
+DT_S, STEPS = motion_shown.DT_S, motion_shown.STEPS
 
 
-def played(name: str, steps: int = STEPS, start: float = 0.0, tempo: float = 1.0) -> Track:
-    """A shipped clip, repeated where its end is the place to go on from; start: share of it."""
-    lib = MotionLib(name, 28, [5], "cpu", interpolation="spline")
-    length_s = float(lib.get_motion_length([0]))
-    times_s = start * length_s + tempo * DT_S * torch.arange(steps, dtype=torch.float64)
-    ids = torch.zeros(steps, dtype=torch.long)
-    ends = lib.get_motion_state([0, 0], [0.0, length_s]).root_pos
-    moved = torch.floor(times_s / length_s).float().view(-1, 1, 1) * (ends[1] - ends[0])
-    state = lib.get_motion_state(ids, times_s % length_s)
-    return Track(lib.get_body_pos(ids, times_s % length_s) + moved, state.root_rot)
+def played(name: str, *args, **kwargs) -> Track:
+    """An episode of a shipped clip; see `benchmarks.motion_shown.played`."""
+    return motion_shown.played(motion_shown.library(name), *args, **kwargs)
 
 
 def coverage(*names: str) -> MotionCoverage:
-    libs = [MotionLib(name, 28, [5], "cpu", interpolation="spline") for name in names]
+    libs = [motion_shown.library(name) for name in names]
     return MotionCoverage([track for lib in libs for track in tracks_of_clips(lib, DT_S)], DT_S)
 
 
@@ -53,7 +45,7 @@ def turned(track: Track, angle_rad: float) -> Track:
 def test_the_clip_itself_shows_all_whatever_phase_place_and_heading(name):
     measured = coverage(name)
     for start in (0.0, 0.4, 0.8):
-        episode = turned(played(name, start=start), 2.0)
+        episode = turned(played(name, phase=start), 2.0)
         assert measured.share([episode], STEPS) > 0.95
 
 
@@ -66,7 +58,7 @@ def test_standing_shows_next_to_nothing(name):
 
 
 def test_standing_is_all_that_a_clip_of_standing_has():
-    assert coverage("stand").share([played("stand", start=0.3)], STEPS) > 0.95
+    assert coverage("stand").share([played("stand", phase=0.3)], STEPS) > 0.95
 
 
 def test_walking_on_the_spot_is_not_walking():
@@ -85,7 +77,7 @@ def test_half_as_fast_is_half_of_a_run_and_a_little_slower_is_all():
 def test_what_a_fall_leaves_out_is_missing():
     """A second of the jump of three seconds, wherever it begins."""
     measured = coverage("jump")
-    seconds = [played("jump", steps=30, start=share) for share in (0.0, 0.3, 0.6)]
+    seconds = [played("jump", steps=30, phase=share) for share in (0.0, 0.3, 0.6)]
     assert measured.share(seconds, STEPS) < 0.75
     assert measured.share([played("jump", steps=3)], STEPS) < 0.05
 
@@ -105,6 +97,29 @@ def test_of_a_clip_longer_than_an_episode_as_much_is_expected_as_fits():
     walked = played("walk", 900)
     slowly = MotionCoverage([Track(walked.body_pos_w, walked.root_rot_w)], DT_S)
     assert slowly.share([played("walk", 100)], 100) > 0.95
+
+
+def test_where_falls_begin():
+    """Episodes that follow the jump until 1.5 s, wherever they start, and then lie down."""
+    measured = coverage("jump")
+    lib = motion_shown.library("jump")
+    length_s = float(lib.get_motion_length([0]))
+
+    def falling(start_s: float, end_s: float) -> Track:
+        steps = round((end_s - start_s) / DT_S)
+        followed = motion_shown.played(lib, steps, phase=start_s / length_s)
+        lying = followed.body_pos_w[-1:].expand(20, -1, -1) * torch.tensor([1.0, 1.0, 0.1])
+        rot = followed.root_rot_w[-1:].expand(20, -1)
+        return Track(torch.cat((followed.body_pos_w, lying)), torch.cat((followed.root_rot_w, rot)))
+
+    found = measured.fall_moment([falling(start_s, 1.5) for start_s in (0.0, 0.2, 0.4, 0.6)])
+    assert found is not None
+    assert (found.clip, found.share) == (0, 1.0)
+    # A moment is seen at its first time; the last one ends at the fall.
+    assert 0.4 < found.time_s < 1.6
+    ends_s = (0.9, 1.3, 1.7, 2.1, 2.5)
+    assert measured.fall_moment([falling(0.0, end_s) for end_s in ends_s]) is None
+    assert measured.fall_moment([falling(0.0, 1.5)] * 3) is None  # too few
 
 
 def test_without_episodes_it_is_unknown():

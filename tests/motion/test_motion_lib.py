@@ -156,6 +156,28 @@ def test_truncated_times_stop_early_and_never_below_zero(mixed: MotionLib) -> No
         mixed.sample_time(ids, truncate_time=-1.0)
 
 
+def test_times_in_proportion_to_the_motion(tmp_path: Path, humanoid, make_humanoid_clip) -> None:
+    """A clip of 2 s whose last half second moves three times as fast, and one that rests."""
+    clip = make_humanoid_clip(61)
+    root = np.array(clip.root_translation)
+    speed_m_s = np.where(np.arange(61) < 45, 1.0, 3.0)
+    root[:, 0] = np.cumsum(speed_m_s) / 30.0
+    save_npz(tmp_path / "fast.npz", dataclasses.replace(clip, root_translation=root))
+    root = np.tile(root[:1], (61, 1))
+    save_npz(tmp_path / "rest.npz", dataclasses.replace(clip, root_translation=root))
+    path = tmp_path / "set.yaml"
+    path.write_text("motions:\n- {file: fast.npz, weight: 1}\n- {file: rest.npz, weight: 1}\n")
+    lib = MotionLib(path, 28, [5], "cpu")
+    torch.manual_seed(0)
+    ids = torch.tensor([0, 1]).repeat(20_000)
+    times = lib.sample_moving_time(ids).view(20_000, 2)
+    assert times.min() >= 0.0
+    assert times.max() <= 2.0
+    # 1.5 m of 1.5 + 1.5 m; standard deviation sqrt(0.25 / 20000) = 0.0035.
+    assert (times[:, 0] > 1.5).float().mean().item() == pytest.approx(0.5, abs=0.03)
+    assert (times[:, 1] > 1.5).float().mean().item() == pytest.approx(0.25, abs=0.02)
+
+
 def test_state_of_no_samples_is_empty(lib: MotionLib) -> None:
     state = lib.get_motion_state([], [])
     shapes = [tuple(part.shape) for part in state]

@@ -316,9 +316,15 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _draw_windows(self, n: int) -> tuple[Tensor, Tensor]:
         """Draw motions (n,) by weight, and the last instants (n,) s of windows inside them."""
-        motion_ids = self._motion_lib.sample_motions(n)
-        in_clip = self._motion_lib.sample_time(motion_ids, truncate_time=self._history_s)
-        return motion_ids, in_clip + self._history_s
+        lib, history_s = self._motion_lib, self._history_s
+        motion_ids = lib.sample_motions(n)
+        times = lib.sample_time(motion_ids, truncate_time=history_s) + history_s
+        share = self.env_cfg.demo_motion_share
+        if share > 0.0:
+            is_by_motion = torch.rand(n, device=self.device) < share
+            by_motion = lib.sample_moving_time(motion_ids).clamp(min=history_s)
+            times = torch.where(is_by_motion, by_motion, times)
+        return motion_ids, times
 
     def _windows_at(self, motion_ids: Tensor, times: Tensor) -> Tensor:
         """Return AMP observations (n, F) on rl_device of windows that end at times (n,) s."""

@@ -48,6 +48,9 @@ class HumanoidAMPConfig(TaskConfig):
     clip_interpolation: str = setting("spline", key="clipInterpolation", choices=INTERPOLATIONS)
     """This project's: what is between the frames of clips: a spline, whose derivative gives the
     velocities, or what the originals compute, see `motion.interpolation`."""
+    demo_motion_share: float = setting(0.0, key="demoMotionShare", minimum=0, maximum=1)
+    """This project's: share of the demonstrations that are drawn in proportion to the motion in the
+    clip at each time, not evenly. A policy that only rests is then rewarded less."""
     adaptive_starts: float = setting(0.0, key="adaptiveStarts", minimum=0, maximum=1)
     """This project's: share of the starts in clips that are drawn where the policy fails."""
     ground_clips: bool = setting(False, key="groundClips")

@@ -341,6 +341,18 @@ def test_demonstrations_lie_inside_the_clip(
         torch.testing.assert_close(demos[:, k], expected, rtol=0.0, atol=ATOL)
 
 
+def test_demonstrations_by_motion_lie_inside_the_clip(make_humanoid) -> None:
+    torch.manual_seed(4)
+    task = make_humanoid(1, numAMPObsSteps=4, demoMotionShare=1.0)
+    demos = task.fetch_amp_obs_demo(300).view(300, 4, 105)
+    assert _time_of(demos[:, -1, 0]).min() > -1e-5
+    assert _time_of(demos[:, 0, 0]).max() < CLIP_S + 1e-5
+    # Drawn from the generator once more, and by another rule.
+    torch.manual_seed(4)
+    evenly = make_humanoid(1, numAMPObsSteps=4).fetch_amp_obs_demo(300).view(300, 4, 105)
+    assert not torch.equal(evenly, demos)
+
+
 def test_any_number_of_demonstrations(make_humanoid) -> None:
     task = make_humanoid(1)
     for n in (7, 1, 64, 7):
