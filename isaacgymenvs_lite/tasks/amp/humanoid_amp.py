@@ -158,7 +158,7 @@ class HumanoidAMP(HumanoidAMPBase):
         self._adaptive = AdaptiveStarts(
             self._motion_lib.get_motion_length(range(self._motion_lib.num_motions())),
             self._motion_lib.motion_weights(),
-            round(_FAILS_SOON_S / self.control_dt_s),
+            min(round(_FAILS_SOON_S / self.control_dt_s), self.max_episode_length // 2),
         )
         # Where the episodes started; -1: in the default pose.
         self._start_bins = torch.full_like(self.progress_buf, -1)

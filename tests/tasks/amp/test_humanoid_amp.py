@@ -22,7 +22,6 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP, build_amp_observations
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
-from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 DT = 0.0332
 CLIP_S = 1.5
@@ -166,25 +165,39 @@ def test_what_touches_the_ground_in_the_clip_may_do_so(
     assert given.contact_body_ids.tolist() == [14]
 
 
-def test_episodes_start_where_they_fail(make_humanoid) -> None:
-    """Of a policy that falls from the last third of the clip alone."""
-    torch.manual_seed(1)
-    task = make_humanoid(64, adaptiveStarts=0.5)
-    adaptive = task._adaptive
-    late = adaptive.bins_of(torch.tensor([0]), torch.tensor([1.0])).item()
-    for _ in range(30):
-        task.reset_done()
-        task.step(torch.zeros(64, 28))
-        started_late = task._start_bins >= late
-        task.done_buf.copy_(torch.where(started_late, Done.FAILED, Done.TIME_OUT))
-        task.progress_buf.copy_(torch.where(started_late, 5, 200))
-        task._count_starts()
-        task.reset_buf.fill_(1)
-    assert adaptive.failure_rate[late:].min() > 0.9
-    assert adaptive.failure_rate[:late].max() < 0.1
-    times = torch.cat([task._draw_moments(1000)[1] for _ in range(4)])
-    # A third of the even half, and nearly all of the other.
-    assert (times > 1.0).float().mean().item() == pytest.approx(0.5 / 3 + 0.5, abs=0.08)
+def test_episodes_start_where_they_fail(make_humanoid, tmp_path: Path, walk_clip: Path) -> None:
+    """A clip that stands, and in its last third is on its back in the air."""
+    clip = load_single_clip(walk_clip)[0]
+    turns = np.zeros_like(clip.local_rotation)
+    turns[..., 3] = 1.0
+    lies = slice(30, None)
+    turns[lies, 0] = (0.0, -np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    root = np.zeros_like(clip.root_translation)
+    root[:, 2] = DEFAULT_HEIGHT_M
+    poses = {"local_rotation": turns, "root_translation": root}
+    file = save_npz(tmp_path / "back.npz", dataclasses.replace(clip, **poses))
+
+    def share_of_lying_starts(adaptive: float) -> float:
+        torch.manual_seed(1)
+        task = make_humanoid(
+            64,
+            motion_file=str(file),
+            clipInterpolation="published",  # a spline would swing between the two poses
+            episodeLength=30,  # in which the zero pose does not yet fall over
+            adaptiveStarts=adaptive,
+        )
+        lying, starts = 0, 0
+        for step in range(180):
+            _, started = task.reset_done()
+            if step > 100:
+                starts += len(started)
+                lying += int((task.simulation.root_states[started, 4].abs() > 0.3).sum())
+            _zero_step(task)
+        return lying / starts
+
+    evenly, adaptive = share_of_lying_starts(0.0), share_of_lying_starts(0.9)
+    assert evenly == pytest.approx(1 / 3, abs=0.07)
+    assert adaptive > 0.8
 
 
 def _starts_in_clip(task: HumanoidAMP) -> Tensor:
