@@ -180,7 +180,7 @@ def test_episodes_start_where_they_fail(make_humanoid, tmp_path: Path, walk_clip
     def share_of_lying_starts(adaptive: float) -> float:
         torch.manual_seed(1)
         task = make_humanoid(
-            64,
+            256,
             motion_file=str(file),
             clipInterpolation="published",  # a spline would swing between the two poses
             episodeLength=30,  # in which the zero pose does not yet fall over
@@ -197,7 +197,8 @@ def test_episodes_start_where_they_fail(make_humanoid, tmp_path: Path, walk_clip
 
     evenly, adaptive = share_of_lying_starts(0.0), share_of_lying_starts(0.9)
     assert evenly == pytest.approx(1 / 3, abs=0.07)
-    assert adaptive > 0.8
+    # By then each moment has had about 70 episodes, and rates of 0.5 have come to 0.13 and 0.87.
+    assert adaptive > 0.6
 
 
 def _starts_in_clip(task: HumanoidAMP) -> Tensor:
