@@ -36,7 +36,8 @@ GROUND_QUANTILE = 0.05
 toe that one frame puts too deep."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
 _IN_AIR_M = 0.05
-_TOUCH_M, _TOUCH_SHARE = 0.03, 0.02
+# Of the height of the centre of mass (3 cm of a human), and of the frames.
+_TOUCH, _TOUCH_SHARE = 0.033, 0.02
 # Where the centre of mass is lower than this share of its usual height, a body rolls or lies.
 _LOW_MASS = 0.45
 _GRAVITY_M_S2 = 9.81
@@ -145,28 +146,30 @@ def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
 def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[str]:
     """Return the bodies that touch the ground in clips, in the order of the skeleton.
 
-    A body touches it where its lowest point is within 3 cm of the ground of its clip, in 2% of the
-    frames at least. Where the centre of mass comes near the ground, in a roll or a crawl, it is all
-    bodies: clips of that kind are seldom exact. None of a skeleton without a model.
+    A body touches it where its lowest point is near the ground of its clip, within 3 cm of a
+    humanoid and in proportion of others, in 2% of the frames at least. Where the centre of mass
+    comes near the ground, in a roll or a crawl, it is all bodies: clips of that kind are seldom
+    exact. None of a skeleton without a model.
     """
+    if skeleton.model is None:
+        return []
+    usual_m = _usual_mass_height_m(skeleton.model)
     found: set[int] = set()
     for clip in clips:
         poses = _Poses.of(clip, skeleton)
         if poses is None:
             continue
         above_m = float(np.quantile(poses.mass_height_m, _TOUCH_SHARE)) - poses.ground_m
-        if above_m < _LOW_MASS * _usual_mass_height_m(skeleton):
+        if above_m < _LOW_MASS * usual_m:
             return list(skeleton.body_names)
-        touch_m = poses.ground_m + _TOUCH_M
+        touch_m = poses.ground_m + _TOUCH * usual_m
         rates = {body: float((low < touch_m).mean()) for body, low in poses.lows_m.items()}
         found.update(body for body, rate in rates.items() if rate >= _TOUCH_SHARE)
     return [skeleton.body_names[body] for body in sorted(found)]
 
 
-def _usual_mass_height_m(skeleton: Skeleton) -> float:
+def _usual_mass_height_m(model: mujoco.MjModel) -> float:
     """Return how high the centre of mass is above the lowest point, all joints at rest."""
-    model = skeleton.model
-    assert model is not None
     data = mujoco.MjData(model)
     data.qpos[2] = start_height(model, model.qpos0) - CLEARANCE
     mujoco.mj_kinematics(model, data)
