@@ -88,16 +88,17 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
     Raises:
         ConfigError: an experiment or a run cannot be used.
     """
+    clips = [word for word in args.clips or () if "=" not in word]
     names = [word for word in args.what if "=" not in word]
-    extra = [word for word in args.what if "=" in word]
+    extra = [word for word in (*args.what, *(args.clips or ())) if "=" in word]
     if not names:
         raise ConfigError("give an experiment; benchmarks/experiments.yaml lists them")
     if args.motion_file and not any(needs_motion_file(name) for name in names):
         raise ConfigError(f"--motion-file has no effect: {', '.join(names)} have their own clips")
-    if args.clips and CLIPS not in names:
+    if clips and CLIPS not in names:
         raise ConfigError(f"--clips has no effect: {', '.join(names)}; add {CLIPS}")
     if CLIPS in names:
-        return _plans_of_clips(names, args, extra)
+        return _plans_of_clips(names, clips or DEFAULT_CLIPS, args, extra)
     experiments = [find_experiment(name, args.motion_file, extra) for name in names]
     return [
         plan(experiment, Run.of(args.runs_dir, experiment.name, seed), args.minutes, args.resume)
@@ -106,7 +107,9 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
     ]
 
 
-def _plans_of_clips(names: list[str], args: argparse.Namespace, extra: list[str]) -> list[Plan]:
+def _plans_of_clips(
+    names: Sequence[str], clips: Sequence[str], args: argparse.Namespace, extra: Sequence[str]
+) -> list[Plan]:
     """Return one run for each clip that is not done yet.
 
     Raises:
@@ -117,7 +120,7 @@ def _plans_of_clips(names: list[str], args: argparse.Namespace, extra: list[str]
     args.runs_dir, args.results_dir = args.runs_dir / CLIPS, args.results_dir / CLIPS
     plans = [
         plan(each, Run.of(args.runs_dir, each.name, 1), args.minutes, args.resume)
-        for each in clip_experiments(args.clips or DEFAULT_CLIPS, extra)
+        for each in clip_experiments(clips, extra)
     ]
     return [job for job in plans if job.minutes > 0]
 
