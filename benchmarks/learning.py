@@ -38,6 +38,8 @@ def main() -> None:
     args = _parser().parse_intermixed_args()
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
+        if CLIPS in args.what:
+            args.runs_dir, args.results_dir = args.runs_dir / CLIPS, args.results_dir / CLIPS
         plans = _plans(args)
         slots = cpu_slots(args.parallel, args.cores_per_run)
         records: list[Record] = []
@@ -117,7 +119,6 @@ def _plans_of_clips(
     """
     if len(names) > 1:
         raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
-    args.runs_dir, args.results_dir = args.runs_dir / CLIPS, args.results_dir / CLIPS
     plans = [
         plan(each, Run.of(args.runs_dir, each.name, 1), args.minutes, args.resume)
         for each in clip_experiments(clips, extra)

@@ -156,9 +156,11 @@ class EpisodeRecorder:
             num_steps = slots[env]
             if not self._waiting[env] and num_steps > 0:
                 steps = (env, slice(num_steps))
-                track = Track(self._body_pos_w[steps].cpu(), self._root_rot_w[steps].cpu())
-                # The buffers are written again in the next episode.
-                track = Track(track.body_pos_w.clone(), track.root_rot_w.clone())
+                # Copies: the buffers are written again in the next episode.
+                copies = (
+                    part[steps].clone().cpu() for part in (self._body_pos_w, self._root_rot_w)
+                )
+                track = Track(*copies)
                 poses = root_relative_pose(track.body_pos_w, track.root_rot_w)
                 self.episodes.append(Episode(poses, bool(has_fallen), track))
                 self._left[env] -= 1

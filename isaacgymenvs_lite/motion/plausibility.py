@@ -35,7 +35,7 @@ GROUND_QUANTILE = 0.05
 """Of the lowest points of all frames, the one that belongs on the ground. The very lowest may be a
 toe that one frame puts too deep."""
 _DEEP_M, _HIGH_M = 0.03, 0.03
-_IN_AIR_M = 0.05
+_IN_AIR_M = 0.1  # recorded walks have feet 8 cm above the ground
 # Of the height of the centre of mass (3 cm of a human), and of the frames.
 _TOUCH, _TOUCH_SHARE = 0.033, 0.02
 # Where the centre of mass is lower than this share of its usual height, a body rolls or lies.
@@ -221,7 +221,7 @@ def _off_ground(poses: _Poses) -> str:
 
 def _flights(poses: _Poses) -> list[slice]:
     """Return the frames of each flight that is long enough to say something."""
-    is_in_air = poses.lowest_m > max(poses.ground_m, 0.0) + _IN_AIR_M
+    is_in_air = poses.lowest_m > poses.ground_m + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
     return [slice(start, end) for start, end in ends if end - start >= least]
@@ -243,7 +243,7 @@ def _odd_flights(poses: _Poses) -> list[str]:
         if oddness < worst:
             continue
         start_s, end_s = flight.start / poses.fps, (flight.stop - 1) / poses.fps
-        high_m = float(poses.lowest_m[flight].max())
+        high_m = float(poses.lowest_m[flight].max()) - poses.ground_m
         how = (
             f"it hovers up to {high_m:.2f} m above the ground"
             if fall_m_s2 < _HOVERING_M_S2
@@ -276,8 +276,7 @@ def _ends_in_air(poses: _Poses) -> str:
     difference_m = np.linalg.norm(poses.body_pos[0] - poses.body_pos[-1], axis=-1)
     if difference_m.mean() < _CLOSED_M:
         return ""
-    ground_m = max(poses.ground_m, 0.0)
-    first_m, last_m = (float(poses.lowest_m[at]) - ground_m for at in (0, -1))
+    first_m, last_m = (float(poses.lowest_m[at]) - poses.ground_m for at in (0, -1))
     found = []
     if first_m > _IN_AIR_M:
         found.append(f"it starts {first_m:.2f} m in the air")
