@@ -90,6 +90,15 @@ class AMPEnv(AMPObsEnv, Protocol):
         ...
 
 
+class TimedAMPEnv(AMPEnv, Protocol):
+    """A task that says how long its episodes may last."""
+
+    @property
+    def max_episode_length(self) -> int:
+        """Control steps of the longest episode."""
+        ...
+
+
 class TrackingEnv(AMPEnv, Protocol):
     """A task that shows how to follow its reference motions, for a warm start."""
 

@@ -38,6 +38,10 @@ class AMPParams:
     """Weight of the squared weights of its last layer."""
     disc_grad_penalty: float = setting(minimum=0)
     """Weight of its squared gradient on reference rows."""
+    disc_grad_penalty_final: float | None = setting(None, minimum=0)
+    """New here: what that weight comes to when the policy stays up, see
+    `discriminator.scheduled_grad_penalty`; None = it is constant. A large one leads to policies
+    that stay up, a small one sees whether they move."""
     disc_reward_scale: float = setting()
     """Factor of the style reward."""
     disc_weight_decay: float = setting(minimum=0)

@@ -33,7 +33,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.env_interface import AMPEnv, require
+from isaacgymenvs_lite.env_interface import AMPEnv, TimedAMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_advantages
@@ -44,6 +44,8 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
     StyleRewards,
     accuracies,
     disc_obs_size,
+    scheduled_grad_penalty,
+    upright_progress,
 )
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
@@ -58,6 +60,8 @@ from isaacgymenvs_lite.learning.warm_start import (
 
 log = logging.getLogger(__name__)
 
+# How much an epoch changes `AMPAgent.staying_up`: half of a change in 14 epochs.
+_PER_EPOCH = 0.05
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
@@ -74,12 +78,14 @@ class AMPAgent(StyleRewards, CommonAgent):
         discriminator: buffers, normaliser, loss and reward.
         acts_on_obs_alone: whether the actor has no other input; else it has no warm start.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
+        staying_up: how far the policy has learned to stay up, 0 to 1, smoothed over epochs.
     """
 
     discriminator: DiscriminatorTrainer
     frozen_until = 0
     acts_on_obs_alone = True
-    stored = ("frozen_until",)
+    staying_up = 0.0
+    stored = ("frozen_until", "staying_up")
     stored_buffers = ("demo_buffer", "replay_buffer")
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
@@ -93,6 +99,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         "disc_agent_logit": "info/disc_agent_logit",
         "disc_demo_logit": "info/disc_demo_logit",
         "disc_grad_penalty": "info/disc_grad_penalty",
+        "disc_grad_penalty_weight": "info/disc_grad_penalty_weight",
         "disc_logit_loss": "info/disc_logit_loss",
         "disc_reward_mean": "info/disc_reward_mean",
         "disc_reward_std": "info/disc_reward_std",
@@ -120,6 +127,9 @@ class AMPAgent(StyleRewards, CommonAgent):
         super()._load_config_params(config)
         self._amp = read_agent_params(config, self.params_class)
         self._env = require(self.vec_env.env, self.env_contract, "train.params.algo: AMP")
+        if self._amp.disc_grad_penalty_final is not None:
+            what = "train.params.config.disc_grad_penalty_final"
+            self._max_episode_steps = require(self._env, TimedAMPEnv, what).max_episode_length
         self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
         # True if some environments act without exploration noise.
         self._masks_exploration = self._amp.enable_eps_greedy
@@ -283,12 +293,26 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _before_update(self, batch_dict: dict[str, Any]) -> None:
         """Fetch new demonstrations, and draw the real and fake rows for the discriminator."""
         self._log_rewards()
+        self._schedule_grad_penalty()
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
         batch_dict |= self._demo_disc_batch(self.discriminator.sample_demos(rows))
         replayed = self.discriminator.sample_replay(self._agent_disc_batch(batch_dict))
         for name, values in replayed.items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
+
+    def _schedule_grad_penalty(self) -> None:
+        """Let the gradient penalty follow how long episodes last, if it has a final value."""
+        final = self._amp.disc_grad_penalty_final
+        if final is None:
+            return
+        if self.game_lengths.current_size > 0:
+            length = current_group().mean(self.game_lengths.get_mean()).item()
+            now = upright_progress(length / self._max_episode_steps)
+            self.staying_up += _PER_EPOCH * (now - self.staying_up)
+        weight = scheduled_grad_penalty(self._amp.disc_grad_penalty, final, self.staying_up)
+        self.discriminator.grad_penalty = weight
+        self.train_log.add({"disc_grad_penalty_weight": torch.tensor(weight)})
 
     def _demo_disc_batch(self, demos: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the real rows for the discriminator, given rows of the demonstrations."""

@@ -279,9 +279,9 @@ class Diagnostics:
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
             f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
-            f" start again with {self._turn('disc_grad_penalty', 0.1)}, with which a discriminator"
-            " tells rest from motion better, or cut parts that stand still out of the clip"
-            f" (task.env.motion_file){self._clips_are_odd()}"
+            " set train.params.config.disc_grad_penalty_final=0.2, with which the discriminator"
+            " tells rest from motion better once the policy stays up, or cut parts that stand"
+            f" still out of the clip (task.env.motion_file){self._clips_are_odd()}"
         )
 
     def _falls(self) -> str | None:

@@ -56,6 +56,35 @@ def test_the_best_checkpoint_is_saved_after_save_best_after(make_agent):
     assert "HumanoidAMP.pth" in names_in(agent)
 
 
+SCHEDULED = (f"{CONFIG}.disc_grad_penalty=5", f"{CONFIG}.disc_grad_penalty_final=0.2")
+
+
+def test_the_gradient_penalty_follows_the_length_of_episodes(make_agent):
+    """Of a policy that always reaches the time limit; 0.05 of what is left in an epoch."""
+    agent = make_agent(*VERY_SHORT_EPISODES, *SCHEDULED)
+    agent.max_epochs = 4
+    agent.train()
+    # In the first epoch episodes have ended, too: their limit is two steps.
+    assert agent.staying_up == pytest.approx(1.0 - 0.95**4)
+    expected = 5.0 ** (1.0 - agent.staying_up) * 0.2**agent.staying_up
+    assert agent.discriminator.grad_penalty == pytest.approx(expected)
+
+
+def test_the_gradient_penalty_stays_where_episodes_are_short(make_agent):
+    agent = make_agent(*SCHEDULED)  # the clips' bodies fall at once
+    agent.max_epochs = 3
+    agent.train()
+    assert agent.staying_up < 0.2
+    assert agent.discriminator.grad_penalty > 3.0
+
+
+def test_without_a_final_value_the_gradient_penalty_is_constant(make_agent):
+    agent = make_agent(*VERY_SHORT_EPISODES)
+    agent.max_epochs = 2
+    agent.train()
+    assert agent.discriminator.grad_penalty is None
+
+
 def test_score_to_win_ends_the_training(make_agent):
     agent = make_agent(
         *VERY_SHORT_EPISODES,

@@ -29,6 +29,10 @@ AGENTS = {
     "ppo_randomized": ("task=Ant", *TINY_PPO, SHORT_EPISODES, "task.task.randomize=True"),
     "asymmetric": ("task=AnymalTerrain", "train=AnymalTerrainPPO", *TINY_PPO),
     "amp": ("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
+    "amp_adaptive": (
+        *("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, "task.env.adaptiveStarts=0.5"),
+        *("task.env.demoMotionShare=0.5", f"{CONFIG}.disc_grad_penalty_final=0.2"),
+    ),
     "robot_amp": (
         *("task=RobotAMP", *TINY_AMP, SHORT_EPISODES, "task.task.randomize=True"),
         *("task.env.observations=deployable", "task.env.historySteps=2"),

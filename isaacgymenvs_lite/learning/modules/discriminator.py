@@ -28,6 +28,8 @@ from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 DISC_LOGIT_INIT_SCALE = 1.0
 # The logistic reward of a sample that certainly is the policy's would be ln(1/0).
 _MIN_FAKE_PROBABILITY = 1e-4
+# Shares of the time limit that training episodes last, with exploration noise.
+_BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 
 # --- layers ----------------------------------------------------------------------------------
 
@@ -320,6 +322,29 @@ class LossFunctions(NamedTuple):
     accuracies: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
+def scheduled_grad_penalty(first: float, last: float, progress: float) -> float:
+    """Return the weight of the gradient penalty, from `first` to `last` by a constant factor.
+
+    Args:
+        first: at progress 0.
+        last: at progress 1.
+        progress: 0 to 1; see `upright_progress`.
+    """
+    return float(first ** (1.0 - progress) * last**progress)
+
+
+def upright_progress(episode_share: float) -> float:
+    """Return how far a policy has learned to stay up, 0 to 1.
+
+    Args:
+        episode_share: mean length of training episodes, as a share of the time limit. Exploration
+            makes policies fall that would not fall without: 0.3 is where they begin to stay up, and
+            0.6 is enough.
+    """
+    first, last = _BEGINS_TO_STAY_UP, _STAYS_UP
+    return min(max((episode_share - first) / (last - first), 0.0), 1.0)
+
+
 class DiscriminatorTrainer(StyleDiscriminator):
     """Trains a style discriminator: demonstrations, replayed rows, normaliser and loss.
 
@@ -336,10 +361,12 @@ class DiscriminatorTrainer(StyleDiscriminator):
     Attributes:
         demo_buffer: reference observations; `make_buffers` makes both.
         replay_buffer: past observations of the policy.
+        grad_penalty: weight of the gradient penalty; None: `disc_grad_penalty`.
     """
 
     demo_buffer: ReplayBuffer
     replay_buffer: ReplayBuffer
+    grad_penalty: float | None = None
 
     def make_buffers(self) -> None:
         """Make both buffers, empty."""
@@ -422,11 +449,8 @@ class DiscriminatorTrainer(StyleDiscriminator):
         if demo_gradient is None:
             demo_gradient = input_gradient(demo_logit, demo_obs)
         grad_penalty = demo_gradient.float().square().sum(dim=-1).mean()
-        loss = (
-            prediction
-            + self._params.disc_logit_reg * logit_loss
-            + self._params.disc_grad_penalty * grad_penalty
-        )
+        weight = self._params.disc_grad_penalty if self.grad_penalty is None else self.grad_penalty
+        loss = prediction + self._params.disc_logit_reg * logit_loss + weight * grad_penalty
         if self._params.disc_weight_decay != 0.0:
             squares = [weights.square().sum() for weights in self._network.get_disc_weights()]
             loss = loss + self._params.disc_weight_decay * torch.stack(squares).sum()

@@ -14,6 +14,8 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
     StyleNetwork,
     disc_obs_size,
     eval_discriminator,
+    scheduled_grad_penalty,
+    upright_progress,
 )
 
 PARAMS: dict[str, Any] = {
@@ -218,6 +220,33 @@ def test_regularisation_terms_add_up():
     assert info["disc_loss"].item() == pytest.approx(plain + 0.01 * 10.0, abs=1e-6)
     info = example_loss(network, disc_grad_penalty=0.2)
     assert info["disc_loss"].item() == pytest.approx(plain + 0.2 * 1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("share", "progress"), [(0.0, 0.0), (0.3, 0.0), (0.45, 0.5), (0.6, 1.0), (0.99, 1.0)]
+)
+def test_a_policy_that_stays_up(share: float, progress: float):
+    assert upright_progress(share) == pytest.approx(progress)
+
+
+def test_a_scheduled_penalty_changes_by_a_constant_factor():
+    weights = [scheduled_grad_penalty(5.0, 0.2, progress) for progress in (0.0, 0.5, 1.0)]
+    assert weights == pytest.approx([5.0, 1.0, 0.2])
+    assert scheduled_grad_penalty(2.0, 0.0, 0.99) == 0.0
+    assert scheduled_grad_penalty(2.0, 0.0, 0.0) == 2.0
+
+
+def test_the_weight_in_force_is_the_scheduled_one():
+    network = Linear(torch.zeros(1, 3), torch.tensor([1.0, -2.0, 3.0]))
+    demo_obs = torch.zeros(6, 3, requires_grad=True)
+    trainer = make(network, disc_grad_penalty=5.0)
+    losses = []
+    for weight in (0.0, None, 0.5):
+        trainer.grad_penalty = weight
+        info = trainer.loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
+        losses.append(info["disc_loss"].item())
+    assert losses[1] - losses[0] == pytest.approx(5.0 * 14.0)
+    assert losses[2] - losses[0] == pytest.approx(0.5 * 14.0)
 
 
 def test_gradient_penalty_of_a_linear_discriminator():
