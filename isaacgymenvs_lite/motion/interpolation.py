@@ -19,10 +19,9 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_of_clip, joint_rotations
+from isaacgymenvs_lite.motion.qpos import BodyPoses, dofs_of_clip, joint_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
-from isaacgymenvs_lite.utils.kinematics import Kinematics
 
 INTERPOLATIONS = ("spline", "published")
 
@@ -115,10 +114,7 @@ class PoseSplines:
         self._joints = JointColumns(skeleton, with_angles=True)
         self._dof_columns = torch.tensor(self._joints.columns, device=device)
         self._key_ids = torch.tensor(list(key_ids), dtype=torch.long, device=device)
-        root = int(skeleton.model.jnt_bodyid[0])
-        self._bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
-        self._kinematics = Kinematics(skeleton.model, self._bodies.stop)
-        self._qpos0 = skeleton.model.qpos0.astype(np.float32)
+        self._bodies = BodyPoses(skeleton)
         rows = [self._rows_of(clip) for clip in clips]
         # (frames, 2, columns): values, and their changes from one frame to the next.
         self._rows = torch.from_numpy(np.concatenate(rows)).float().to(device)
@@ -187,15 +183,13 @@ class PoseSplines:
         rows = values.numpy()
         turns = rotations.wxyz_from_xyzw(values[:, first_turn:].reshape(n, -1, 4)).numpy()
         addresses = self._skeleton.qpos_addresses
-        qpos = np.repeat(self._qpos0[:, None], n, axis=1)
-        qpos[:3], qpos[3:7] = rows[:, :3].T, turns[:, 0].T
+        qpos = np.empty((n, addresses[-1]), dtype=np.float32)
+        qpos[:, :3], qpos[:, 3:7] = rows[:, :3], turns[:, 0]
         for place, group in enumerate(self._joints.turned, start=1):
-            qpos[addresses[group] : addresses[group + 1]] = turns[:, place].T
-        qpos[[addresses[group] for group in self._joints.hinges]] = rows[:, 3:first_turn].T
-        positions = np.empty((3, self._bodies.stop, n), dtype=np.float32)
-        turned = np.empty((4, self._bodies.stop, n), dtype=np.float32)
-        self._kinematics.poses(qpos, positions, turned)
-        return torch.from_numpy(positions[:, self._bodies]).permute(2, 1, 0).to(self._device)
+            qpos[:, addresses[group] : addresses[group + 1]] = turns[:, place]
+        qpos[:, [addresses[group] for group in self._joints.hinges]] = rows[:, 3:first_turn]
+        positions, _ = self._bodies.at(qpos)
+        return torch.from_numpy(positions).permute(2, 1, 0).to(self._device)
 
 
 class PublishedFrames:

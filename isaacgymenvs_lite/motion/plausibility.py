@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.qpos import dofs_of_clip, qpos_from_clip
+from isaacgymenvs_lite.motion.qpos import BodyPoses, dofs_of_clip, qpos_from_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.start_pose import (
     CLEARANCE,
@@ -26,7 +26,6 @@ from isaacgymenvs_lite.robots.start_pose import (
     reach_down,
     start_height,
 )
-from isaacgymenvs_lite.utils.kinematics import Kinematics
 from isaacgymenvs_lite.utils.rotations import rotate_components
 
 _log = logging.getLogger(__name__)
@@ -78,33 +77,27 @@ class _Poses:
         if model is None or not geoms_that_touch(model):
             return None
         every = -(-clip.num_frames // _MAX_FRAMES)
-        rows = qpos_from_clip(skeleton, clip)[::every, : skeleton.qpos_addresses[-1]]
-        qpos = np.repeat(model.qpos0[:, None], len(rows), axis=1).astype(np.float32)
-        qpos[: rows.shape[1]] = rows.T
+        pos, rot = BodyPoses(skeleton).at(qpos_from_clip(skeleton, clip)[::every])
         root = int(model.jnt_bodyid[0])
-        bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
-        pos = np.empty((3, bodies.stop, len(rows)), dtype=np.float32)
-        rot = np.empty((4, bodies.stop, len(rows)), dtype=np.float32)
-        Kinematics(model, bodies.stop).poses(qpos, pos, rot)
 
         def height(body: int, point: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            """Return the heights (T,) m of a point in a body's frame."""
-            offset = rotate_components(rot[:, body - 1], point.astype(np.float32)[:, None])[2]
-            return np.asarray(pos[2, body - 1] + offset, dtype=np.float64)
+            """Return the heights (T,) m of a point in the frame of a body of the skeleton."""
+            offset = rotate_components(rot[:, body], point.astype(np.float32)[:, None])[2]
+            return np.asarray(pos[2, body] + offset, dtype=np.float64)
 
         lows_m: dict[int, npt.NDArray[np.float64]] = {}
         for geom in geoms_that_touch(model):
-            body = int(model.geom_bodyid[geom])
-            if root <= body <= bodies.stop:
-                down = _down_in_geom(model.geom_quat[geom], rot[:, body - 1])
+            body = int(model.geom_bodyid[geom]) - root
+            if 0 <= body < skeleton.num_bodies:
+                down = _down_in_geom(model.geom_quat[geom], rot[:, body])
                 low_m = height(body, model.geom_pos[geom]) - reach_down(model, geom, down)
-                lows_m[body - root] = np.minimum(low_m, lows_m.get(body - root, np.inf))
+                lows_m[body] = np.minimum(low_m, lows_m.get(body, np.inf))
         if not lows_m:
             return None
-        ids = range(root, bodies.stop + 1)
-        masses = model.body_mass[list(ids)]
-        heights = np.stack([height(body, model.body_ipos[body]) for body in ids])
-        body_pos = pos[:, bodies].transpose(2, 1, 0).astype(np.float64)
+        ids = range(skeleton.num_bodies)
+        masses = model.body_mass[root : root + len(ids)]
+        heights = np.stack([height(body, model.body_ipos[root + body]) for body in ids])
+        body_pos = pos.transpose(2, 1, 0).astype(np.float64)
         body_pos[..., :2] -= body_pos[:, :1, :2]
         mass_height_m = masses @ heights / max(float(masses.sum()), 1e-9)
         return cls(clip.fps / every, lows_m, mass_height_m, body_pos)

@@ -21,6 +21,7 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 from isaacgymenvs_lite.utils import rotations
+from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
 _ROOT = 7  # numbers of the free joint: position, quaternion wxyz
 
@@ -47,6 +48,35 @@ def clip_to_qpos(
             )
         skeleton = Skeleton.from_mjcf(paths.assets_dir() / file)
     return _model(skeleton), qpos_from_clip(skeleton, clip)
+
+
+class BodyPoses:
+    """World poses of a robot's bodies at many qpos, by the kinematics that the tasks use; float32.
+
+    Args:
+        skeleton: with a model.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        model = skeleton.model
+        assert model is not None
+        root = int(model.jnt_bodyid[0])
+        self._bodies = slice(root - 1, root - 1 + skeleton.num_bodies)
+        self._kinematics = Kinematics(model, self._bodies.stop)
+        self._qpos0 = model.qpos0.astype(np.float32)
+
+    def at(self, qpos: FloatArray) -> tuple[Floats, Floats]:
+        """Return the positions (3, J, n) m and rotations (4, J, n) xyzw of the bodies.
+
+        Args:
+            qpos: (n, nq), quaternions wxyz; columns at the end may be left out: objects.
+        """
+        whole = np.repeat(self._qpos0[:, None], len(qpos), axis=1)
+        whole[: qpos.shape[1]] = qpos.T
+        positions = np.empty((3, self._bodies.stop, len(qpos)), dtype=np.float32)
+        turns = np.empty((4, self._bodies.stop, len(qpos)), dtype=np.float32)
+        self._kinematics.poses(whole, positions, turns)
+        return positions[:, self._bodies], turns[:, self._bodies]
 
 
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
