@@ -6,7 +6,7 @@
 The first command trains one clip after the other, each with the same settings and for the same
 time, and writes a record after each; it goes on where it was stopped. The second prints the table
 of all clips, those that are not done yet among them. Without `--clips` both take the 20 clips of
-DeepMimic in the package pybullet and the clips that ship. A folder stands for the clips in it.
+DeepMimic in the package pybullet and the clips that ship. A folder means all clips in it.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from benchmarks.learning_curve import read_learning_curve
 from benchmarks.protocol import SEED, evaluate_checkpoint
@@ -118,34 +117,23 @@ def evaluate_and_report(
     Raises:
         UserError: a run cannot be measured.
     """
-    records = [
-        measure_and_keep(run, results_dir, checkpoint, seed, num_threads, overrides)
-        for run, checkpoint in zip(runs, checkpoints or [None] * len(runs), strict=True)
-    ]
+    records = []
+    for run, checkpoint in zip(runs, checkpoints or [None] * len(runs), strict=True):
+        records.append(measure(run, checkpoint, seed, num_threads, overrides))
+        keep(run, records[-1], results_dir)
     print_medians(records)
     if markdown:
         print(markdown_table(records))
     return records
 
 
-def measure_and_keep(run: Run, results_dir: Path | None, *settings: Any) -> Record:
-    """Measure a run, print a line, and write the record and the learning curve.
-
-    Args:
-        run: what to measure.
-        results_dir: where they are written; None writes none.
-        settings: further arguments of `measure`.
-
-    Raises:
-        UserError: the run cannot be measured.
-    """
-    record = measure(run, *settings)
+def keep(run: Run, record: Record, results_dir: Path | None) -> None:
+    """Print the record of a run, and write it and the learning curve into a folder, if any."""
     print(record, flush=True)
     if results_dir is not None:
         for file in write_records([record], results_dir):
             print(f"wrote {file}")
         keep_curve(run, results_dir)
-    return record
 
 
 def print_medians(records: Sequence[Record]) -> None:

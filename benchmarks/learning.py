@@ -8,7 +8,7 @@ Each seed is one `train.py` process with a run folder of its own, `<experiment>_
 `--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
 not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
 with it, and minutes count together. When a run has ended, `benchmarks.evaluate` plays its policy
-and writes benchmarks/results/<experiment>.jsonl. `clips` stands for one experiment for each clip,
+and writes benchmarks/results/<experiment>.jsonl. `clips` is one experiment for each clip,
 seed 1, in folders of their own; `benchmarks.clips` prints their table. docs/protocol.md has the
 rest.
 """
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from benchmarks.clips import DEFAULT_CLIPS, clip_experiments
 from benchmarks.clips import NAME as CLIPS
-from benchmarks.evaluate import RESULTS_DIR, measure_and_keep, print_medians
+from benchmarks.evaluate import RESULTS_DIR, keep, measure, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
 from benchmarks.records import Record
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
@@ -46,7 +46,8 @@ def main() -> None:
 
         def play(run: Run) -> None:
             if not args.no_evaluation:
-                records.append(measure_and_keep(run, args.results_dir))
+                records.append(measure(run))
+                keep(run, records[-1], args.results_dir)
 
         with StopRequest() as stop:
             todo = [job for job in plans if job.minutes > 0]

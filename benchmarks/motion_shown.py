@@ -1,4 +1,4 @@
-"""What the share of the motion says about motions that are known, without any simulation.
+"""Measures the share of the motion of motions that are known, without any simulation.
 
     python -m benchmarks.motion_shown [--clips shipped deepmimic PATH ...]
 

@@ -91,7 +91,7 @@ class AMPEnv(AMPObsEnv, Protocol):
 
 
 class TimedAMPEnv(AMPEnv, Protocol):
-    """A task that says how long its episodes may last."""
+    """A task with a time limit."""
 
     @property
     def max_episode_length(self) -> int:

@@ -197,8 +197,8 @@ class PublishedFrames:
 
     Positions, key bodies among them, are interpolated linearly in the world and rotations as
     rotations; before the start of a clip they are extrapolated from its first two frames.
-    Velocities are those of the frame at or before a moment: the root's stored ones, which poselib
-    has smoothed over frames, and differences of the joints from each frame to the next.
+    Velocities are taken from the frame at or before a moment: of the root the stored ones, which
+    poselib has smoothed over frames, of the joints the differences to the next frame.
 
     Ball joints are kept as rotations. So are hinges of the shipped humanoids, as in the original;
     hinges of other skeletons, and all if a clip has `dof_pos`, by their angles.

@@ -36,7 +36,7 @@ REPEAT_S = 30 * 60.0
 
 # While a policy learns to stand, episodes get longer by a third and more in a window.
 MIN_GROWTH = 1.1
-# Below this share of its scale the reward is flat. The discriminator's accuracy says nothing: clips
+# Below this share of its scale the reward is flat. The discriminator's accuracy is no sign: clips
 # are learned well at 0.999. With bad policies that learned, it was 0.07 of its scale and more.
 NO_REWARD = 0.02
 MOSTLY_FALLS = 0.5
@@ -61,8 +61,8 @@ LAST_MEASUREMENTS = 3
 # Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
 
-# Episodes that learn to walk are longer than a tenth of the limit after 2 M frames, those of a jump
-# than a third after 5 M; both kept getting longer until then.
+# Policies that learned to walk had episodes of more than a tenth of the limit after 2 M frames, and
+# one that learned to jump of more than a third after 5 M; both kept getting longer until then.
 FALL_FRAMES = 6_000_000
 SHORT_SHARE = 0.3
 NEARLY_ALL_FALL = 0.9
@@ -75,7 +75,6 @@ class Measurement:
     Attributes:
         frame: environment steps trained before it.
         pose_error_m: see `ImitationResult`; nan if no episode could be measured.
-        tempo: see `ImitationResult`.
         no_fall_share: share of the episodes without a fall, 0 to 1.
         clip_spread_m: of `imitation.clip_spread_m`; about 0 where a clip does not move.
         motion_shown: see `ImitationResult`.
@@ -84,7 +83,6 @@ class Measurement:
 
     frame: int
     pose_error_m: float
-    tempo: float
     no_fall_share: float
     clip_spread_m: float
     motion_shown: float = math.nan
@@ -279,9 +277,9 @@ class Diagnostics:
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
             f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
-            " set train.params.config.disc_grad_penalty_final=0.2, with which the discriminator"
-            " tells rest from motion better once the policy stays up, or cut parts that stand"
-            f" still out of the clip (task.env.motion_file){self._clips_are_odd()}"
+            " set train.params.config.disc_grad_penalty_final=0.2, so that the discriminator"
+            " separates rest from motion once the policy stays up, or cut parts without motion"
+            f" out of the clip (task.env.motion_file){self._clips_are_odd()}"
         )
 
     def _falls(self) -> str | None:
@@ -449,7 +447,6 @@ class DiagnosticsObserver(AlgoObserver):
                 Measurement(
                     frame=observer.last_frame,
                     pose_error_m=result.pose_error_m,
-                    tempo=result.tempo,
                     no_fall_share=result.no_fall_share,
                     clip_spread_m=observer.clip_spread_m,
                     motion_shown=result.motion_shown,

@@ -100,21 +100,6 @@ def test_table_and_picture(tmp_path, monkeypatch, capsys, write_events):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["clips", "walk"], "error: clips has folders of its own"),
-        (["walk", "--clips", "run"], "error: --clips has no effect"),
-        (["clips", "--clips", "/nowhere/x"], "error: motion file '/nowhere/x' not found"),
-    ],
-)
-def test_mistakes(words, message, tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["learning", *words, "--runs-dir", str(tmp_path / "runs")])
-    with pytest.raises(SystemExit) as raised:
-        learning.main()
-    assert str(raised.value).startswith(message)
-
-
 @pytest.mark.slow
 def test_clips_are_trained_one_after_the_other_and_those_that_are_done_are_left(
     tmp_path, monkeypatch

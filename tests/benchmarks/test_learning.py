@@ -43,6 +43,9 @@ def test_more_places_than_cpus(cores, parallel, per_run):
         (["walk_mocap"], "error: the experiment 'walk_mocap' needs its clip"),
         (["walk", "--motion-file", "x.npy"], "error: --motion-file has no effect"),
         (["walk", "--parallel", "999"], "error: --parallel 999"),
+        (["clips", "walk"], "error: clips has folders of its own"),
+        (["walk", "--clips", "run"], "error: --clips has no effect"),
+        (["clips", "--clips", "/nowhere/x"], "error: motion file '/nowhere/x' not found"),
     ],
 )
 def test_mistakes_show_before_anything_starts(arguments, message, tmp_path, monkeypatch):

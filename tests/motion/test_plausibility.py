@@ -22,8 +22,6 @@ from isaacgymenvs_lite.motion.plausibility import (
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos
 
 FPS = 60.0
-# The pelvis of the zero pose is so high above the soles: hip to ankle, and the height of a foot.
-STANDING_M = 0.831416 + 0.045 + 0.01
 
 
 @pytest.fixture
@@ -130,7 +128,7 @@ def test_convert_puts_a_clip_on_the_ground(tmp_path, humanoid, clip_of_heights, 
 def test_bodies_on_the_ground(humanoid, clip_of_heights):
     feet = ["right_foot", "left_foot"]
     assert bodies_on_ground([clip_of_heights(np.zeros(60))], humanoid) == feet
-    # Below or above the ground: that of the clip counts.
+    # A clip above the ground: its own lowest points count.
     assert bodies_on_ground([clip_of_heights(np.full(60, 0.4))], humanoid) == feet
     lying = clip_of_heights(np.zeros(60))
     root = np.array(lying.root_translation)
@@ -152,7 +150,7 @@ def test_of_many_clips_the_first_are_named(humanoid, clip_of_heights, caplog):
     assert caplog.records[-1].getMessage() == "4 more clips are implausible"
 
 
-def test_a_robot_with_meshes_and_objects(robot, moving):
+def test_a_robot_beside_other_bodies(robot, moving):
     """Bodies before the robot, and objects after it, do not count."""
     qpos = moving(robot)[:, : robot.qpos_addresses[-1]]
     clip = clip_from_qpos("robot", 30.0, robot, qpos)

@@ -76,8 +76,8 @@ def walk(frame: float) -> dict[str, float]:
 
 
 def measured_walk(frame: float) -> dict[str, float]:
-    names = ("pose_error_m", "tempo", "no_fall_share")
-    columns = WALK_MEASURED.T[1:]
+    names = ("pose_error_m", "no_fall_share")
+    columns = WALK_MEASURED.T[[1, 3]]
     return {
         name: float(np.interp(frame, WALK_MEASURED[:, 0], column))
         for name, column in zip(names, columns, strict=True)
@@ -91,10 +91,10 @@ def walking(frame: float) -> dict[str, float]:
 
 
 def measuring(
-    pose_error_m: float, tempo: float = 1.0, no_fall_share: float = 1.0, **others: Any
+    pose_error_m: float, no_fall_share: float = 1.0, **others: Any
 ) -> Callable[[float], dict[str, Any]]:
     """Measurements that are always the same."""
-    values = {"pose_error_m": pose_error_m, "tempo": tempo, "no_fall_share": no_fall_share}
+    values = {"pose_error_m": pose_error_m, "no_fall_share": no_fall_share}
     return lambda _: {**values, **others}
 
 
@@ -171,7 +171,7 @@ def test_an_agent_without_a_discriminator_gets_no_warning():
 
 # --- the style reward has vanished ------------------------------------------------------------
 
-BAD = measuring(0.2, tempo=0.8, no_fall_share=0.0)
+BAD = measuring(0.2, no_fall_share=0.0)
 # What a training showed with a learning rate of 1e-3, no gradient penalty and large minibatches.
 LOST = {"steps": 6.5, "falls": 1.0, "style": 0.002, "agent": 0.999, "demo": 1.0}
 
@@ -279,8 +279,8 @@ def test_a_policy_that_falls_does_not_stand():
     assert warnings_of(walking, measuring(0.04, motion_shown=0.1, no_fall_share=0.1)) == []
 
 
-def test_a_policy_that_moves_does_not_stand_whatever_its_tempo():
-    assert warnings_of(walking, measuring(0.04, tempo=0.1, motion_shown=0.8)) == []
+def test_a_policy_that_moves_does_not_stand():
+    assert warnings_of(walking, measuring(0.04, motion_shown=0.8)) == []
 
 
 # --- falls ------------------------------------------------------------------------------------
@@ -519,8 +519,8 @@ def test_each_measurement_is_passed_on_once(observer, epoch_metrics, imitation, 
     imitation.last_frame = 4000
     end_epoch(epoch_metrics, observer, 4, 4000)
     assert observer.diagnostics.history.measurements == [
-        Measurement(2000, 0.123, 1.02, 0.9, 0.1, 0.87),
-        Measurement(4000, 0.123, 1.02, 0.9, 0.1, 0.87),
+        Measurement(2000, 0.123, 0.9, 0.1, 0.87),
+        Measurement(4000, 0.123, 0.9, 0.1, 0.87),
     ]
 
 

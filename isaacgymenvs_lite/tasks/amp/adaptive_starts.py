@@ -29,6 +29,7 @@ class AdaptiveStarts:
 
     def __init__(self, lengths_s: Tensor, weights: Tensor, soon_steps: int) -> None:
         counts = (lengths_s / _BIN_S).ceil().long().clamp(min=1)
+        self._counts = counts
         self._first = counts.cumsum(0) - counts
         clips = torch.arange(len(counts), device=counts.device)
         self._clip = clips.repeat_interleave(counts)
@@ -52,8 +53,7 @@ class AdaptiveStarts:
     def bins_of(self, motion_ids: Tensor, times_s: Tensor) -> Tensor:
         """Return the bins (n,) of moments (n,)."""
         place = (times_s / self._width_s[self._first[motion_ids]]).long()
-        last = torch.bincount(self._clip)[motion_ids] - 1
-        return self._first[motion_ids] + torch.minimum(place, last)
+        return self._first[motion_ids] + torch.minimum(place, self._counts[motion_ids] - 1)
 
     def count(self, bins: Tensor, steps: Tensor, failed: Tensor) -> None:
         """Take in episodes that ended; those that were cut off early do not count.

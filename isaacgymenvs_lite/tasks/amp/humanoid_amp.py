@@ -155,12 +155,15 @@ class HumanoidAMP(HumanoidAMPBase):
         self._starts = PrefetchedSampler(
             self._draw_starts, block=min(self.num_envs, _STARTS_AT_A_TIME)
         )
-        self._adaptive = AdaptiveStarts(
-            self._motion_lib.get_motion_length(range(self._motion_lib.num_motions())),
-            self._motion_lib.motion_weights(),
-            min(round(_FAILS_SOON_S / self.control_dt_s), self.max_episode_length // 2),
-        )
-        # Where the episodes started; -1: in the default pose.
+        self._adaptive: AdaptiveStarts | None = None
+        if self.env_cfg.adaptive_starts > 0.0:
+            lib, soon_steps = self._motion_lib, round(_FAILS_SOON_S / self.control_dt_s)
+            self._adaptive = AdaptiveStarts(
+                lib.get_motion_length(range(lib.num_motions())),
+                lib.motion_weights(),
+                min(soon_steps, self.max_episode_length // 2),
+            )
+        # Bins where the episodes started; -1: in the default pose, or not counted.
         self._start_bins = torch.full_like(self.progress_buf, -1)
         self.goal.attach(self.simulation, self.control_dt_s)
 
@@ -267,12 +270,13 @@ class HumanoidAMP(HumanoidAMPBase):
         self.extras["amp_obs"] = self._for_trainer(history.flatten(1))
 
     def _count_starts(self) -> None:
-        """Store where the episodes that end in this step had started."""
-        ended = ((self.done_buf != Done.RUNNING) & (self._start_bins >= 0)).nonzero().flatten()
-        if self.env_cfg.adaptive_starts == 0.0 or len(ended) == 0:
+        """Count the episodes that end in this step by where they started."""
+        if self._adaptive is None:
             return
-        failed = self.done_buf[ended] == Done.FAILED
-        self._adaptive.count(self._start_bins[ended], self.progress_buf[ended], failed)
+        ended = ((self.done_buf != Done.RUNNING) & (self._start_bins >= 0)).nonzero().flatten()
+        if len(ended) > 0:
+            failed = self.done_buf[ended] == Done.FAILED
+            self._adaptive.count(self._start_bins[ended], self.progress_buf[ended], failed)
 
     # --- demonstrations ----------------------------------------------------------------------
 
@@ -449,7 +453,7 @@ class HumanoidAMP(HumanoidAMPBase):
 
         Root states (n, 13), DOF positions and velocities (n, D), the AMP features of the steps
         before (n, steps - 1, ...), the root states that the goal looks ahead (n, T, 13), and the
-        bins (n,) of `adaptive_starts`.
+        bins (n,) of `adaptive_starts`, -1 without it.
         """
         motion_ids, times = self._draw_moments(n)
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
@@ -457,7 +461,9 @@ class HumanoidAMP(HumanoidAMPBase):
         before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
         ahead = self._roots_ahead_of(motion_ids, times)
-        bins = self._adaptive.bins_of(motion_ids, times)
+        bins = torch.full_like(motion_ids, -1)
+        if self._adaptive is not None:
+            bins = self._adaptive.bins_of(motion_ids, times)
         return root[:n], dof_pos[:n], dof_vel[:n], history, ahead, bins
 
     def _draw_moments(self, n: int) -> tuple[Tensor, Tensor]:
@@ -467,7 +473,7 @@ class HumanoidAMP(HumanoidAMPBase):
         if self.env_cfg.state_init == "Start":
             return motion_ids, torch.zeros(n, device=self.device)
         times = lib.sample_time(motion_ids)
-        if self.env_cfg.adaptive_starts > 0.0:
+        if self._adaptive is not None:
             is_adaptive = torch.rand(n, device=self.device) < self.env_cfg.adaptive_starts
             hard_ids, hard_times = self._adaptive.draw(n)
             motion_ids = torch.where(is_adaptive, hard_ids, motion_ids)
