@@ -65,9 +65,9 @@ class Leg:
         )
         return thigh, knee
 
-    def reach(self, knee: float) -> float:
-        """Return the distance in m from the hip to the ankle with the knee flexed by `knee` rad."""
-        return float(np.hypot(*self.ankle(np.zeros(1), np.array([knee]))).item())
+    def reach(self, knee: FloatArray) -> FloatArray:
+        """Return the distances (n) m from hip to ankle of knees flexed by `knee` (n) rad."""
+        return np.hypot(*self.ankle(np.zeros_like(knee), knee))
 
     def rolled(self, pitch: FloatArray, rounding_m: FloatArray | float = 0.0) -> FloatArray:
         """Return where the ankle is (n, 2) m when the foot turns about an edge of its sole.

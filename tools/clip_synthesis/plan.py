@@ -37,7 +37,8 @@ def plan_gait(stance: Stance, hip_from_com: FloatArray) -> GaitPlan:
         hip_from_com: (N, 3) m, from the centre of mass to the right hip at N evenly spaced phases.
     """
     curves = [PeriodicCurve.through(hip_from_com[:, axis], _HIP_HARMONICS) for axis in range(3)]
-    longest = stance.leg.reach(np.radians(stance.gait.straightest_knee_deg))
+    knee = np.radians(np.array([stance.gait.straightest_knee_deg]))
+    longest = float(stance.leg.reach(knee).item())
 
     def plan(height_m: float) -> GaitPlan:
         com = plan_com(stance, height_m)

@@ -7,12 +7,14 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions, shipped_motions_dir
 from isaacgymenvs_lite.motion.mirror import mirror_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.utils import rotations
 from tools.clip_synthesis import checks, model_checks
 from tools.clip_synthesis.catalogue import clip_names
 from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
@@ -20,6 +22,7 @@ from tools.clip_synthesis.report import turn_rad
 
 DATASET = "locomotion"
 MAX_BYTES = 1_500_000
+REACHES = [name for name in MOVES if name.startswith("reach")]
 
 
 @cache
@@ -50,7 +53,7 @@ def test_feet_stand_still_on_the_ground(clip: MotionClip, humanoid: Skeleton) ->
 
 def test_swinging_feet_clear_the_ground(name: str, clip: MotionClip, humanoid: Skeleton) -> None:
     clearance_m = checks.foot_figures(clip, humanoid).swing_clearance_m
-    if name == "stand":
+    if name == "stand" or name in REACHES:
         assert np.isnan(clearance_m)
     else:
         assert 0.02 < clearance_m < 0.2
@@ -89,12 +92,16 @@ def test_ground_never_pulls(clip: MotionClip, humanoid: Skeleton, model: mujoco.
 
 
 def test_pressure_is_under_the_feet(
-    clip: MotionClip, humanoid: Skeleton, model: mujoco.MjModel
+    name: str, clip: MotionClip, humanoid: Skeleton, model: mujoco.MjModel
 ) -> None:
-    """The limbs' momentum included; for single frames of a swing it may lie beside the sole."""
+    """The limbs' momentum included; for single frames of a swing it may lie beside the sole.
+
+    Quick turns and steps aside are made of little but swings.
+    """
+    quick = any(word in name for word in ("fast", "about", "diagonal_back"))
     outside_m = model_checks.pressure_outside(clip, humanoid, model)
-    assert np.nanmean(outside_m) < 0.005
-    assert np.nanmean(outside_m > 0.03) < 0.05
+    assert np.nanmean(outside_m) < (0.007 if quick else 0.005)
+    assert np.nanmean(outside_m > 0.03) < (0.15 if quick else 0.05)
 
 
 def test_velocities_are_those_of_the_motion(clip: MotionClip) -> None:
@@ -118,9 +125,17 @@ def test_clip_starts_above_the_origin(clip: MotionClip) -> None:
         ("stand", (-0.05, 0.05), (-0.05, 0.05), (-5, 5)),
         ("start_walking", (1.5, 3.0), (-0.1, 0.1), (-10, 10)),
         ("stop_walking", (1.2, 3.0), (-0.1, 0.1), (-10, 10)),
-        ("walk_backward", (-2.6, -2.3), (-0.1, 0.1), (-10, 10)),
+        ("walk_backward", (-2.6, -2.3), (-0.2, 0.2), (-10, 10)),
         ("sidestep_left", (-0.05, 0.05), (1.1, 1.3), (-5, 5)),
         ("turn_left", (-0.15, 0.15), (-0.15, 0.15), (130, 155)),
+        ("turn_left_fast", (-0.15, 0.15), (-0.15, 0.15), (255, 270)),
+        ("walk_left_sharp", (-0.35, -0.15), (0.7, 1.0), (205, 225)),
+        ("about_turn_left", (-0.7, -0.4), (-0.2, 0.2), (185, 200)),
+        ("diagonal_left", (1.6, 1.9), (1.2, 1.5), (-5, 5)),
+        ("diagonal_back_left", (-1.5, -1.2), (1.0, 1.3), (-5, 5)),
+        ("step_forward", (0.3, 0.6), (-0.05, 0.05), (-5, 5)),
+        ("step_back", (-0.5, -0.2), (-0.05, 0.05), (-5, 5)),
+        ("step_left", (-0.05, 0.05), (0.2, 0.5), (-5, 5)),
         ("crouch_walk", (1.8, 2.8), (-0.1, 0.1), (-10, 10)),
         ("jump", (0.45, 0.55), (-0.01, 0.01), (-1, 1)),
     ],
@@ -132,7 +147,9 @@ def test_moves_go_where_their_names_say(
     turn_deg: tuple[float, float],
 ) -> None:
     clip = shipped(name)
-    x, y, _ = clip.root_translation[-1] - clip.root_translation[0]
+    way = torch.from_numpy(clip.root_translation[-1] - clip.root_translation[0])
+    first = rotations.calc_heading_quat_inv(torch.from_numpy(clip.local_rotation[:1, 0]))
+    x, y, _ = rotations.quat_rotate(first, way[None])[0].tolist()
     assert forward_m[0] < x < forward_m[1]
     assert left_m[0] < y < left_m[1]
     assert turn_deg[0] < np.degrees(turn_rad(clip)) < turn_deg[1]
@@ -149,6 +166,28 @@ def test_curved_walk_is_a_circle() -> None:
     assert 1.1 < radius_m < 1.3
     distance_m = np.hypot(x + 0.5 * a, y + 0.5 * b)
     assert np.abs(distance_m - radius_m).max() < 0.05
+
+
+# Where the right hand is in the middle of the clip, from where the character stands; shoulders are
+# 1.3 m high, an arm is 0.5 m long, and the right side is at negative y.
+@pytest.mark.parametrize(
+    ("name", "hand_m"),
+    [
+        ("reach_high", (0.0, -0.28, 1.88)),
+        ("reach_forward", (0.56, -0.05, 1.20)),
+        ("reach_side", (-0.03, -0.69, 1.31)),
+        ("reach_across", (0.36, 0.28, 1.23)),
+        ("reach_low", (0.25, -0.19, 0.42)),
+    ],
+)
+def test_reaches_put_the_right_hand_where_their_names_say(
+    name: str, hand_m: tuple[float, float, float], humanoid: Skeleton
+) -> None:
+    positions, _ = shipped(name).global_poses()
+    hand = positions[:, humanoid.body_names.index("right_hand")]
+    np.testing.assert_allclose(hand[len(hand) // 2], hand_m, atol=0.05)
+    # Before and after, it hangs beside the thigh.
+    assert hand[[0, -1], 2].max() < 0.95
 
 
 def test_crouch_is_low_and_stand_is_high() -> None:

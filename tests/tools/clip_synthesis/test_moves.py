@@ -237,9 +237,9 @@ def test_room_above_the_hips() -> None:
     hips = np.array([[[0.0, 0.0, 0.8], [0.3, 0.0, 0.8]]])
     ankles = np.zeros((1, 2, 3))
     # Reach 1: the first leg has 1 - 0.8 to spare, the second sqrt(1 - 0.09) - 0.8.
-    np.testing.assert_allclose(highest(hips, ankles, 1.0), [math.sqrt(0.91) - 0.8])
+    np.testing.assert_allclose(highest(hips, ankles, np.ones(1)), [math.sqrt(0.91) - 0.8])
     with pytest.raises(ValueError, match=r"a foot is 0\.30 m beside its hip.*0\.20 m long"):
-        highest(hips, ankles, 0.2)
+        highest(hips, ankles, np.full(1, 0.2))
 
 
 def test_smooth_height_stays_below_its_bound() -> None:

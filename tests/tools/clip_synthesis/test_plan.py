@@ -73,7 +73,7 @@ def test_knee_of_a_right_angle(humanoid: Skeleton) -> None:
     ahead, below = leg.ankle(np.zeros(1), np.full(1, np.pi / 2))
     assert ahead[0] == pytest.approx(-leg.shin_m)
     assert below[0] == pytest.approx(leg.thigh_m)
-    assert leg.reach(np.pi / 2) == pytest.approx(np.hypot(leg.thigh_m, leg.shin_m))
+    assert leg.reach(np.array([np.pi / 2])) == pytest.approx(np.hypot(leg.thigh_m, leg.shin_m))
 
 
 def test_stance_turns_about_an_edge_that_stays(stance: Stance) -> None:

@@ -13,25 +13,25 @@ from tools.clip_synthesis.moves.move import Hop
 _REACH_S = 0.12  # the height looks this far ahead and back for a leg that is stretched
 
 
-def highest(hips: FloatArray, ankles: FloatArray, reach_m: float) -> FloatArray:
+def highest(hips: FloatArray, ankles: FloatArray, reach_m: FloatArray) -> FloatArray:
     """Return how much (n) in m the body may rise before one of its legs is longer than `reach_m`.
 
     Args:
         hips: (n, 2, 3) m, both hips.
         ankles: (n, 2, 3) m.
-        reach_m: from hip to ankle.
+        reach_m: (n), at most so far from hip to ankle.
 
     Raises:
         ValueError: a foot is out of reach at any height.
     """
     offset = hips - ankles
-    square = reach_m**2 - (offset[..., :2] ** 2).sum(axis=-1)
+    square = reach_m[:, None] ** 2 - (offset[..., :2] ** 2).sum(axis=-1)
     if square.min() < 0.0:
         frame = int(square.min(axis=1).argmin())
-        aside = np.sqrt(reach_m**2 - square.min())
+        aside = np.sqrt(reach_m[frame] ** 2 - square.min())
         raise ValueError(
-            f"frame {frame}: a foot is {aside:.2f} m beside its hip, the leg is {reach_m:.2f} m "
-            "long; make the steps shorter"
+            f"frame {frame}: a foot is {aside:.2f} m beside its hip, the leg is "
+            f"{reach_m[frame]:.2f} m long; make the steps shorter"
         )
     return (np.sqrt(square) - offset[..., 2]).min(axis=1)
 

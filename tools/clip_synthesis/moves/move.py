@@ -96,6 +96,10 @@ class Carriage:
         pelvis_drop_deg: how much the pelvis' other side drops while one foot carries the body.
         look_ahead_s: the head looks where the body will be turned so much later.
         abduction_deg, rotation_deg: the upper arm from the trunk, and about itself (inwards).
+        twist: knots of the thorax' turn to the left.
+        nod: knots of the head's angle to the horizon, down positive.
+        right_arm: knots (time_s, shoulder, abduction, rotation, elbow), what the right arm does in
+            the place of swinging; (): it swings.
     """
 
     lean: Knots = ((0.0, 2.0),)
@@ -110,6 +114,9 @@ class Carriage:
     look_ahead_s: float = 0.3
     abduction_deg: float = 7.0
     rotation_deg: float = 8.0
+    twist: Knots = ((0.0, 0.0),)
+    nod: Knots = ((0.0, 0.0),)
+    right_arm: Knots = ()
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,8 @@ class Move:
             goes, in its own frame.
         steps: how the feet follow.
         carriage: how the rest is held.
-        straightest_knee_deg: flexion of the straightest knee; decides how high the body is.
+        straightest_knee: knots of the straightest knee's flexion in degrees; decides how high the
+            body is.
         sway_m: (forward, to the left) amplitude of the pressure under standing feet, over
             `sway_s`; forward twice in that time.
         sway_s: see there.
@@ -135,7 +143,7 @@ class Move:
     path: Knots = ((0.0, 0.0, 0.0, 0.0),)
     steps: Steps = field(default_factory=Steps)
     carriage: Carriage = field(default_factory=Carriage)
-    straightest_knee_deg: float = 10.0
+    straightest_knee: Knots = ((0.0, 10.0),)
     sway_m: tuple[float, float] = (0.0, 0.0)
     sway_s: float = 4.0
     hop: Hop | None = None

@@ -12,7 +12,7 @@ from tools.clip_synthesis.moves.balance import plan_com, pressure_path
 from tools.clip_synthesis.moves.contacts import FootTrack, plan_feet
 from tools.clip_synthesis.moves.height import highest, hop_height, smooth_below
 from tools.clip_synthesis.moves.move import Move
-from tools.clip_synthesis.moves.path import Path, follow
+from tools.clip_synthesis.moves.path import Path, ease, follow
 
 _RATE = 240  # of the plan, per second
 _HEIGHT_STEPS = 4  # of the search for the height, which closes in quickly
@@ -64,9 +64,10 @@ class MovePlan:
         """
         step_s = 1.0 / _RATE
         ankles = np.stack([track.poses(self.times_s)[:, :3] for track in self.tracks], axis=1)
-        reach_m = self.leg.reach(np.radians(self.move.straightest_knee_deg))
+        knee_deg = ease(self.move.straightest_knee, self.times_s)[:, 0]
+        reach_m = self.leg.reach(np.radians(knee_deg))
         pressure = self.pressure()
-        height = np.full(len(self.times_s), reach_m)
+        height = reach_m
         com = np.zeros((len(height), 3))
         for _ in range(_HEIGHT_STEPS):
             acceleration = np.gradient(np.gradient(height, step_s), step_s)

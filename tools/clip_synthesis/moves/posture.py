@@ -33,9 +33,9 @@ def target_rotations(
     yaw = path(times_s)[:, 2]
     apart = _calm(lambda t: _feet_apart(tracks, path, t), times_s)
     uneven = _calm(lambda t: _uneven_load(tracks, t), times_s)
-    lean, tilt, shoulder, elbow = (
+    lean, tilt, twist, nod = (
         np.radians(ease(knots, times_s)[:, 0])
-        for knots in (carriage.lean, carriage.pelvis_tilt, carriage.shoulder, carriage.elbow)
+        for knots in (carriage.lean, carriage.pelvis_tilt, carriage.twist, carriage.nod)
     )
     # `apart` is positive with the left foot ahead: the pelvis' left side then goes ahead too.
     pelvis = compose(
@@ -44,23 +44,39 @@ def target_rotations(
         turn("x", np.radians(carriage.pelvis_drop_deg) * uneven),
     )
     thorax = compose(
-        turn("z", yaw + np.radians(carriage.thorax_turn_deg_per_m) * apart), turn("y", lean)
+        turn("z", yaw + twist + np.radians(carriage.thorax_turn_deg_per_m) * apart),
+        turn("y", lean),
     )
-    look = turn("z", path(times_s + carriage.look_ahead_s)[:, 2])
+    look = compose(turn("z", path(times_s + carriage.look_ahead_s)[:, 2]), turn("y", nod))
     turns = {name: turn("x", np.zeros_like(times_s)) for name in skeleton.body_names}
     turns["pelvis"] = pelvis
     turns["torso"] = rotations.quat_mul(rotations.quat_conjugate(pelvis), thorax)
     turns["head"] = rotations.quat_mul(rotations.quat_conjugate(thorax), look)
     for name, side in SIDES:
-        swing = -side * np.radians(carriage.arm_swing_deg_per_m) * apart
+        shoulder, abduction, rotation, elbow = _arm_angles(carriage, side, apart, times_s)
         # About +y a hanging arm swings backwards, and the elbow bends with negative angles.
         turns[f"{name}_upper_arm"] = compose(
-            turn("y", -shoulder - swing),
-            turn("x", np.full_like(yaw, side * np.radians(carriage.abduction_deg))),
-            turn("z", np.full_like(yaw, -side * np.radians(carriage.rotation_deg))),
+            turn("y", -shoulder), turn("x", side * abduction), turn("z", -side * rotation)
         )
-        turns[f"{name}_lower_arm"] = turn("y", -elbow - carriage.elbow_share * swing)
+        turns[f"{name}_lower_arm"] = turn("y", -elbow)
     return torch.stack([turns[name] for name in skeleton.body_names], dim=1).numpy()
+
+
+def _arm_angles(
+    carriage: Carriage, side: float, apart: FloatArray, times_s: FloatArray
+) -> FloatArray:
+    """Return shoulder, abduction, rotation, elbow (4, n) in rad of one arm; `side` as in SIDES."""
+    if side < 0.0 and carriage.right_arm:
+        return np.radians(ease(carriage.right_arm, times_s).T)
+    swing = -side * np.radians(carriage.arm_swing_deg_per_m) * apart
+    shoulder, elbow = (
+        np.radians(ease(knots, times_s)[:, 0]) for knots in (carriage.shoulder, carriage.elbow)
+    )
+    aside, inward = (
+        np.full_like(apart, np.radians(angle))
+        for angle in (carriage.abduction_deg, carriage.rotation_deg)
+    )
+    return np.stack((shoulder + swing, aside, inward, elbow + carriage.elbow_share * swing))
 
 
 def _feet_apart(tracks: tuple[FootTrack, FootTrack], path: Path, times_s: FloatArray) -> FloatArray:
