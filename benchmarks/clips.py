@@ -1,12 +1,14 @@
 """The clips that one preset is tried on: their list, the table of what was reached, and a picture.
 
-    python -m benchmarks.learning clips --minutes 60 --resume
+    python -m benchmarks.learning clips --minutes 60 --until-learned --resume
     python -m benchmarks.clips [--clips deepmimic shipped PATH ...] [--out docs/images/clips.png]
 
 The first command trains one clip after the other, each with the same settings and for the same
-time, and writes a record after each; it goes on where it was stopped. The second prints the table
-of all clips, those that are not done yet among them. Without `--clips` both take the 20 clips of
-DeepMimic in the package pybullet and the clips that ship. A folder means all clips in it.
+time, and writes a record after each; it goes on where it was stopped. `--until-learned` ends a
+clip's training before its time, when two measurements in a row are as good as the table asks. The
+second prints the table of all clips, those that are not done yet among them. Without `--clips` both
+take the 20 clips of DeepMimic in the package pybullet and the clips that ship. A folder means all
+clips in it.
 """
 
 from __future__ import annotations
@@ -49,6 +51,7 @@ GOOD_NO_FALL = 0.9
 # Standing shows a tenth of the motion of a clip that moves, half the tempo about a half.
 GOOD_SHOWN = 0.75
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
+_IN_A_ROW = 2
 _COLUMNS = 5
 
 
@@ -114,11 +117,26 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
 
 def is_learned(record: Record) -> bool:
     """Return whether a policy moves as its clip does, and does not fall."""
+    error_m, shown = record.pose_error_m, record.motion_shown
+    if error_m is None or shown is None:
+        return False
+    return _is_good(record.experiment, error_m, record.no_fall_share, shown)
+
+
+def has_learned(label: str, curve: LearningCurve) -> bool:
+    """Return whether a training measured, the last two times, that its clip is learned."""
+    names = ("pose_error_m", "no_fall_share", "motion_shown")
+    newest = [curve[name].values[-_IN_A_ROW:] for name in names]
+    if any(len(values) < _IN_A_ROW for values in newest):
+        return False
+    return all(_is_good(label, *measured) for measured in zip(*newest, strict=True))
+
+
+def _is_good(label: str, pose_error_m: float, no_fall_share: float, shown: float) -> bool:
     return (
-        record.pose_error_m is not None
-        and record.pose_error_m <= PAPER_M.get(record.experiment, GOOD_M)
-        and record.no_fall_share >= GOOD_NO_FALL
-        and (record.motion_shown or 0.0) >= GOOD_SHOWN
+        pose_error_m <= PAPER_M.get(label, GOOD_M)
+        and no_fall_share >= GOOD_NO_FALL
+        and shown >= GOOD_SHOWN
     )
 
 

@@ -2,7 +2,8 @@
 
     python -m benchmarks.learning EXPERIMENT [EXPERIMENT ...] [key=value ...]
         [--seeds 1 2 3] [--minutes 150] [--motion-file PATH] [--parallel 1] [--resume]
-    python -m benchmarks.learning clips [key=value ...] [--clips deepmimic shipped PATH ...] ...
+    python -m benchmarks.learning clips [key=value ...] [--clips deepmimic shipped PATH ...]
+        [--until-learned] ...
 
 Each seed is one `train.py` process with a run folder of its own, `<experiment>_seed<n>`. With
 `--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
@@ -20,9 +21,17 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from benchmarks.clips import DEFAULT_CLIPS, clip_experiments
+from benchmarks.clips import (
+    DEFAULT_CLIPS,
+    clip_experiments,
+    has_learned,
+    is_learned,
+    newest_records,
+)
 from benchmarks.clips import NAME as CLIPS
 from benchmarks.evaluate import RESULTS_DIR, keep, measure, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
@@ -75,6 +84,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--minutes", type=float, default=150.0, help="of each run, at most")
     parser.add_argument("--clips", nargs="+", help="of the experiment clips; see benchmarks.clips")
+    parser.add_argument(
+        "--until-learned", action="store_true", help="end a clip's training when it is learned"
+    )
     parser.add_argument("--motion-file", help="the clip of experiments that leave it open")
     parser.add_argument("--parallel", type=int, default=1, help="runs at a time")
     parser.add_argument("--cores-per-run", type=int, help="default: all, shared by --parallel")
@@ -98,8 +110,9 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
         raise ConfigError("give an experiment; benchmarks/experiments.yaml lists them")
     if args.motion_file and not any(needs_motion_file(name) for name in names):
         raise ConfigError(f"--motion-file has no effect: {', '.join(names)} have their own clips")
-    if clips and CLIPS not in names:
-        raise ConfigError(f"--clips has no effect: {', '.join(names)}; add {CLIPS}")
+    for word, given in (("--clips", bool(clips)), ("--until-learned", args.until_learned)):
+        if given and CLIPS not in names:
+            raise ConfigError(f"{word} has no effect: {', '.join(names)}; add {CLIPS}")
     if CLIPS in names:
         return _plans_of_clips(names, clips or DEFAULT_CLIPS, args, extra)
     experiments = [find_experiment(name, args.motion_file, extra) for name in names]
@@ -120,10 +133,17 @@ def _plans_of_clips(
     """
     if len(names) > 1:
         raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
+    experiments = clip_experiments(clips, extra)
+    if args.until_learned:
+        done = newest_records([each.name for each in experiments], args.results_dir)
+        learned = {name for name, record in done.items() if is_learned(record)}
+        experiments = [each for each in experiments if each.name not in learned]
     plans = [
         plan(each, Run.of(args.runs_dir, each.name, 1), args.minutes, args.resume)
-        for each in clip_experiments(clips, extra)
+        for each in experiments
     ]
+    if args.until_learned:
+        plans = [replace(job, is_over=partial(has_learned, job.run.experiment)) for job in plans]
     return [job for job in plans if job.minutes > 0]
 
 

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from benchmarks.experiments import Experiment, override
-from benchmarks.learning_curve import read_learning_curve
+from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.runs import ROOT, Run, start_now
 from isaacgymenvs_lite.errors import ConfigError
 
 _POLL_S = 0.5
+_LOOK_S = 20.0  # at the learning curve, which takes a part of a second
 # A run that was asked to end finishes its epoch and writes a checkpoint; then it is asked again,
 # which ends it at once.
 _PATIENCE_S = 120.0
@@ -39,12 +40,14 @@ class Plan:
         settings: the experiment's overrides.
         checkpoint: where it goes on, None for a new run.
         minutes: how long, at most; 0 if the run has had its time.
+        is_over: whether a run with this curve may end before.
     """
 
     run: Run
     settings: tuple[str, ...]
     checkpoint: Path | None
     minutes: float
+    is_over: Callable[[LearningCurve], bool] = lambda curve: False
 
     def command(self, cores: Sequence[int]) -> list[str]:
         """Return the command line of train.py for so many CPUs."""
@@ -140,6 +143,7 @@ class Training:
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.run = job.run
+        self._is_over = job.is_over
         self._has_ranks = job.has_ranks
         self._clock_s = clock_s
         self._limit_s = 60.0 * job.minutes
@@ -148,12 +152,17 @@ class Training:
         with log_file(self.run).open("a", encoding="utf-8") as log:
             self.process = _start(words, cores, log)
         self._start_s = clock_s()
+        self._look_again_s = self._start_s + _LOOK_S
         self._ask_again_s = 0.0
 
     def poll(self, stop: bool) -> int | None:
-        """Return the exit code, None while it runs; end it when its time is over, or at `stop`."""
+        """Return the exit code, None while it runs; end it when it is over, or at `stop`."""
         code = self.process.poll()
         now_s = self._clock_s()
+        if code is None and now_s >= self._look_again_s:
+            self._look_again_s = now_s + _LOOK_S
+            if self._is_over(read_learning_curve(self.run.folder / "summaries")):
+                self._limit_s = 0.0
         if code is None and (stop or now_s - self._start_s >= self._limit_s):
             self._ask_to_end(now_s)
         return code

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import clips, learning
-from benchmarks.learning_curve import read_learning_curve
+from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.records import write_records
 from benchmarks.runs import Run
 from benchmarks.saved_curves import save_curve
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.report.scalars import Series
 from tests.benchmarks.test_records import RECORD
 from tests.packages import needs
 
@@ -24,7 +26,7 @@ def of(label: str, **changes):
 
 def test_the_shipped_clips_without_data_sets():
     found = clips.named_clips(["shipped"])
-    assert len(found) == 16
+    assert len(found) == 35
     assert found["walk"] == "walk"
     assert "locomotion" not in found
 
@@ -71,6 +73,50 @@ def test_all_clips_get_the_same_settings():
 )
 def test_learned(changes, expected):
     assert clips.is_learned(of("dance", **changes)) is expected
+
+
+def curve_of(**measured: list[float]) -> LearningCurve:
+    """Return the curve of a training that measured its policy, nothing else."""
+    return LearningCurve(
+        {
+            name: Series(
+                np.linspace(0.0, 100.0, len(v)), np.linspace(0.0, 1.0, len(v)), np.array(v)
+            )
+            for name, v in measured.items()
+        }
+    )
+
+
+GOOD = {"pose_error_m": [0.2, 0.06, 0.05], "no_fall_share": [0.0, 0.9, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, True),
+        ({"pose_error_m": [0.05, 0.061, 0.05]}, False),  # once only
+        ({"no_fall_share": [1.0, 1.0, 0.8]}, False),
+        ({"motion_shown": [0.9, 0.9, 0.1]}, False),  # it stands again
+        ({"pose_error_m": [0.05], "no_fall_share": [1.0], "motion_shown": [0.9]}, False),
+        ({"pose_error_m": [], "no_fall_share": [], "motion_shown": []}, False),
+    ],
+)
+def test_a_training_is_over_when_the_clip_is_learned_twice_in_a_row(changes, expected):
+    curve = curve_of(**{**GOOD, "motion_shown": [0.1, 0.8, 0.9], **changes})
+    assert clips.has_learned("dance", curve) is expected
+
+
+def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
+    write_records([of("walk"), of("run", motion_shown=0.2)], tmp_path / "results" / "clips")
+    words = ["clips", "--clips", "walk", "run", "--until-learned", "--resume"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    trained = []
+    monkeypatch.setattr(learning, "train_all", lambda todo, *_, **__: trained.extend(todo) or [])
+    monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
+    learning.main()
+    (job,) = trained
+    assert job.run.experiment == "run"
+    assert job.is_over(curve_of(**GOOD, motion_shown=[0.1, 0.8, 0.9]))
 
 
 def test_the_paper_counts_where_it_has_a_number():

@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from omegaconf import OmegaConf
@@ -142,9 +143,9 @@ def start(run):
     """Return a function that starts a training of the stand-in and waits until it runs."""
     started = []
 
-    def make(minutes: float, clock: HandClock, *arguments: str) -> Training:
+    def make(minutes: float, clock: HandClock, *arguments: str, **more: Any) -> Training:
         command = [sys.executable, "-c", STAND_IN, *arguments]
-        training = Training(Plan(run, WALK.settings, None, minutes), CORES, command, clock)
+        training = Training(Plan(run, WALK.settings, None, minutes, **more), CORES, command, clock)
         started.append(training)
         wait_for(lambda: "cpus" in log_file(run).read_text())
         return training
@@ -164,6 +165,20 @@ def test_a_process_ends_by_the_clock_with_a_checkpoint(start, run):
     clock.now_s = 120.0
     wait_for(lambda: training.poll(stop=False) is not None)
     assert training.poll(stop=False) == 0  # asked once only, while it saved
+    assert log_file(run).read_text().splitlines()[-1] == "saved"
+
+
+def test_a_process_ends_before_its_time_when_it_is_over(start, run):
+    clock, over = HandClock(), []
+    training = start(60.0, clock, is_over=lambda curve: bool(over))
+    clock.now_s = 100.0
+    for _ in range(20):
+        assert training.poll(stop=False) is None
+        time.sleep(0.01)
+    over.append(1)
+    clock.now_s = 200.0
+    wait_for(lambda: training.poll(stop=False) is not None)
+    assert training.poll(stop=False) == 0
     assert log_file(run).read_text().splitlines()[-1] == "saved"
 
 
