@@ -1,15 +1,18 @@
 """Measures the levels of a hierarchy by the fixed protocol.
 
     python -m benchmarks.hierarchy skills TARGET [TARGET ...] [key=value ...]
+    python -m benchmarks.hierarchy getup TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
 `skills` plays low-level controllers under latents as in training: which clips of the data set their
-motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `goal`
-plays policies on a task: the task's return, 1 for the full reward in every step. Targets are those
-of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose, the same goals for
-all policies; mean actions. `--random-latents` plays a hierarchy's low level without its high level.
-`--write` adds the numbers to benchmarks/results.
+motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `getup`
+plays those of HumanoidASEGetup from the ground: how many are up within 3 s, and stay up until 6 s.
+`goal` plays policies on a task: the task's return, 1 for the full reward in every step.
+
+Targets are those of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose,
+the same goals for all policies; mean actions. `--random-latents` plays a hierarchy's low level
+without its high level. `--write` adds the numbers to benchmarks/results.
 """
 
 from __future__ import annotations
@@ -36,6 +39,8 @@ from isaacgymenvs_lite.learning.skills.latents import sample_latents
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 
 EPISODES = 128
+GETUP_S = 3.0
+CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
 """Train file of the shipped low level, which judges the style of policies without one."""
 
@@ -66,6 +71,20 @@ class Skills:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GotUp:
+    """How well a low-level controller gets up.
+
+    Attributes:
+        got_up_share: of the episodes: stood on its feet after `GETUP_S`, and until the end.
+    """
+
+    got_up_share: float
+
+    def __str__(self) -> str:
+        return f"got up within {GETUP_S:g} s and stayed up: {self.got_up_share:.2f}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class GoalReached:
     """How well a policy does what it is asked to.
 
@@ -89,9 +108,16 @@ class GoalReached:
         return f"{text}, style reward {self.style_reward:.3f} per step"
 
 
-def fixed_settings() -> dict[str, Any]:
-    """Return what differs from the protocol of imitation."""
+def fixed_settings(kind: str) -> dict[str, Any]:
+    """Return what differs from the protocol of imitation, for a kind of measurement."""
     own = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
+    if kind == "getup":
+        own |= {
+            "task.env.fallInitProb": 1.0,
+            "task.env.recoveryEpisodeProb": 0.0,
+            "task.env.recoverySteps": round(GETUP_S * CONTROL_STEPS_PER_S),
+            "task.env.episodeLength": 2 * round(GETUP_S * CONTROL_STEPS_PER_S),
+        }
     return {**IMITATION_SETTINGS, **own}
 
 
@@ -114,6 +140,17 @@ def measure_skills(player: Any, env: Any) -> Skills:
         shuffled_reward=found.shuffled_reward if found else 0.0,
         no_fall_share=imitation.no_fall_share,
     )
+
+
+def measure_getup(player: Any, env: Any) -> GotUp:
+    """Play a low-level controller from the ground; see the module docstring.
+
+    Raises:
+        ConfigError: its task has no fallen starts.
+    """
+    if not hasattr(env, "fallen_root_states"):
+        raise ConfigError(f"getup: {type(env).__name__} never lies; train task=HumanoidASEGetup")
+    return GotUp(got_up_share=measure_skills(player, env).no_fall_share)
 
 
 def measure_goal(player: Any, env: Any, random_latents: bool = False) -> GoalReached:
@@ -159,7 +196,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
 def main(words: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=["skills", "goal"])
+    parser.add_argument("kind", choices=["skills", "getup", "goal"])
     parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--random-latents", action="store_true")
@@ -169,17 +206,19 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR)
     args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    measure = measure_skills
-    if args.kind == "goal":
-        measure = partial(measure_goal, random_latents=args.random_latents)
-    elif args.random_latents:
+    if args.random_latents and args.kind != "goal":
         sys.exit("error: --random-latents belongs to goal")
+    measures = {
+        "skills": measure_skills,
+        "getup": measure_getup,
+        "goal": partial(measure_goal, random_latents=args.random_latents),
+    }
     try:
         for run, checkpoint in find_targets(args.what, args.runs_dir):
             found = play_checkpoint(
                 checkpoint,
-                measure,
-                fixed_settings(),
+                measures[args.kind],
+                fixed_settings(args.kind),
                 args.evaluation_seed,
                 num_threads=args.threads,
                 overrides=tuple(word for word in args.what if "=" in word),

@@ -70,6 +70,15 @@ def test_skills(runs, tmp_path, capsys) -> None:
     assert "skills seed 1: coverage 1.00" in capsys.readouterr().out
 
 
+def test_getting_up(runs, tmp_path, capsys) -> None:
+    train_run(runs, "getup", "task=HumanoidASEGetup", *LOW_LEVEL)
+    found = measured(runs, tmp_path, "getup", "getup", "task.env.episodeLength=95")
+    assert found["got_up_share"] == 0.0  # nobody gets up by chance
+    assert "getup seed 1: got up within 3 s" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="HumanoidASE never lies"):
+        hierarchy.main(["getup", "skills", "--runs-dir", str(runs)])
+
+
 @pytest.mark.parametrize("name", ["heading_hrl", "heading_ppo"])
 def test_goals(name, runs, tmp_path) -> None:
     found = measured(runs, tmp_path, "goal", name)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import GetupConfig
+from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done
 
 _FALL_ACTION = 0.5
@@ -21,6 +22,8 @@ class HumanoidASEGetup(HumanoidASE):
 
     After some falls the next episode goes on from where the character lies, and some others start
     from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
+    Without a goal the reward of the task is the root's height over its height in standing, at most
+    1; ASE's, a constant 1, says nothing about getting up.
 
     Attributes:
         fallen_root_states: (N, 13) of characters that lie on the ground at rest.
@@ -68,6 +71,13 @@ class HumanoidASEGetup(HumanoidASE):
         """As the base, and count the time to get up."""
         super().pre_physics_step(actions)
         self.recovery_steps_left.sub_(1).clamp_(min=0)
+
+    def compute_reward_terms(self) -> Terms:
+        """Return how far the character is up, 0 to 1; with a goal the goal's reward."""
+        if self.goal.num_obs > 0:
+            return super().compute_reward_terms()
+        standing_m = self.default_pose()[0][2]
+        return {"upright": (self.simulation.root_states[:, 2] / standing_m).clamp(0.0, 1.0)}
 
     def compute_failures(self) -> Tensor:
         """As the base, but characters that have time left to get up do not fail."""

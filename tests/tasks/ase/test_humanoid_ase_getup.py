@@ -275,3 +275,27 @@ def test_after_a_diverged_simulation_nobody_goes_on(make) -> None:
     start = _features(task)[1]
     history = _random_step(task)[-1]["amp_obs"].view(3, 10, 125)[1]
     torch.testing.assert_close(history[1:], start.expand(9, -1), rtol=0.0, atol=ATOL)
+
+
+# --- reward -----------------------------------------------------------------------------------
+
+
+def test_the_reward_is_how_far_the_character_is_up(make) -> None:
+    torch.manual_seed(0)
+    task = make(8, fall=1.0)
+    task.reset_done()
+    _, rewards, _, _ = task.step(torch.zeros(8, task.num_actions))
+    lying = (_heights(task) / NORMAL_HEIGHT_M).clamp(max=1.0)
+    torch.testing.assert_close(rewards, lying, atol=ATOL, rtol=0)
+    assert rewards.max() < LYING_M / NORMAL_HEIGHT_M
+    standing = make(2, fall=0.0)
+    _all_start_anew(standing)
+    _, rewards, _, _ = standing.step(torch.zeros(2, standing.num_actions))
+    assert rewards.min() > 0.95
+
+
+def test_a_goal_has_its_own_reward(make) -> None:
+    task = make(2, fall=1.0, goal="heading")
+    task.reset_done()
+    _, rewards, _, _ = task.step(torch.zeros(2, task.num_actions))
+    torch.testing.assert_close(rewards, task.goal.reward(), atol=ATOL, rtol=0)
