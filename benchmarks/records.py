@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -184,7 +184,8 @@ def _or_infinite(value: float | None) -> float:
 def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
     """Write records to `<folder>/<experiment>.jsonl`, by seed and frames; return the files.
 
-    A record replaces the one of the same run, frames and evaluation seed.
+    A record replaces the one of the same run, frames and evaluation seed. Results of another kind
+    in the file, such as those of `benchmarks.hierarchy`, stay where they are.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = []
@@ -193,19 +194,33 @@ def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
         known = {_key(record): record for record in read_records(file)}
         known |= {_key(record): record for record in group}
         rows = sorted(known.values(), key=lambda r: (r.seed, r.frames, r.evaluation_seed))
-        text = "".join(json.dumps(asdict(row), allow_nan=False) + "\n" for row in rows)
+        others = [row for row in _rows(file) if not _is_record(row)]
+        lines = [*others, *(asdict(row) for row in rows)]
+        text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in lines)
         file.write_text(text, encoding="utf-8")
         files.append(file)
     return files
 
 
 def read_records(file: Path) -> list[Record]:
-    """Read a file of `write_records`; none if it does not exist. Unknown keys are ignored."""
+    """Read the records in a file; none if it does not exist. Unknown keys are ignored."""
+    names = {column.name for column in fields(Record)}
+    rows = filter(_is_record, _rows(file))
+    return [Record(**{key: row[key] for key in names & row.keys()}) for row in rows]
+
+
+def _rows(file: Path) -> list[dict[str, Any]]:
     if not file.is_file():
         return []
-    names = {column.name for column in fields(Record)}
-    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
-    return [Record(**{key: row[key] for key in names & row.keys()}) for row in rows]
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
+def _is_record(row: dict[str, Any]) -> bool:
+    """Return whether a line is a `Record`, not a result of another kind."""
+    required = {
+        f.name for f in fields(Record) if f.default is MISSING and f.default_factory is MISSING
+    }
+    return required <= row.keys()
 
 
 def _key(record: Record) -> tuple[str, int, int]:

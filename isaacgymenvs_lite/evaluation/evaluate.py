@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -146,21 +146,22 @@ def evaluate(
     goal = _GoalProbe(env) if fits(env, GoalEnv) else None
     left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
     totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
-    env.reset()
-    while bool((left > 0).any()):
-        rewards, dones, infos = _step(env, policy)
-        playing = left > 0
-        totals[0] += rewards[playing].double().sum().item()
-        totals[1] += int(playing.sum())
-        if style_reward is not None:
-            totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
-        if probe is not None:
-            probe.record(dones, infos)
-        if goal is not None:
-            goal.record(playing, infos)
-        if on_step is not None:
-            on_step(dones, infos)
-        left -= (dones != 0).to(left.dtype)
+    with _evaluated(env):
+        env.reset()
+        while bool((left > 0).any()):
+            rewards, dones, infos = _step(env, policy)
+            playing = left > 0
+            totals[0] += rewards[playing].double().sum().item()
+            totals[1] += int(playing.sum())
+            if style_reward is not None:
+                totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
+            if probe is not None:
+                probe.record(dones, infos)
+            if goal is not None:
+                goal.record(playing, infos)
+            if on_step is not None:
+                on_step(dones, infos)
+            left -= (dones != 0).to(left.dtype)
     count = episodes_per_env * env.num_envs
     return EvaluationResult(
         num_episodes=count,
@@ -170,6 +171,20 @@ def evaluate(
         imitation=None if probe is None else probe.result(),
         goal_errors={} if goal is None else goal.result(),
     )
+
+
+@contextlib.contextmanager
+def _evaluated(env: Env) -> Iterator[None]:
+    """Set the flag of a task that a policy is measured; nothing for a task without it."""
+    before = getattr(env, "is_evaluated", None)
+    if before is None:
+        yield
+        return
+    env.is_evaluated = True  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        env.is_evaluated = before  # type: ignore[attr-defined]
 
 
 def _step(env: Env, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:
@@ -196,7 +211,7 @@ def play_on(
     if not getattr(env, "is_watched", False):  # a user's own environment may lack it
         return
     log.info("playing on while a window or a page is open; Ctrl-C ends it")
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt), _evaluated(env):
         while getattr(env, "is_watched", False):
             _, dones, infos = _step(env, policy)
             if on_step is not None:

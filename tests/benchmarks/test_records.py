@@ -131,3 +131,15 @@ def test_errors_of_goals_are_shown_and_kept(tmp_path):
     old = [{key: row[key] for key in row if key != "goal_errors"} for row in lines]
     file.write_text("".join(json.dumps(row) + "\n" for row in old))
     assert [record.goal_errors for record in read_records(file)] == [{}] * 3
+
+
+def test_results_of_another_kind_stay_in_the_file(tmp_path):
+    other = {"experiment": "walk", "seed": 3, "coverage": 0.75}
+    file = tmp_path / "walk.jsonl"
+    file.write_text(json.dumps(other) + "\n")
+    record = replace(RECORD, experiment="walk")
+    assert read_records(file) == []
+    for _ in range(2):
+        write_records([record], tmp_path)
+        assert json.loads(file.read_text().splitlines()[0]) == other
+        assert read_records(file) == [record]

@@ -39,6 +39,9 @@ NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
 # A failure in this time is one of the start: about as long as a leap with its landing.
 _FAILS_SOON_S = 1.5
+# After a start in a clip the character keeps to it for so long (`startDeviation`). Later it may be
+# ahead or behind, and a policy of several clips in another one.
+_KEEPS_TO_CLIP_S = 0.67
 
 
 def build_amp_observations(
@@ -58,6 +61,19 @@ def build_amp_observations(
     return compute_humanoid_observations(
         root_states, dof_pos, dof_vel, key_body_pos, local_root_obs, as_ase, dof_offsets
     )
+
+
+def deviation_m(states: CharacterState, reference: CharacterState) -> Tensor:
+    """Return how far characters are from a reference, (n,) m.
+
+    The mean distance of the root and the key bodies, relative to the root's place on the ground.
+    """
+
+    def points(state: CharacterState) -> Tensor:
+        root_pos = state[0][:, None, :3]
+        return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
+
+    return (points(states) - points(reference)).norm(dim=-1).mean(dim=-1)
 
 
 class HumanoidAMP(HumanoidAMPBase):
@@ -163,8 +179,9 @@ class HumanoidAMP(HumanoidAMPBase):
                 lib.motion_weights(),
                 min(soon_steps, self.max_episode_length // 2),
             )
-        # Bins where the episodes started; -1: in the default pose, or not counted.
-        self._start_bins = torch.full_like(self.progress_buf, -1)
+        # Clips in which the episodes started, -1: in the default pose; and when in them.
+        self._start_clips = torch.full_like(self.progress_buf, -1)
+        self._start_times_s = torch.zeros(self.num_envs, device=self.device)
         self.goal.attach(self.simulation, self.control_dt_s)
 
     @property
@@ -253,13 +270,34 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """As the base, and where the goal was missed for good."""
+        """As the base, and where the goal was missed for good or a start in a clip was left."""
         fallen = super().compute_failures()
+        if not self.env_cfg.enable_early_termination:
+            return fallen
+        if self.env_cfg.start_deviation > 0.0 and not self.is_evaluated:
+            fallen = fallen | self._strayed()
         missed = self.goal.failures(self.contact_body_ids)
-        if missed is None or not self.env_cfg.enable_early_termination:
+        if missed is None:
             return fallen
         # Contact forces may be stale in the first step.
         return fallen | (missed & (self.progress_buf > 1))
+
+    def _strayed(self) -> Tensor:
+        """Return (N,) bool: soon after a start in a clip, and far from the clip."""
+        strayed = torch.zeros_like(self.timeout_buf)
+        passed_s = self.control_dt_s * self.progress_buf
+        is_new = (self._start_clips >= 0) & (passed_s <= _KEEPS_TO_CLIP_S)
+        env_ids = is_new.nonzero().flatten()
+        clips, times_s = self._start_clips[env_ids], (self._start_times_s + passed_s)[env_ids]
+        inside = times_s < self._motion_lib.get_motion_length(clips).to(times_s)
+        env_ids, clips, times_s = env_ids[inside], clips[inside], times_s[inside]
+        if len(env_ids) > 0:
+            now = torch.zeros(1, dtype=torch.int64, device=self.device)
+            reference = self._reference_states(clips, times_s, now)
+            away_m = deviation_m(self._character_states(env_ids), reference)
+            limit_m = self.env_cfg.start_deviation * self.default_pose()[0][2]
+            strayed[env_ids] = away_m > limit_m
+        return strayed
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
@@ -273,10 +311,11 @@ class HumanoidAMP(HumanoidAMPBase):
         """Count the episodes that end in this step by where they started."""
         if self._adaptive is None:
             return
-        ended = ((self.done_buf != Done.RUNNING) & (self._start_bins >= 0)).nonzero().flatten()
+        ended = ((self.done_buf != Done.RUNNING) & (self._start_clips >= 0)).nonzero().flatten()
         if len(ended) > 0:
             failed = self.done_buf[ended] == Done.FAILED
-            self._adaptive.count(self._start_bins[ended], self.progress_buf[ended], failed)
+            bins = self._adaptive.bins_of(self._start_clips[ended], self._start_times_s[ended])
+            self._adaptive.count(bins, self.progress_buf[ended], failed)
 
     # --- demonstrations ----------------------------------------------------------------------
 
@@ -427,7 +466,6 @@ class HumanoidAMP(HumanoidAMPBase):
             reference_ids, default_ids = env_ids[from_clip], env_ids[~from_clip]
         self._reset_to_reference(reference_ids)
         if len(default_ids) > 0:
-            self._start_bins[default_ids] = -1
             self._write_default_pose(default_ids)
         self.goal.reset(env_ids)
         if len(reference_ids) > 0:
@@ -453,7 +491,7 @@ class HumanoidAMP(HumanoidAMPBase):
 
         Root states (n, 13), DOF positions and velocities (n, D), the AMP features of the steps
         before (n, steps - 1, ...), the root states that the goal looks ahead (n, T, 13), and the
-        bins (n,) of `adaptive_starts`, -1 without it.
+        clips (n,) and times (n,) s.
         """
         motion_ids, times = self._draw_moments(n)
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
@@ -461,10 +499,7 @@ class HumanoidAMP(HumanoidAMPBase):
         before = self._amp_features((root[n:], dof_pos[n:], dof_vel[n:], key_pos[n:]))
         history = before.view(len(steps) - 1, n, -1).transpose(0, 1)
         ahead = self._roots_ahead_of(motion_ids, times)
-        bins = torch.full_like(motion_ids, -1)
-        if self._adaptive is not None:
-            bins = self._adaptive.bins_of(motion_ids, times)
-        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead, bins
+        return root[:n], dof_pos[:n], dof_vel[:n], history, ahead, motion_ids, times
 
     def _draw_moments(self, n: int) -> tuple[Tensor, Tensor]:
         """Draw motions (n,) and times (n,) s in them at which episodes start."""
@@ -494,13 +529,15 @@ class HumanoidAMP(HumanoidAMPBase):
         self._reference_env_ids = env_ids
         if len(env_ids) == 0:
             return
-        starts = self._starts.next(len(env_ids))
-        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead, bins = starts
-        self._start_bins[env_ids] = bins
+        *starts, clips, times_s = self._starts.next(len(env_ids))
+        root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
+        self._start_clips[env_ids] = clips
+        self._start_times_s[env_ids] = times_s
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with the steps before the start."""
+        self._start_clips[env_ids] = -1
         super().reset_idx(env_ids)
         self._start_histories(env_ids)
 

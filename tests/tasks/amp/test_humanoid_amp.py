@@ -20,7 +20,11 @@ from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
-from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP, build_amp_observations
+from isaacgymenvs_lite.tasks.amp.humanoid_amp import (
+    HumanoidAMP,
+    build_amp_observations,
+    deviation_m,
+)
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
 
 DT = 0.0332
@@ -199,6 +203,56 @@ def test_episodes_start_where_they_fail(make_humanoid, tmp_path: Path, walk_clip
     assert evenly == pytest.approx(1 / 3, abs=0.07)
     # By then each moment has had about 70 episodes, and rates of 0.5 have come to 0.13 and 0.87.
     assert adaptive > 0.6
+
+
+def test_deviation_is_the_mean_distance_of_root_and_key_bodies() -> None:
+    root, keys = torch.zeros(2, 13), torch.zeros(2, 3, 3)
+    moved = root.clone()
+    moved[:, :3] = torch.tensor([5.0, -7.0, 0.4])  # along the ground does not count
+    moved_keys = keys + moved[:, None, :3]
+    moved_keys[1, 0] += torch.tensor([0.0, 0.3, 0.0])
+    unused = torch.zeros(2, 1)
+    found = deviation_m((moved, unused, unused, moved_keys), (root, unused, unused, keys))
+    # All four points 0.4 m higher; one of them 0.3 m aside as well: 0.5 m.
+    torch.testing.assert_close(found, torch.tensor([0.4, 0.425]))
+
+
+def _raise_first(task: HumanoidAMP) -> None:
+    """Put the first character half a metre above where it is."""
+    sim = task.simulation
+    roots = sim.root_states[:1].clone()
+    roots[:, 2] += 0.5
+    sim.write_state(torch.tensor([0]), roots, sim.dof_pos[:1].clone(), sim.dof_vel[:1].clone())
+
+
+def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_humanoid) -> None:
+    torch.manual_seed(3)
+    task = make_humanoid(4, startDeviation=0.3, stateInit="Start")
+    task.reset_done()
+    _raise_first(task)
+    assert _zero_step(task)[2].tolist() == [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("env", "steps", "is_evaluated"),
+    [
+        ({}, 0, False),  # off
+        ({"startDeviation": 0.8}, 0, False),  # of 0.89 m: more than half a metre
+        ({"startDeviation": 0.3, "stateInit": "Default"}, 0, False),
+        ({"startDeviation": 0.3, "enableEarlyTermination": False}, 0, False),
+        ({"startDeviation": 0.3}, 0, True),
+        ({"startDeviation": 0.3}, 20, False),  # 0.7 s later, it need not keep to the clip
+    ],
+)
+def test_it_goes_on_where_straying_does_not_count(
+    make_humanoid, env: dict, steps: int, is_evaluated: bool
+) -> None:
+    task = make_humanoid(2, **{"stateInit": "Start", **env})
+    task.is_evaluated = is_evaluated
+    task.reset_done()
+    task.progress_buf.fill_(steps)
+    _raise_first(task)
+    assert _zero_step(task)[2].tolist() == [0, 0]
 
 
 def _starts_in_clip(task: HumanoidAMP) -> Tensor:
