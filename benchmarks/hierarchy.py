@@ -7,7 +7,8 @@
 
 `skills` plays low-level controllers under latents as in training: which clips of the data set their
 motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `getup`
-plays those of HumanoidASEGetup from the ground: how many are up within 3 s, and stay up until 6 s.
+plays low-level controllers of HumanoidASEGetup from the ground: the share of characters that are up
+within 3 s, and stay up until 6 s.
 `goal` plays policies on a task: the task's return, 1 for the full reward in every step.
 
 Targets are those of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose,

@@ -184,8 +184,8 @@ def _or_infinite(value: float | None) -> float:
 def write_records(records: Iterable[Record], folder: Path) -> list[Path]:
     """Write records to `<folder>/<experiment>.jsonl`, by seed and frames; return the files.
 
-    A record replaces the one of the same run, frames and evaluation seed. Results of another kind
-    in the file, such as those of `benchmarks.hierarchy`, stay where they are.
+    A record replaces the one of the same run, frames and evaluation seed. Lines that
+    `benchmarks.hierarchy` has written into the file are kept, and come first.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = []

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import gymnasium
 import pytest
 import torch
 
 from benchmarks import hierarchy
+from benchmarks.protocol import SEED, play_checkpoint
 from benchmarks.runs import Run
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run as train
@@ -71,7 +73,14 @@ def test_skills(runs, tmp_path, capsys) -> None:
 
 
 def test_getting_up(runs, tmp_path, capsys) -> None:
-    train_run(runs, "getup", "task=HumanoidASEGetup", *LOW_LEVEL)
+    checkpoint = train_run(runs, "getup", "task=HumanoidASEGetup", *LOW_LEVEL)
+
+    def start_heights(player: Any, env: Any) -> torch.Tensor:
+        env.reset()
+        return env.simulation.root_states[:, 2].clone()
+
+    lying = play_checkpoint(checkpoint, start_heights, hierarchy.fixed_settings("getup"), SEED)
+    assert lying.max() < 0.6  # m; standing 0.89
     found = measured(runs, tmp_path, "getup", "getup", "task.env.episodeLength=95")
     assert found["got_up_share"] == 0.0  # nobody gets up by chance
     assert "getup seed 1: got up within 3 s" in capsys.readouterr().out

@@ -142,3 +142,20 @@ def test_a_published_number_without_end_comes_to_one(caplog) -> None:
     assert not caplog.text
     assert episodes_to_play({"games_num": 1_000_000}) == 32
     assert "games_num=1000000 means without end" in caplog.text
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_the_flag_of_a_task_is_set_while_it_is_evaluated(before) -> None:
+    env = ScriptedEnv([[2], [3]])
+    env.is_evaluated = before
+    seen = []
+    evaluate(env, zero_policy, 2, on_step=lambda *_: seen.append(env.is_evaluated))
+    assert seen == [True] * 3
+    assert env.is_evaluated is before
+
+    def broken(obs: dict[str, Tensor]) -> Tensor:
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        evaluate(env, broken, 2)
+    assert env.is_evaluated is before

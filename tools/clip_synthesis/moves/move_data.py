@@ -100,12 +100,19 @@ _DIAGONAL_BACK_LEFT = Move(
 )
 
 
-def _quick_step(name: str, forward: float, left: float, **steps: Any) -> Move:
-    """Return one quick step from standing, as after a push, and a second one to stand again."""
+def _quick_step(name: str, forward_m_s: float, left_m_s: float, **steps: Any) -> Move:
+    """Return one quick step from standing, as after a push, and a second one to stand again.
+
+    Args:
+        name: of the clip.
+        forward_m_s: largest speed of the body, forward.
+        left_m_s: the same to the left.
+        steps: keys of `Steps`.
+    """
     return Move(
         name=name,
         window_s=(0.5, 2.4),
-        path=((0.7, 0, 0, 0), (1.05, forward, left, 0), (1.6, 0, 0, 0)),
+        path=((0.7, 0, 0, 0), (1.05, forward_m_s, left_m_s, 0), (1.6, 0, 0, 0)),
         steps=Steps(count=2, first_lift_s=0.85, step_s=0.42, **steps),
     )
 
