@@ -1,69 +1,102 @@
-"""Lists the commands of this package: python -m isaacgymenvs_lite."""
+"""Runs the commands of this package: isaacgymenvs-lite COMMAND [ARGUMENTS]."""
 
 from __future__ import annotations
 
-import argparse
 import ast
+import runpy
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from isaacgymenvs_lite import __version__
-from isaacgymenvs_lite.command_line import EXIT_USER_ERROR
 from isaacgymenvs_lite.errors import unknown
+from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT, PACKAGE
 
-PACKAGE = "isaacgymenvs_lite"
-COMMANDS = (
-    *("train", "check", "demo", "report", "export", "policies", "workflows", "alias"),
-    *(
-        "motion.robot",
-        "motion.view",
-        "motion.plot",
-        "motion.strip",
-        "motion.convert",
-        "motion.gait",
-        "simulation.replay",
-    ),
-)
-"""Modules that `python -m` runs, in the order in which a user meets them."""
+EXIT_USER_ERROR = 2  # as in `command_line`, which takes half a second to import
+COMMANDS = {
+    "train": "train",
+    "play": "train",
+    "demo": "demo",
+    "check": "check",
+    "convert": "motion.convert",
+    "view": "motion.view",
+    "plot": "motion.plot",
+    "strip": "motion.strip",
+    "gait": "motion.gait",
+    "robot": "motion.robot",
+    "export": "export",
+    "report": "report",
+    "replay": "simulation.replay",
+    "policies": "policies",
+    "workflows": "workflows",
+    "alias": "alias",
+}
+"""Name -> module that `python -m` runs, in the order in which a user meets them."""
+PLAY = "Plays a policy: checkpoint=last, a file, or the name of a shipped one"
 DOORS = tuple(
     f"workflows.{library}.{verb}"
     for library in ("sb3", "skrl", "rsl_rl")
     for verb in ("train", "play")
 )
 """Modules of Isaac Lab's form; each is one use of the command `workflows`, and not listed."""
+_HELP = ("-h", "--help", "help")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Print the list; return the exit code."""
-    prog = f"python -m {PACKAGE}"
-    parser = argparse.ArgumentParser(prog=prog, description=(__doc__ or "").partition(":")[0] + ".")
-    parser.add_argument("words", nargs="*", help=argparse.SUPPRESS)
-    words = parser.parse_args(arguments).words
-    if not words:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command, or print the list of them.
+
+    The command's module becomes the program, as `python -m` makes it, and exits itself.
+
+    Args:
+        arguments: without the program's name; None = `sys.argv`.
+
+    Returns:
+        The exit code where no command ran.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in _HELP:
         sys.stdout.write(overview())
         return 0
-    if words[0] in (*COMMANDS, *DOORS):
-        hint = f"'{words[0]}' is a module: {prog}.{' '.join(words)}"
-    else:
-        hint = unknown("command", words[0], COMMANDS)
-    parser.exit(EXIT_USER_ERROR, f"error: {hint}\n")
+    if words[0] == "--version":
+        sys.stdout.write(f"{PACKAGE} {__version__}\n")
+        return 0
+    command, *words = words
+    if command == "play":
+        words = words_of_play(words)
+    module = COMMANDS.get(command, command)
+    if module not in (*COMMANDS.values(), *DOORS):
+        sys.stderr.write(f"error: {unknown('command', command, COMMANDS)}\n")
+        return EXIT_USER_ERROR
+    sys.argv[1:] = words
+    runpy.run_module(f"{PACKAGE}.{module}", run_name="__main__", alter_sys=True)
+    return 0
+
+
+def words_of_play(words: Sequence[str]) -> list[str]:
+    """Return the words of `train` that play a policy; without a name the newest one."""
+    asks_for_help = any(word in _HELP for word in words)
+    named = any(word.startswith("checkpoint=") for word in words)
+    checkpoint = [] if named or asks_for_help else ["checkpoint=last"]
+    return ["test=True", *checkpoint, *words]
 
 
 def overview() -> str:
     """Return every command with a line that says what it does."""
     lines = [
-        f"isaacgymenvs_lite {__version__}: python -m {PACKAGE}.<command>, with --help for more",
+        f"isaacgymenvs_lite {__version__}: {CONSOLE_SCRIPT} COMMAND, with --help for more",
         "",
-        *(f"    {command:24}{purpose(command)}" for command in COMMANDS),
+        *(f"    {command:12}{purpose(command)}" for command in COMMANDS),
         "",
-        f"In a checkout, python train.py is python -m {PACKAGE}.train.",
+        f"The same: python -m {PACKAGE} COMMAND. In a checkout: python train.py for train.",
     ]
     return "\n".join([*lines, ""])
 
 
 def purpose(command: str) -> str:
     """Return the first sentence of a command's module, without importing it."""
-    path = Path(__file__).parent.joinpath(*command.split("."))
+    if command == "play":
+        return PLAY
+    path = Path(__file__).parent.joinpath(*COMMANDS[command].split("."))
     file = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return text.partition("\n")[0].partition(": python ")[0].rstrip(".")

@@ -42,7 +42,7 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.config.yaml_files import read_yaml
-from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.errors import ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import select
 
@@ -177,9 +177,10 @@ def _find(file: str) -> Path:
     for group in ("train", "task"):
         if published := missing_choice(group, given.stem):
             raise ConfigError(f"{file}: no such file; {published}")
+    names = [path.stem for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
     raise ConfigError(
         f"{file}: no such file, and no name of a file in {cfg_dir() / 'train'} or"
-        f" {cfg_dir() / 'task'}"
+        f" {cfg_dir() / 'task'}{suggest(given.stem, names)}"
     )
 
 

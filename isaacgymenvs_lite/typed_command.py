@@ -10,8 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-_TRAIN = "isaacgymenvs_lite.train"
-_CHECK = "isaacgymenvs_lite.check"
+PACKAGE = "isaacgymenvs_lite"
+CONSOLE_SCRIPT = "isaacgymenvs-lite"
+"""The program that an installed package brings along; its first word is a command."""
+_TRAIN = f"{PACKAGE}.train"
+_CHECK = f"{PACKAGE}.check"
 _NUM_PLAYED = 16
 # Root keys that a policy depends on, beside all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
@@ -128,15 +131,31 @@ def _kept_options(words: Sequence[str]) -> list[str]:
 
 def _program() -> tuple[str, ...]:
     """Return the command that started this process, without its settings."""
+    # A command of the package is a module that has taken the program's place.
+    *_, first, second, third = ["", "", "", *_orig_program()]
+    if (first, second) == ("-m", PACKAGE):
+        return (_python(), first, second, third)
+    if Path(second).name == CONSOLE_SCRIPT:
+        return (_shortest(second), third)
     script, spec = sys.argv[0], getattr(sys.modules["__main__"], "__spec__", None)
     if spec is not None:
         return (_python(), "-m", spec.name.removesuffix(".__main__"))
     if script.endswith(".py"):
         return (_python(), script)
+    if shutil.which(Path(script).name) is None or not Path(script).is_file():
+        return (_python(), "-m", _TRAIN)  # python -c, or a user's own program
+    return (_shortest(script),)
+
+
+def _orig_program() -> list[str]:
+    """Return the words of this process before its settings."""
+    return sys.orig_argv[: max(0, len(sys.orig_argv) - len(sys.argv[1:]))]
+
+
+def _shortest(script: str) -> str:
+    """Return a program's name if a shell finds it by that, else its path."""
     found = shutil.which(Path(script).name)
-    if found is None or not Path(script).is_file():  # python -c, or a user's own program
-        return (_python(), "-m", _TRAIN)
-    return (Path(script).name if Path(found) == Path(script) else script,)
+    return Path(script).name if found is not None and Path(found) == Path(script) else script
 
 
 def _python() -> str:

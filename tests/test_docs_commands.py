@@ -30,6 +30,7 @@ import yaml
 
 from benchmarks.experiments import find_experiment
 from isaacgymenvs_lite import command_line
+from isaacgymenvs_lite.__main__ import COMMANDS, words_of_play
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
@@ -228,6 +229,17 @@ def check_python(words: Sequence[str]) -> None:
         check_train(rest)
 
 
+def check_console_script(words: Sequence[str]) -> None:
+    if not words:
+        return
+    command, *rest = words
+    assert command in COMMANDS, f"{command}: no command"
+    if command in ("train", "play"):
+        check_train(words_of_play(rest) if command == "play" else rest)
+    else:
+        check_module(f"isaacgymenvs_lite.{COMMANDS[command]}", rest)
+
+
 def check_torchrun(words: Sequence[str]) -> None:
     options = list(itertools.takewhile(lambda word: word.startswith("--"), words))
     script, *rest = words[len(options) :]
@@ -339,6 +351,7 @@ CHECKS = {
     "torchrun": check_torchrun,
     "python": check_python,
     "python3": check_python3,
+    "isaacgymenvs-lite": check_console_script,
     "make": check_make,
     "pip": check_pip,
     ".": lambda words: check_system(words),
@@ -380,6 +393,8 @@ def test_a_command_is_accepted(words):
         "python train.py -m task=Cartpol seed=1,2",
         "python train.py -m num_env=choice(1,2)",
         "python -m isaacgymenvs_lite.demos",
+        "isaacgymenvs-lite demos",
+        "isaacgymenvs-lite train task=Cartpol",
         "python -m isaacgymenvs_lite.demo second=3",
         "python -m isaacgymenvs_lite.check SwingUp.yaml",
         "python -m isaacgymenvs_lite.workflows.sb3.train --task Ant --num-env 4",
