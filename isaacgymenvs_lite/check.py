@@ -1,6 +1,7 @@
-"""Checks a task or train file and describes its training, without training.
+"""Checks a task or train file and describes its training, without training; or the installation.
 
     python -m isaacgymenvs_lite.check FILE.yaml [task=<name>] [key=value ...]
+    python -m isaacgymenvs_lite.check                    # versions and what works, for an issue
 
 FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
 task that its name begins with, or with `task=`. The command lists the algorithm, the network,
@@ -46,6 +47,7 @@ from isaacgymenvs_lite.errors import ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import select
 
+EXIT_DOES_NOT_WORK = 1
 EXIT_USER_ERROR = 2
 # Keys of `config` that IsaacGymEnvs or an old rl_games read, and nothing reads here.
 _UNREAD_CONFIG = (
@@ -62,15 +64,21 @@ _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Check the file that the command line names; returns the exit code."""
+    """Check the file that the command line names, or the installation; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m isaacgymenvs_lite.check",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("file", help="a task or train file, or its name")
+    parser.add_argument("file", nargs="?", help="a task or train file, or its name")
     parser.add_argument("settings", nargs="*", metavar="key=value")
     args = parser.parse_args(arguments)
+    if args.file is None:
+        from isaacgymenvs_lite.installation import describe_installation  # torch, MuJoCo
+
+        lines, works = describe_installation()
+        sys.stdout.write("\n".join([*lines, ""]))
+        return 0 if works else EXIT_DOES_NOT_WORK
     try:
         sys.stdout.write("\n".join([*describe(args.file, args.settings), ""]))
     except UserError as error:

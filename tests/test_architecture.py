@@ -25,7 +25,16 @@ LAYERS = (
     *("env_interface", "gymnasium_ids"),
     *("tasks", "evaluation", "run", "checkpoints", "learning", "pbt", "viewers"),
     *("env_factory", "wrappers", "registration", "typed_command", "runner"),
-    *("check", "policies", "demo", "sweep", "train", "isaacgymenvs_compat", "alias"),
+    *(
+        "installation",
+        "check",
+        "policies",
+        "demo",
+        "sweep",
+        "train",
+        "isaacgymenvs_compat",
+        "alias",
+    ),
     *("report", "export", "workflows", "__main__"),
 )
 # Pairs that do not import each other, although their layers would allow it, directly or through
