@@ -16,6 +16,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
+from isaacgymenvs_lite.tasks.amp.clip_phases import PHASES_PER_STEP, ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -39,9 +40,6 @@ NUM_AMP_OBS_PER_STEP = NUM_OBS  # of IsaacGymEnvs' humanoid, for scripts
 _STARTS_AT_A_TIME = 1024
 # A failure in this time is one of the start: about as long as a leap with its landing.
 _FAILS_SOON_S = 1.5
-# After a start in a clip the character keeps to it for so long (`startDeviation`). Later it may be
-# ahead or behind, and a policy of several clips in another one.
-_KEEPS_TO_CLIP_S = 0.67
 
 
 def build_amp_observations(
@@ -63,17 +61,10 @@ def build_amp_observations(
     )
 
 
-def deviation_m(states: CharacterState, reference: CharacterState) -> Tensor:
-    """Return how far characters are from a reference, (n,) m.
-
-    The mean distance of the root and the key bodies, relative to the root's place on the ground.
-    """
-
-    def points(state: CharacterState) -> Tensor:
-        root_pos = state[0][:, None, :3]
-        return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
-
-    return (points(states) - points(reference)).norm(dim=-1).mean(dim=-1)
+def _points(state: CharacterState) -> Tensor:
+    """Return the root and the key bodies, (n, 1 + K, 3) m, from the root's place on the ground."""
+    root_pos = state[0][:, None, :3]
+    return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
 
 
 class HumanoidAMP(HumanoidAMPBase):
@@ -182,7 +173,23 @@ class HumanoidAMP(HumanoidAMPBase):
         # Clips in which the episodes started, -1: in the default pose; and when in them.
         self._start_clips = torch.full_like(self.progress_buf, -1)
         self._start_times_s = torch.zeros(self.num_envs, device=self.device)
+        self._phases = self._make_phases() if self.env_cfg.clip_deviation > 0.0 else None
         self.goal.attach(self.simulation, self.control_dt_s)
+
+    def _make_phases(self) -> ClipPhases | None:
+        """Return what follows episodes through their clip; None if there are several clips.
+
+        Between clips a policy may change, which an episode does not show.
+        """
+        if self._motion_lib.num_motions() > 1:
+            return None
+        length_s = float(self._motion_lib.get_motion_length([0]))
+        times_s = torch.arange(
+            0.0, length_s, self.control_dt_s / PHASES_PER_STEP, device=self.device
+        )
+        zeros = torch.zeros(len(times_s), dtype=torch.int64, device=self.device)
+        clip = _points(self._reference_states(zeros, times_s, zeros[:1]))
+        return ClipPhases(clip, self.num_envs, self.control_dt_s, self._clip_deviation_m)
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -270,34 +277,25 @@ class HumanoidAMP(HumanoidAMPBase):
 
     @torch.inference_mode()
     def compute_failures(self) -> Tensor:
-        """As the base, and where the goal was missed for good or a start in a clip was left."""
+        """As the base, and where the goal was missed for good or the clip of the start was left."""
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
-        if self.env_cfg.start_deviation > 0.0 and not self.is_evaluated:
-            fallen = fallen | self._strayed()
+        if self._phases is not None and not self.is_evaluated:
+            fallen = fallen | self._strayed(self._phases)
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
         # Contact forces may be stale in the first step.
         return fallen | (missed & (self.progress_buf > 1))
 
-    def _strayed(self) -> Tensor:
-        """Return (N,) bool: soon after a start in a clip, and far from the clip."""
-        strayed = torch.zeros_like(self.timeout_buf)
-        passed_s = self.control_dt_s * self.progress_buf
-        is_new = (self._start_clips >= 0) & (passed_s <= _KEEPS_TO_CLIP_S)
-        env_ids = is_new.nonzero().flatten()
-        clips, times_s = self._start_clips[env_ids], (self._start_times_s + passed_s)[env_ids]
-        inside = times_s < self._motion_lib.get_motion_length(clips).to(times_s)
-        env_ids, clips, times_s = env_ids[inside], clips[inside], times_s[inside]
-        if len(env_ids) > 0:
-            now = torch.zeros(1, dtype=torch.int64, device=self.device)
-            reference = self._reference_states(clips, times_s, now)
-            away_m = deviation_m(self._character_states(env_ids), reference)
-            limit_m = self.env_cfg.start_deviation * self.default_pose()[0][2]
-            strayed[env_ids] = away_m > limit_m
-        return strayed
+    def _strayed(self, phases: ClipPhases) -> Tensor:
+        """Return (N,) bool: farther from the clip of its start than `clipDeviation` allows."""
+        return phases.advance(_points(self._character_states(None))) > self._clip_deviation_m
+
+    @property
+    def _clip_deviation_m(self) -> float:
+        return self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
@@ -533,11 +531,15 @@ class HumanoidAMP(HumanoidAMPBase):
         root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
         self._start_clips[env_ids] = clips
         self._start_times_s[env_ids] = times_s
+        if self._phases is not None:
+            self._phases.start(env_ids, times_s)
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with the steps before the start."""
         self._start_clips[env_ids] = -1
+        if self._phases is not None:
+            self._phases.stop(env_ids)
         super().reset_idx(env_ids)
         self._start_histories(env_ids)
 

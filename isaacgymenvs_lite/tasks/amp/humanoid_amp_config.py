@@ -53,10 +53,10 @@ class HumanoidAMPConfig(TaskConfig):
     clip at each time, not evenly. A policy that only rests is then rewarded less."""
     adaptive_starts: float = setting(0.0, key="adaptiveStarts", minimum=0, maximum=1)
     """This project's: share of the starts in clips that are drawn where the policy fails."""
-    start_deviation: float = setting(0.0, key="startDeviation", minimum=0)
-    """This project's: an episode that starts in a clip ends as a fall when the character is farther
-    from the clip than this, as a share of the root's height in standing, in its first 0.67 s; 0: it
-    does not. A policy that leaves a leap out and stands is then no better than one that falls."""
+    clip_deviation: float = setting(0.0, key="clipDeviation", minimum=0)
+    """This project's: with one clip, an episode that starts in it ends as a fall when the character
+    is farther from it than this, as a share of the root's height in standing; 0: it does not. A
+    policy that leaves a leap out and stands is then no better than one that falls."""
     ground_clips: bool = setting(False, key="groundClips")
     """This project's: raise or lower each clip so that its lowest points are on the ground."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")

@@ -1,0 +1,89 @@
+"""Measures how far episodes stray from the clip that they started in, at the moment that fits.
+
+Early termination of imitation ends an episode at a fall. A policy that leaves a leap out, and
+stands, does not fall. Peng et al. 2018, "DeepMimic" (arXiv 1804.02717), has a phase that every
+episode keeps to; trackers such as PHC (Luo et al. 2023, arXiv 2305.06456) end an episode that is
+too far from its reference. An episode of AMP has a tempo of its own, so its phase is searched for:
+each control step moves it on by at least half a step, to the nearest pose a little later.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+PHASES_PER_STEP = 2
+# From half the tempo of the clip on; a phase that has stayed behind catches up.
+_ADVANCES = range(1, 9)
+# How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
+# Where poses are alike, at rest, the phase keeps the clip's own tempo.
+_OFF_TEMPO = 0.02
+_NONE = -1
+_TINY = 1e-9
+
+
+def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
+    """Return the mean distance (...) m of points (..., P, 3) from others, turned onto them.
+
+    The turn about z is the one with the least squares. Unlike a heading, it is defined for a
+    character that is upside down.
+    """
+    x, y, z = points.unbind(dim=-1)
+    other_x, other_y, other_z = others.unbind(dim=-1)
+    dots, crosses = x * other_x + y * other_y, x * other_y - y * other_x
+    dot, cross = dots.sum(dim=-1, keepdim=True), crosses.sum(dim=-1, keepdim=True)
+    size = torch.hypot(dot, cross).clamp(min=_TINY)
+    turned = (dot * dots + cross * crosses) / size  # x and y after the turn times the others'
+    squares = x * x + y * y + other_x * other_x + other_y * other_y + (z - other_z) ** 2
+    return (squares - 2.0 * turned).clamp(min=0.0).sqrt().mean(dim=-1)
+
+
+class ClipPhases:
+    """Stores at which moment of a clip each environment is.
+
+    A clip whose end is near its start repeats; after the end of another one nothing is measured.
+
+    Args:
+        clip: (S, P, 3) m, points of the body, relative to the root's place on the ground,
+            `PHASES_PER_STEP` times in a control step from time 0 on.
+        num_envs: N.
+        dt_s: control step.
+        far_m: what is far. The end of a clip that repeats is nearer to its start.
+    """
+
+    def __init__(self, clip: Tensor, num_envs: int, dt_s: float, far_m: float) -> None:
+        self._clip = clip
+        self._repeats = bool(distance_up_to_heading_m(clip[-1], clip[0]) < far_m)
+        self._advances = torch.tensor(_ADVANCES, device=clip.device)
+        self._costs_m = _OFF_TEMPO * far_m * (self._advances - PHASES_PER_STEP).abs()
+        self._phases_per_s = PHASES_PER_STEP / dt_s
+        self._phase = torch.full((num_envs,), _NONE, device=clip.device)
+
+    def start(self, env_ids: Tensor, times_s: Tensor) -> None:
+        """Follow environments (n,) from times (n,) of the clip on."""
+        self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
+
+    def stop(self, env_ids: Tensor) -> None:
+        """Follow environments (n,) no more."""
+        self._phase[env_ids] = _NONE
+
+    def advance(self, points: Tensor) -> Tensor:
+        """Move all phases on by a control step.
+
+        Args:
+            points: (N, P, 3) m, as those of the clip.
+
+        Returns:
+            (N,) m, how far each is from the clip; 0 where none is followed.
+        """
+        length = len(self._clip)
+        phases = self._phase.unsqueeze(1) + self._advances
+        if self._repeats:
+            phases = phases % length
+        clip = self._clip[phases.clamp(max=length - 1)]
+        away_m = distance_up_to_heading_m(points.unsqueeze(1), clip)
+        nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
+        away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
+        is_over = (self._phase == _NONE) | (phase >= length)
+        self._phase = torch.where(is_over, _NONE, phase)
+        return torch.where(is_over, 0.0, away_m)

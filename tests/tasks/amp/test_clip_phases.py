@@ -1,0 +1,122 @@
+"""Where in its clip an episode is, and how far from it: on a clip of three points made by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from isaacgymenvs_lite.tasks.amp.clip_phases import (
+    PHASES_PER_STEP,
+    ClipPhases,
+    distance_up_to_heading_m,
+)
+
+DT_S = 0.04
+STEPS = 25
+LENGTH_S = DT_S * STEPS
+
+
+def body(time_s: Tensor, turn_rad: float = 0.0) -> Tensor:
+    """Three points (n, 3, 3): one is fixed, one goes round it, the root rises and sinks."""
+    angle = 2.0 * math.pi * time_s / LENGTH_S
+    zeros, ones = torch.zeros_like(angle), torch.ones_like(angle)
+    root = torch.stack((zeros, zeros, 1.0 + 0.3 * angle.sin()), dim=-1)
+    fixed = turned(0.8 * ones, zeros, turn_rad)
+    return torch.stack((root, fixed, turned(angle.cos(), angle.sin(), turn_rad)), dim=-2)
+
+
+def turned(x: Tensor, y: Tensor, angle_rad: float) -> Tensor:
+    """Points (n, 3) on the ground, turned about z."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y, torch.zeros_like(x)), dim=-1)
+
+
+def clip(length_s: float = LENGTH_S) -> Tensor:
+    return body(torch.arange(0.0, length_s - 1e-6, DT_S / PHASES_PER_STEP))
+
+
+def followed(clip_points: Tensor, episode: Tensor, start_s: float = 0.0) -> Tensor:
+    """Distances (T,) m over an episode (T, P, 3) that starts at a time of the clip."""
+    phases = ClipPhases(clip_points, 1, DT_S, far_m=0.3)
+    phases.start(torch.tensor([0]), torch.tensor([start_s]))
+    return torch.cat([phases.advance(points.unsqueeze(0)) for points in episode])
+
+
+def times(steps: int, tempo: float = 1.0, start_s: float = 0.0) -> Tensor:
+    return start_s + tempo * DT_S * torch.arange(1, steps + 1)
+
+
+def test_the_distance_is_that_of_the_best_turn() -> None:
+    torch.manual_seed(1)
+    points, others = torch.randn(2, 5, 4, 3)
+    angles = torch.linspace(-math.pi, math.pi, 20_001)
+    for one, other in zip(points, others, strict=True):
+        cos, sin = angles.cos()[:, None], angles.sin()[:, None]
+        x, y, z = one.unbind(-1)
+        turned = torch.stack((cos * x - sin * y, sin * x + cos * y, z.expand(20_001, 4)), dim=-1)
+        best = (turned - other).square().sum(dim=(-1, -2)).argmin()
+        expected = (turned[best] - other).norm(dim=-1).mean()
+        # The angles are 3e-4 rad apart, the points about 2 m from the axis.
+        torch.testing.assert_close(
+            distance_up_to_heading_m(one, other), expected, atol=1e-3, rtol=0
+        )
+
+
+@pytest.mark.parametrize("tempo", [0.5, 0.8, 1.0, 1.3, 2.0])
+@pytest.mark.parametrize("start_s", [0.0, 0.6])
+def test_an_episode_at_its_own_tempo_is_near(tempo: float, start_s: float) -> None:
+    episode = body(times(3 * STEPS, tempo, start_s), turn_rad=2.0)
+    away_m = followed(clip(), episode, start_s)
+    # Half a phase, 1/100 of the circle, is 0.02 m of the three points, and 0.02 m is a tempo off.
+    assert away_m.max() < 0.06
+
+
+@pytest.mark.parametrize("tempo", [0.0, 0.25, -1.0])
+def test_one_that_stays_behind_is_far(tempo: float) -> None:
+    away_m = followed(clip(), body(times(2 * STEPS, tempo)))
+    assert away_m[0] < 0.2
+    assert away_m.max() > 0.6
+
+
+def test_a_phase_that_stayed_behind_catches_up() -> None:
+    """After a quarter of the circle at once: a step ahead of the clip, then as fast as the clip."""
+    away_m = followed(clip(), body(times(STEPS, start_s=LENGTH_S / 4)))
+    assert away_m[0] > 0.2
+    assert away_m[5:].max() < 0.06
+
+
+def test_at_rest_it_goes_on_at_the_tempo_of_the_clip() -> None:
+    """A clip that rests, then moves: noise does not move the phase of a body at rest."""
+    torch.manual_seed(1)
+    rest = body(torch.zeros(PHASES_PER_STEP * STEPS))
+    moves = torch.cat((rest, clip()))
+    noise = 0.002 * torch.randn(STEPS - 1, 3, 3)
+    away_m = followed(moves, torch.cat((rest[: STEPS - 1] + noise, body(times(STEPS)))))
+    assert away_m.max() < 0.06
+
+
+def test_a_clip_that_does_not_close_ends() -> None:
+    """Half the circle: afterwards anything is allowed."""
+    half = clip(LENGTH_S / 2)
+    steps = STEPS // 2
+    standing = body(torch.zeros(2 * STEPS))
+    away_m = followed(half, torch.cat((body(times(steps)), standing)))
+    assert away_m[:steps].max() < 0.05
+    assert away_m[steps + 2 :].eq(0.0).all()
+    # Standing from the first step on is far until its slowest phase is at the end.
+    away_m = followed(half, standing)
+    assert away_m[steps:].max() > 0.4
+    assert away_m[-1] == 0.0
+
+
+def test_environments_are_followed_one_by_one() -> None:
+    phases = ClipPhases(clip(), 3, DT_S, far_m=0.3)
+    far = torch.full((3, 3, 3), 9.0)
+    assert phases.advance(far).tolist() == [0.0, 0.0, 0.0]
+    phases.start(torch.tensor([0, 2]), torch.tensor([0.0, 0.5]))
+    assert (phases.advance(far) > 5.0).tolist() == [True, False, True]
+    phases.stop(torch.tensor([2]))
+    assert (phases.advance(far) > 5.0).tolist() == [True, False, False]
