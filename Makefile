@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-dev train demo test test-slow lint ruff format bench wheel clean
+.PHONY: help install install-dev train demo test test-slow lint ruff format docs bench wheel clean
 
 help:
 	@echo "make install      virtual environment with the tested set of packages; then: . $(BIN)/activate"
@@ -17,6 +17,7 @@ help:
 	@echo "make test         install-dev, lint, and the fast tests"
 	@echo "make test-slow    the slow tests"
 	@echo "make lint         ruff and pyright;   make format   lets ruff rewrite the files"
+	@echo "make docs         the documentation as a site: docs/_build/html/index.html"
 	@echo "make bench        speed and memory"
 	@echo "make wheel        build the wheel into dist/"
 	@echo "make clean        remove the virtual environment, builds and caches (not runs/)"
@@ -65,6 +66,10 @@ ruff: install-dev
 format: install-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# A warning is an error: a broken link, a docstring that does not render.
+docs: install-dev
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
 
 bench: install
 	$(BIN)/python benchmarks/run.py $(ARGS)

@@ -51,6 +51,8 @@ class ClipPhases:
         far_m: what is far. The end of a clip that repeats is nearer to its start.
     """
 
+    stored = ("_phase",)
+
     def __init__(self, clip: Tensor, num_envs: int, dt_s: float, far_m: float) -> None:
         self._clip = clip
         self._repeats = bool(distance_up_to_heading_m(clip[-1], clip[0]) < far_m)
@@ -85,5 +87,5 @@ class ClipPhases:
         nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
         away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
         is_over = (self._phase == _NONE) | (phase >= length)
-        self._phase = torch.where(is_over, _NONE, phase)
+        self._phase.copy_(torch.where(is_over, _NONE, phase))
         return torch.where(is_over, 0.0, away_m)

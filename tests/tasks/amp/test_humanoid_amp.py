@@ -219,6 +219,8 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
     task.reset_done()
     _raise_first(task)
     assert _zero_step(task)[2].tolist() == [1, 0, 0, 0]
+    task.reset_done()
+    assert _zero_step(task)[2].tolist() == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(
