@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -127,3 +128,12 @@ def test_unpacked_wheel_finds_its_data(wheel, tmp_path):
     assert result.stdout.split() == [str(inside / "cfg"), str(inside / "assets"), "HumanoidAMP"], (
         result.stderr
     )
+
+
+def test_the_citation_and_the_templates_can_be_read():
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    assert citation["version"] == isaacgymenvs_lite.__version__
+    files = sorted((REPOSITORY / ".github").rglob("*.yml"))
+    assert len(files) >= 4
+    for file in files:
+        assert isinstance(yaml.safe_load(file.read_text()), dict), file
