@@ -1,4 +1,4 @@
-"""IsaacGymEnvs' command line, YAML files and agents on MuJoCo, on any machine."""
+"""IsaacGymEnvs' command line, YAML files and agents on MuJoCo, without a GPU."""
 
 from __future__ import annotations
 

@@ -90,15 +90,6 @@ class AMPEnv(AMPObsEnv, Protocol):
         ...
 
 
-class TimedAMPEnv(AMPEnv, Protocol):
-    """A task with a time limit."""
-
-    @property
-    def max_episode_length(self) -> int:
-        """Control steps of the longest episode."""
-        ...
-
-
 class TrackingEnv(AMPEnv, Protocol):
     """A task that shows how to follow its reference motions, for a warm start."""
 

@@ -220,7 +220,9 @@ def check_make(words: Sequence[str]) -> None:
 
 def check_python(words: Sequence[str]) -> None:
     option, *rest = words
-    if option == "-m":
+    if rest[:1] == ["isaacgymenvs_lite"] and option == "-m":
+        check_console_script(rest[1:])
+    elif option == "-m":
         check_module(rest[0], rest[1:])
     elif option == "play_onnx.py":
         arguments_of(runpy.run_path, str(ROOT / option), rest)

@@ -33,6 +33,7 @@ _CPU_SETTINGS = {
     "train.params.config.amp_replay_keep_prob": "amp_replay_keep_prob",
     "train.params.config.amp_input_memory": "amp_input_memory",
     "train.params.config.disc_grad_penalty": "disc_grad_penalty",
+    "train.params.config.disc_grad_penalty_final": "disc_grad_penalty_final",
     "train.params.config.mini_epochs": "mini_epochs",
     "train.params.config.learning_rate": "learning_rate",
     "train.params.network.mlp.units": "mlp.units",
@@ -118,7 +119,7 @@ def _cpu_defaults(cfg: DictConfig) -> list[str]:
 def _short(value: Any) -> str:
     if isinstance(value, ListConfig):
         return "-".join(str(entry) for entry in value)
-    return "all" if value is None else str(value)
+    return "null" if value is None else str(value)
 
 
 def _set_keys(task: Any, shipped: Any, section: str) -> list[str]:

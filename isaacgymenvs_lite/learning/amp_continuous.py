@@ -33,7 +33,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.env_interface import AMPEnv, TimedAMPEnv, require
+from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_advantages
@@ -127,9 +127,9 @@ class AMPAgent(StyleRewards, CommonAgent):
         super()._load_config_params(config)
         self._amp = read_agent_params(config, self.params_class)
         self._env = require(self.vec_env.env, self.env_contract, "train.params.algo: AMP")
-        if self._amp.disc_grad_penalty_final is not None:
-            what = "train.params.config.disc_grad_penalty_final"
-            self._max_episode_steps = require(self._env, TimedAMPEnv, what).max_episode_length
+        self._max_episode_steps: int | None = getattr(self._env, "max_episode_length", None)
+        if self._max_episode_steps is None and self._amp.disc_grad_penalty_final is not None:
+            log.info("disc_grad_penalty is constant: the task has no max_episode_length")
         self._amp_obs_size = disc_obs_size(AMPObsShape.from_task(self._env), self._amp)
         # True if some environments act without exploration noise.
         self._masks_exploration = self._amp.enable_eps_greedy
@@ -303,12 +303,12 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _schedule_grad_penalty(self) -> None:
         """Let the gradient penalty follow how long episodes last, if it has a final value."""
-        final = self._amp.disc_grad_penalty_final
-        if final is None:
+        final, max_steps = self._amp.disc_grad_penalty_final, self._max_episode_steps
+        if final is None or max_steps is None:
             return
         if self.game_lengths.current_size > 0:
             length = current_group().mean(self.game_lengths.get_mean()).item()
-            now = upright_progress(length / self._max_episode_steps)
+            now = upright_progress(length / max_steps)
             self.staying_up += _PER_EPOCH * (now - self.staying_up)
         weight = scheduled_grad_penalty(self._amp.disc_grad_penalty, final, self.staying_up)
         self.discriminator.grad_penalty = weight

@@ -5,7 +5,8 @@
     style.update()                                      # after each rollout
 
 The discriminator is trained as the AMP agent's (`discriminator.DiscriminatorTrainer`), with a
-network and an optimiser of its own.
+network and an optimiser of its own. Its gradient penalty is constant, `disc_grad_penalty`: only an
+agent knows how long its episodes last.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.env_interface import AMPEnv, require
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
@@ -59,7 +59,7 @@ class StyleReward:
         network: the layers; with the normaliser all there is to save.
 
     Raises:
-        ConfigError: a task without reference motions, or a key that needs an agent.
+        ConfigError: a task without reference motions.
     """
 
     def __init__(
@@ -70,11 +70,6 @@ class StyleReward:
         device: str | torch.device = "cpu",
     ) -> None:
         self._task, self._params = require(task, AMPEnv, "StyleReward"), params
-        if params.disc_grad_penalty_final is not None:
-            raise ConfigError(
-                "disc_grad_penalty_final: only an agent knows how long its episodes last; leave it"
-                " null, and set `discriminator.grad_penalty` yourself"
-            )
         size = disc_obs_size(AMPObsShape.from_task(task), params)
         self.network = StyleNetwork(size, units).to(device)
         self.discriminator = DiscriminatorTrainer(self.network, size, params, "logistic", device)

@@ -277,9 +277,9 @@ class Diagnostics:
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
             f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
-            " set train.params.config.disc_grad_penalty_final=0.2, so that the discriminator"
-            " separates rest from motion once the policy stays up, or cut parts without motion"
-            f" out of the clip (task.env.motion_file){self._clips_are_odd()}"
+            " set task.env.clipDeviation=0.34, which ends episodes that stay behind their clip"
+            " (with one clip in task.env.motion_file), or cut parts without motion out of the"
+            f" clips{self._clips_are_odd()}"
         )
 
     def _falls(self) -> str | None:

@@ -74,7 +74,7 @@ def test_low_gradient_penalty_differs_in_one_value():
         OmegaConf.to_container(compose([f"train={name}", "rl_device=cpu"]).train, resolve=True)
         for name in ("HumanoidAMPPPOLowGP", "HumanoidAMPPPO")
     )
-    assert full["params"]["config"].pop("disc_grad_penalty") == 2
+    assert full["params"]["config"].pop("disc_grad_penalty") == 5
     assert low["params"]["config"].pop("disc_grad_penalty") == 0.2
     assert low == full
 

@@ -78,8 +78,11 @@ def test_the_gradient_penalty_stays_where_episodes_are_short(make_agent):
     assert agent.discriminator.grad_penalty > 3.0
 
 
+CONSTANT = f"{CONFIG}.disc_grad_penalty_final=null"
+
+
 def test_without_a_final_value_the_gradient_penalty_is_constant(make_agent):
-    agent = make_agent(*VERY_SHORT_EPISODES)
+    agent = make_agent(*VERY_SHORT_EPISODES, CONSTANT)
     agent.max_epochs = 2
     agent.train()
     assert agent.discriminator.grad_penalty is None
@@ -110,7 +113,8 @@ def test_intermediate_checkpoints(make_agent):
 
 @pytest.fixture
 def trained(make_agent) -> Any:
-    agent = make_agent(*VERY_SHORT_EPISODES, f"{CONFIG}.save_best_after=1")
+    # The schedule is stored by `resume=`, not in checkpoints.
+    agent = make_agent(*VERY_SHORT_EPISODES, CONSTANT, f"{CONFIG}.save_best_after=1")
     agent.train()
     return agent
 

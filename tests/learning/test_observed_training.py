@@ -34,14 +34,15 @@ def observed(make_agent, make_runner) -> tuple[Any, Counter, MetricsObserver, Im
     counter, figures = Counter(), MetricsObserver()
 
     def make_env(num_envs: int) -> Any:
-        runner = make_runner("task.env.episodeLength=12", num_envs=num_envs)
+        runner = make_runner("task.env.episodeLength=10", num_envs=num_envs)
         return runner.create_player().env
 
     imitation = ImitationObserver(make_env, 1, 4)
-    advice = DiagnosticsObserver(figures, imitation, max_episode_steps=12)
+    advice = DiagnosticsObserver(figures, imitation, max_episode_steps=10)
     agent = make_agent(
         "max_iterations=3",
-        "task.env.episodeLength=12",
+        "task.env.episodeLength=10",
+        "task.env.clipDeviation=0",  # else no episode lasts as long
         observer=MultiObserver([counter, imitation, figures, advice]),
     )
     agent.train()

@@ -174,7 +174,7 @@ def test_periodic_checkpoints_do_not_wait_for_the_first_episode(kind, make):  # 
     more = {
         "ppo": (f"{CONFIG}.horizon_length=2", f"{CONFIG}.minibatch_size=16"),
         "sac": ("task.env.episodeLength=300",),
-    }.get(kind, ("task.env.terminationHeight=-9",))
+    }.get(kind, ("task.env.terminationHeight=-9", "task.env.clipDeviation=0"))
     agent = make(kind, *more, "max_iterations=2", _EVERY_EPOCH)
     agent.train()
     assert agent.game_rewards.current_size == 0

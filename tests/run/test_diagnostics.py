@@ -268,7 +268,7 @@ def test_a_policy_that_stands_still():
     warning = warnings_of(walking, STILL)[0][1]
     assert warning.startswith("the policy stands still")
     assert "they show 12% of the clips' motion" in warning
-    assert "set train.params.config.disc_grad_penalty_final=0.2" in warning
+    assert "set task.env.clipDeviation=0.34" in warning
 
 
 def test_a_policy_of_a_clip_that_stands_still():

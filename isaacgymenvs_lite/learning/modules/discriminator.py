@@ -323,14 +323,14 @@ class LossFunctions(NamedTuple):
 
 
 def scheduled_grad_penalty(first: float, last: float, progress: float) -> float:
-    """Return the weight of the gradient penalty, from `first` to `last` by a constant factor.
+    """Return the weight of the gradient penalty, from `first` down to `last` by a constant factor.
 
     Args:
         first: at progress 0.
-        last: at progress 1.
+        last: at progress 1; one above `first` counts as `first`.
         progress: 0 to 1; see `upright_progress`.
     """
-    return float(first ** (1.0 - progress) * last**progress)
+    return float(first ** (1.0 - progress) * min(first, last) ** progress)
 
 
 def upright_progress(episode_share: float) -> float:

@@ -234,6 +234,8 @@ def test_a_scheduled_penalty_changes_by_a_constant_factor():
     assert weights == pytest.approx([5.0, 1.0, 0.2])
     assert scheduled_grad_penalty(2.0, 0.0, 0.99) == 0.0
     assert scheduled_grad_penalty(2.0, 0.0, 0.0) == 2.0
+    # A user's penalty below the final one stays.
+    assert scheduled_grad_penalty(0.1, 0.2, 1.0) == scheduled_grad_penalty(0.1, 0.2, 0.0) == 0.1
 
 
 def test_the_weight_in_force_is_the_scheduled_one():
