@@ -48,8 +48,8 @@ PAPER_M = {
 }
 GOOD_M = 0.06
 GOOD_NO_FALL = 0.9
-# Standing shows a tenth of the motion of a clip that moves, half the tempo about a half. A leap whose
-# flight is no fall in the clip cannot be shown in full.
+# Standing shows a tenth of the motion of a clip that moves, half the tempo about a half. A leap
+# whose flight is no fall in the clip cannot be shown in full.
 GOOD_SHOWN = 0.6
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
 _IN_A_ROW = 2

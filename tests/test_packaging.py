@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -55,6 +56,22 @@ def wheel(tmp_path_factory) -> Path:
     assert result.returncode == 0, result.stderr
     (file,) = folder.glob("*.whl")
     return file
+
+
+def test_the_wheel_of_the_sdist_is_the_same(wheel, tmp_path):
+    def build(kind: str, folder: Path, out: Path) -> Path:
+        command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(out)]
+        subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        return next(file for file in out.iterdir() if file.is_file())
+
+    archive = build("sdist", REPOSITORY, tmp_path / "dist")
+    with tarfile.open(archive) as sdist:
+        sdist.extractall(tmp_path / "unpacked", filter="data")
+    (folder,) = (tmp_path / "unpacked").iterdir()
+    for name in ("docs/first_walk.md", "CHANGELOG.md", "tests/conftest.py", ".ci/run"):
+        assert (folder / name).is_file(), name
+    again = build("wheel", folder, tmp_path / "again")
+    assert set(zipfile.ZipFile(again).namelist()) == set(zipfile.ZipFile(wheel).namelist())
 
 
 def test_wheel_carries_configuration_and_assets(wheel):
