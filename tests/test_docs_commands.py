@@ -70,6 +70,8 @@ USERS_FILES = {
             "dance.npz",
             "dance.csv",
             "trot.npz",
+            "half.npz",
+            "half.csv",
             "my_walk.npz",
             "my_script.py",
             "g1.yaml",
