@@ -48,9 +48,10 @@ PAPER_M = {
 }
 GOOD_M = 0.06
 GOOD_NO_FALL = 0.9
-# Standing shows a tenth of the motion of a clip that moves, half the tempo about a half. A leap
+# Standing shows a tenth of the motion of a clip that moves, and half the tempo about a half. A leap
 # whose flight is no fall in the clip cannot be shown in full.
-GOOD_SHOWN = 0.6
+GOOD_SHOWN = 0.5
+GOOD_TEMPO = (0.6, 1.5)
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
 _IN_A_ROW = 2
 _COLUMNS = 5
@@ -118,26 +119,29 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
 
 def is_learned(record: Record) -> bool:
     """Return whether a policy moves as its clip does, and does not fall."""
-    error_m, shown = record.pose_error_m, record.motion_shown
-    if error_m is None or shown is None:
+    error_m, shown, tempo = record.pose_error_m, record.motion_shown, record.tempo
+    if error_m is None or shown is None or tempo is None:
         return False
-    return _is_good(record.experiment, error_m, record.no_fall_share, shown)
+    return _is_good(record.experiment, error_m, record.no_fall_share, shown, tempo)
 
 
 def has_learned(label: str, curve: LearningCurve) -> bool:
     """Return whether a training measured, the last two times, that its clip is learned."""
-    names = ("pose_error_m", "no_fall_share", "motion_shown")
+    names = ("pose_error_m", "no_fall_share", "motion_shown", "tempo")
     newest = [curve[name].values[-_IN_A_ROW:] for name in names]
     if any(len(values) < _IN_A_ROW for values in newest):
         return False
     return all(_is_good(label, *measured) for measured in zip(*newest, strict=True))
 
 
-def _is_good(label: str, pose_error_m: float, no_fall_share: float, shown: float) -> bool:
+def _is_good(
+    label: str, pose_error_m: float, no_fall_share: float, shown: float, tempo: float
+) -> bool:
     return (
         pose_error_m <= PAPER_M.get(label, GOOD_M)
         and no_fall_share >= GOOD_NO_FALL
         and shown >= GOOD_SHOWN
+        and GOOD_TEMPO[0] <= tempo <= GOOD_TEMPO[1]
     )
 
 

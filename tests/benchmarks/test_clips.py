@@ -20,7 +20,7 @@ from tests.packages import needs
 
 
 def of(label: str, **changes):
-    good = {"pose_error_m": 0.05, "no_fall_share": 1.0, "motion_shown": 0.9}
+    good = {"pose_error_m": 0.05, "no_fall_share": 1.0, "motion_shown": 0.9, "tempo": 1.2}
     return replace(RECORD, experiment=label, run=f"{label}_seed1", **{**good, **changes})
 
 
@@ -69,6 +69,8 @@ def test_all_clips_get_the_same_settings():
         ({"no_fall_share": 0.8}, False),
         ({"motion_shown": 0.3}, False),  # it stands
         ({"motion_shown": None}, False),
+        ({"tempo": 0.5}, False),  # in slow motion
+        ({"tempo": 1.6}, False),
     ],
 )
 def test_learned(changes, expected):
@@ -87,7 +89,11 @@ def curve_of(**measured: list[float]) -> LearningCurve:
     )
 
 
-GOOD = {"pose_error_m": [0.2, 0.06, 0.05], "no_fall_share": [0.0, 0.9, 1.0]}
+GOOD = {
+    "pose_error_m": [0.2, 0.06, 0.05],
+    "no_fall_share": [0.0, 0.9, 1.0],
+    "tempo": [0.3, 0.9, 1.1],
+}
 
 
 @pytest.mark.parametrize(
@@ -97,6 +103,7 @@ GOOD = {"pose_error_m": [0.2, 0.06, 0.05], "no_fall_share": [0.0, 0.9, 1.0]}
         ({"pose_error_m": [0.05, 0.061, 0.05]}, False),  # once only
         ({"no_fall_share": [1.0, 1.0, 0.8]}, False),
         ({"motion_shown": [0.9, 0.9, 0.1]}, False),  # it stands again
+        ({"tempo": [1.0, 1.0, 0.5]}, False),
         ({"pose_error_m": [0.05], "no_fall_share": [1.0], "motion_shown": [0.9]}, False),
         ({"pose_error_m": [], "no_fall_share": [], "motion_shown": []}, False),
     ],
@@ -135,8 +142,8 @@ def test_table_and_picture(tmp_path, monkeypatch, capsys, write_events):
     monkeypatch.setattr("sys.argv", ["clips", *words])
     clips.main()
     text = capsys.readouterr().out
-    assert "| walk | 1.0 | 3 | 0.050 | 0.06 | 0.90 | 1.00 | 1.00 | yes |" in text
-    assert "| run | 1.0 | 3 | 0.050 | 0.06 | 0.20 | 1.00 | 1.00 | no |" in text
+    assert "| walk | 1.0 | 3 | 0.050 | 0.06 | 0.90 | 1.00 | 1.20 | yes |" in text
+    assert "| run | 1.0 | 3 | 0.050 | 0.06 | 0.20 | 1.00 | 1.20 | no |" in text
     assert "| jump | | | | 0.06 | | | | not trained yet |" in text
     assert "1 of 2 clips are learned, 1 not done." in text
     pytest.importorskip("matplotlib")
