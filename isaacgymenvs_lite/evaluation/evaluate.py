@@ -175,16 +175,16 @@ def evaluate(
 
 @contextlib.contextmanager
 def _evaluated(env: Env) -> Iterator[None]:
-    """Set the flag of a task that a policy is measured; nothing for a task without it."""
-    before = getattr(env, "is_evaluated", None)
+    """Clear the flag of a task that an agent learns from it; nothing for a task without it."""
+    before = getattr(env, "is_training", None)
     if before is None:
         yield
         return
-    env.is_evaluated = True  # type: ignore[attr-defined]
+    env.is_training = False  # type: ignore[attr-defined]
     try:
         yield
     finally:
-        env.is_evaluated = before  # type: ignore[attr-defined]
+        env.is_training = before  # type: ignore[attr-defined]
 
 
 def _step(env: Env, policy: Policy) -> tuple[Tensor, Tensor, dict[str, Any]]:

@@ -258,6 +258,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def _init_train(self) -> None:
         """Called once, before the first rollout: buffers exist, environments are not reset yet."""
+        task = getattr(self.vec_env, "env", None)
+        if hasattr(task, "is_training"):
+            task.is_training = True  # type: ignore[union-attr]
 
     # --- rollout ---------------------------------------------------------------------------
 

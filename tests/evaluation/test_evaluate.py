@@ -145,17 +145,17 @@ def test_a_published_number_without_end_comes_to_one(caplog) -> None:
 
 
 @pytest.mark.parametrize("before", [False, True])
-def test_the_flag_of_a_task_is_set_while_it_is_evaluated(before) -> None:
+def test_nobody_learns_from_a_task_while_it_is_evaluated(before) -> None:
     env = ScriptedEnv([[2], [3]])
-    env.is_evaluated = before
+    env.is_training = before
     seen = []
-    evaluate(env, zero_policy, 2, on_step=lambda *_: seen.append(env.is_evaluated))
-    assert seen == [True] * 3
-    assert env.is_evaluated is before
+    evaluate(env, zero_policy, 2, on_step=lambda *_: seen.append(env.is_training))
+    assert seen == [False] * 3
+    assert env.is_training is before
 
     def broken(obs: dict[str, Tensor]) -> Tensor:
         raise ValueError
 
     with pytest.raises(ValueError):
         evaluate(env, broken, 2)
-    assert env.is_evaluated is before
+    assert env.is_training is before

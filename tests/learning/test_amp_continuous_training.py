@@ -56,6 +56,13 @@ def test_the_best_checkpoint_is_saved_after_save_best_after(make_agent):
     assert "HumanoidAMP.pth" in names_in(agent)
 
 
+def test_an_agent_sets_the_flag_of_its_task(make_agent):
+    agent = make_agent("max_iterations=1")
+    assert not agent.vec_env.env.is_training
+    agent.train()
+    assert agent.vec_env.env.is_training
+
+
 SCHEDULED = (f"{CONFIG}.disc_grad_penalty=5", f"{CONFIG}.disc_grad_penalty_final=0.2")
 
 

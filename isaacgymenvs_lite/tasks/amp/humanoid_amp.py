@@ -281,7 +281,7 @@ class HumanoidAMP(HumanoidAMPBase):
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
-        if self._phases is not None and not self.is_evaluated:
+        if self._phases is not None and self.is_training:
             fallen = fallen | self._strayed(self._phases)
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:

@@ -250,8 +250,8 @@ class VecTask(Env):
         dt: as IsaacGymEnvs' task of this name defines it (s): `sim_dt_s`, but `control_dt_s` in
             AnymalTerrain and the AMP and ASE humanoids. The tasks themselves read one of the other
             two; the time that a step simulates is `simulation.dt`.
-        is_evaluated: whether a policy is measured, by `evaluation.evaluate`: a task leaves out what
-            ends episodes for the sake of learning.
+        is_training: whether an agent learns from the task, which this project's agents set: then a
+            task may end episodes for the sake of learning. A loop of your own may set it.
         keeps_final_observations: whether a `SAME_STEP` task also observes the ends of episodes; see
             `final_observations`.
     """
@@ -265,7 +265,7 @@ class VecTask(Env):
     zero_action_at_reset: ClassVar[bool] = False
     """`BEFORE_PHYSICS`: an action counts as zero in the step that starts an episode, because it was
     chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
-    is_evaluated: bool = False
+    is_training: bool = False
     keeps_final_observations: bool = False
     not_stored: ClassVar[tuple[str, ...]] = ("cfg", "sim_params", "listeners", "_camera")
     """Attributes that a resumed training makes again; all others are stored, see `object_state`."""

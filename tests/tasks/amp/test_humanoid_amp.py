@@ -216,6 +216,7 @@ def _raise_first(task: HumanoidAMP) -> None:
 def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_humanoid) -> None:
     torch.manual_seed(3)
     task = make_humanoid(4, clipDeviation=0.3, stateInit="Start")
+    task.is_training = True
     task.reset_done()
     _raise_first(task)
     assert _zero_step(task)[2].tolist() == [1, 0, 0, 0]
@@ -224,22 +225,22 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
 
 
 @pytest.mark.parametrize(
-    ("env", "is_evaluated"),
+    ("env", "is_training"),
     [
-        ({}, False),  # off where the task is made without the YAML file
-        ({"clipDeviation": 0.8}, False),  # of 0.89 m: more than half a metre
-        ({"clipDeviation": 0.3, "stateInit": "Default"}, False),
-        ({"clipDeviation": 0.3, "enableEarlyTermination": False}, False),
-        ({"clipDeviation": 0.3}, True),
-        ({"clipDeviation": 0.3, "motion_file": "locomotion"}, False),  # several clips
+        ({}, True),  # off where the task is made without the YAML file
+        ({"clipDeviation": 0.8}, True),  # of 0.89 m: more than half a metre
+        ({"clipDeviation": 0.3, "stateInit": "Default"}, True),
+        ({"clipDeviation": 0.3, "enableEarlyTermination": False}, True),
+        ({"clipDeviation": 0.3}, False),  # played, or stepped by a loop that does not say so
+        ({"clipDeviation": 0.3, "motion_file": "locomotion"}, True),  # several clips
     ],
 )
 def test_it_goes_on_where_straying_does_not_count(
-    make_humanoid, env: dict, is_evaluated: bool
+    make_humanoid, env: dict, is_training: bool
 ) -> None:
     torch.manual_seed(3)
     task = make_humanoid(2, **{"stateInit": "Start", **env})
-    task.is_evaluated = is_evaluated
+    task.is_training = is_training
     task.reset_done()
     _raise_first(task)
     assert _zero_step(task)[2].tolist() == [0, 0]
@@ -249,6 +250,7 @@ def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
     """And one that follows the clip, turned about z and ahead of it, does not."""
     torch.manual_seed(3)
     task = make_humanoid(2, clipDeviation=0.25, stateInit="Start", motion_file="jump")
+    task.is_training = True
     task.reset_done()
     lib, sim, dt_s = task.motion_lib, task.simulation, task.control_dt_s
     turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
