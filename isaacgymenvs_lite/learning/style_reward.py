@@ -5,8 +5,8 @@
     style.update()                                      # after each rollout
 
 The discriminator is trained as the AMP agent's (`discriminator.DiscriminatorTrainer`), with a
-network and an optimiser of its own. Its gradient penalty is constant, `disc_grad_penalty`: only an
-agent knows how long its episodes last.
+network and an optimiser of its own. Its gradient penalty is constant, `disc_grad_penalty`, because
+only an agent has the length of its episodes.
 """
 
 from __future__ import annotations
