@@ -306,9 +306,12 @@ class AMPAgent(StyleRewards, CommonAgent):
         final, max_steps = self._amp.disc_grad_penalty_final, self._max_episode_steps
         if final is None or max_steps is None:
             return
-        if self.game_lengths.current_size > 0:
-            length = current_group().mean(self.game_lengths.get_mean()).item()
-            now = upright_progress(length / max_steps)
+        episodes = self.game_lengths.current_size
+        # Of all processes; one of them may have had no end of an episode yet.
+        sums = torch.tensor([episodes, episodes * self.game_lengths.get_mean().item()])
+        episodes, steps = current_group().sum_(sums).tolist()
+        if episodes > 0:
+            now = upright_progress(steps / episodes / max_steps)
             self.staying_up += _PER_EPOCH * (now - self.staying_up)
         weight = scheduled_grad_penalty(self._amp.disc_grad_penalty, final, self.staying_up)
         self.discriminator.grad_penalty = weight

@@ -119,6 +119,8 @@ class FirstStep:
     def _begin(self, agent: Any, minibatch: dict[str, Tensor]) -> None:
         if not self.record:
             self.record["before"] = _copied(agent.get_full_state_weights())
+            if hasattr(agent, "discriminator"):  # a schedule changes it
+                self.record["grad_penalty"] = agent.discriminator.grad_penalty
             self.record["minibatch"] = {k: v for k, v in minibatch.items() if isinstance(v, Tensor)}
 
 
@@ -145,6 +147,8 @@ def joined_first_step(agent: Any, steps: list[dict[str, Any]]) -> dict[str, Any]
             "counted": _copied(agent.get_stats_weights(model_stats=True)),
             "gradients": _gradients(agent),
         }
+    if "grad_penalty" in steps[0]:
+        (agent.discriminator.grad_penalty,) = {step["grad_penalty"] for step in steps}
     agent._update_normalizers(joined("minibatch"))
     counted = _copied(agent.get_stats_weights(model_stats=True))
     gradients, _ = agent.executor.gradients(agent.compute_loss, joined("rows"), agent._learned)
