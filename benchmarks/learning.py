@@ -126,7 +126,7 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
 def _plans_of_clips(
     names: Sequence[str], clips: Sequence[str], args: argparse.Namespace, extra: Sequence[str]
 ) -> list[Plan]:
-    """Return one run for each clip that is not done yet.
+    """Return one run for each clip that is not done yet; without time if it lacks a record only.
 
     Raises:
         ConfigError: other experiments beside them, or a clip or a run cannot be used.
@@ -134,8 +134,8 @@ def _plans_of_clips(
     if len(names) > 1:
         raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
     experiments = clip_experiments(clips, extra)
+    done = newest_records([each.name for each in experiments], args.results_dir)
     if args.until_learned:
-        done = newest_records([each.name for each in experiments], args.results_dir)
         learned = {name for name, record in done.items() if is_learned(record)}
         experiments = [each for each in experiments if each.name not in learned]
     plans = [
@@ -144,7 +144,7 @@ def _plans_of_clips(
     ]
     if args.until_learned:
         plans = [replace(job, is_over=partial(has_learned, job.run.experiment)) for job in plans]
-    return [job for job in plans if job.minutes > 0]
+    return [job for job in plans if job.minutes > 0 or job.run.experiment not in done]
 
 
 def cpu_slots(parallel: int, cores_per_run: int | None = None) -> list[Sequence[int]]:

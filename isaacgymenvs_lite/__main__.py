@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from isaacgymenvs_lite import __version__
-from isaacgymenvs_lite.errors import unknown
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, unknown
 from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT, PACKAGE
 
-EXIT_USER_ERROR = 2  # as in `command_line`, which takes half a second to import
 COMMANDS = {
     "train": "train",
     "play": "train",

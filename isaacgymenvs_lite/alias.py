@@ -24,6 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR
 from isaacgymenvs_lite.isaacgymenvs_compat.module_names import (
     RENAMED,
     absent_because,
@@ -47,7 +48,6 @@ _OTHERS = {
 }
 # Scripts that import it make rl_games' Runner next.
 _RUNNER_USERS = "utils.rlgames_utils"
-EXIT_USER_ERROR = 2
 
 
 class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):

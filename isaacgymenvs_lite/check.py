@@ -43,12 +43,11 @@ from isaacgymenvs_lite.config.train_params import (
     prepare_train_params,
 )
 from isaacgymenvs_lite.config.yaml_files import read_yaml
-from isaacgymenvs_lite.errors import ConfigError, UserError, suggest
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.schema import select
 
 EXIT_DOES_NOT_WORK = 1
-EXIT_USER_ERROR = 2
 # Keys of `config` that IsaacGymEnvs or an old rl_games read, and nothing reads here.
 _UNREAD_CONFIG = (
     *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),

@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, TypeVar
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
-from isaacgymenvs_lite.errors import ConfigError, UserError, unknown
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, unknown
 from isaacgymenvs_lite.schema import read_section
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
-
-EXIT_USER_ERROR = 2
 
 
 def run_command(

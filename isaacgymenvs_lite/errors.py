@@ -14,6 +14,8 @@ MAX_MESSAGE = 500
 """Characters of a message. Of a longer one the middle is left out: the beginning has the file or
 the key, the end what to do next."""
 _KEPT_END = 160
+EXIT_USER_ERROR = 2
+"""Exit status of every command after a user's mistake."""
 
 
 class UserError(Exception):

@@ -71,12 +71,13 @@ def _machine() -> str:
         gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / _GIB
         memory = f", {gib:.0f} GiB"
     return (
-        f"{platform.platform()}, {_cpu()}, {thread_count()} of {os.cpu_count()} CPUs{memory};"
+        f"{platform.platform()}, {cpu_name()}, {thread_count()} of {os.cpu_count()} CPUs{memory};"
         f" Python {platform.python_version()} in {sys.prefix}"
     )
 
 
-def _cpu() -> str:
+def cpu_name() -> str:
+    """Return the name of the processor, as the system has it."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text(encoding="utf-8").splitlines():
@@ -87,7 +88,11 @@ def _cpu() -> str:
 
 def _needs(problems: list[str]) -> str:
     found, unfit = list[str](), list[str]()
-    for requirement in _requirements():
+    try:
+        needed = list(_requirements())
+    except PackageNotFoundError:
+        return "unknown: the package is not installed; pip install -e . in the checkout"
+    for requirement in needed:
         try:
             installed = version(requirement.name)
             fits = requirement.specifier.contains(installed, prereleases=True)
@@ -101,7 +106,11 @@ def _needs(problems: list[str]) -> str:
 
 
 def _requirements() -> Iterator[Requirement]:
-    """Yield what the package requires on this machine without extras."""
+    """Yield what the package requires on this machine without extras.
+
+    Raises:
+        PackageNotFoundError: the package runs from a folder, without being installed.
+    """
     for text in requires(DISTRIBUTION) or ():
         requirement = Requirement(text)
         if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):

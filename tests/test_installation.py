@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError
 from types import SimpleNamespace
 
 import pytest
@@ -53,6 +54,17 @@ def test_a_package_that_does_not_fit_ends_with_how_to_mend_it(monkeypatch, requi
     assert not works
     assert re.search(rf'{row}; pip install "{requirement}"$', found["needs"])
     assert "moviepy" not in found["needs"]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_checkout_that_is_not_installed_is_described_as_well(monkeypatch):
+    def no_metadata(_: str) -> None:
+        raise PackageNotFoundError
+
+    monkeypatch.setattr(installation, "requires", no_metadata)
+    found, works = rows()
+    assert works
+    assert "the package is not installed; pip install -e ." in found["needs"]
 
 
 @pytest.mark.usefixtures("quick")

@@ -253,14 +253,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         if self._restored_best is not None:
             self.last_mean_rewards, self._restored_best = self._restored_best, None
         torch.set_num_threads(1)
+        task = getattr(self.vec_env, "env", None)
+        if hasattr(task, "is_training"):
+            task.is_training = True  # type: ignore[union-attr]
         self._init_train()
         return super().env_reset()
 
     def _init_train(self) -> None:
         """Called once, before the first rollout: buffers exist, environments are not reset yet."""
-        task = getattr(self.vec_env, "env", None)
-        if hasattr(task, "is_training"):
-            task.is_training = True  # type: ignore[union-attr]
 
     # --- rollout ---------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError, UserError
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError
 from isaacgymenvs_lite.simulation.cpu_batch import MAX_SPEED
 from isaacgymenvs_lite.simulation.recording import Recording, model_identity, read_recording
 
@@ -34,7 +34,6 @@ ModelMaker = Callable[[Path, list[str]], mujoco.MjModel]
 """(the recording's file, `task=...` words of the user) -> the compiled model."""
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_EXIT_USER_ERROR = 2
 
 
 @dataclass(frozen=True)
@@ -216,7 +215,7 @@ def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
             sys.stdout.write(line + "\n")
     except UserError as error:
         sys.stderr.write(f"error: {error}\n")
-        return _EXIT_USER_ERROR
+        return EXIT_USER_ERROR
     return 0
 
 

@@ -13,6 +13,7 @@ from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.records import write_records
 from benchmarks.runs import Run
 from benchmarks.saved_curves import save_curve
+from benchmarks.training import Plan
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.scalars import Series
 from tests.benchmarks.test_records import RECORD
@@ -124,6 +125,22 @@ def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
     (job,) = trained
     assert job.run.experiment == "run"
     assert job.is_over(curve_of(**GOOD, motion_shown=[0.1, 0.8, 0.9]))
+
+
+def test_a_clip_whose_time_is_over_still_gets_its_record(tmp_path, monkeypatch):
+    """One that was stopped; of the other there is a record."""
+    write_records([of("walk")], tmp_path / "results" / "clips")
+    words = ["clips", "--clips", "walk", "run", "--resume"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    monkeypatch.setattr(
+        learning, "plan", lambda each, run, *_: Plan(run, each.settings, None, minutes=0.0)
+    )
+    monkeypatch.setattr(learning, "measure", lambda run: of(run.experiment))
+    kept = []
+    monkeypatch.setattr(learning, "keep", lambda run, record, folder: kept.append(run.experiment))
+    monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
+    learning.main()
+    assert kept == ["run"]
 
 
 def test_the_paper_counts_where_it_has_a_number():

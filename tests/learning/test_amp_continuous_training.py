@@ -120,7 +120,7 @@ def test_intermediate_checkpoints(make_agent):
 
 @pytest.fixture
 def trained(make_agent) -> Any:
-    # The schedule is stored by `resume=`, not in checkpoints.
+    # Its schedule is part of the state for `resume=`, and not of a checkpoint.
     agent = make_agent(*VERY_SHORT_EPISODES, CONSTANT, f"{CONFIG}.save_best_after=1")
     agent.train()
     return agent

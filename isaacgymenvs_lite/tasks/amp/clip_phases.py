@@ -49,11 +49,15 @@ class ClipPhases:
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
+
+    Attributes:
+        far_m: as given.
     """
 
     stored = ("_phase",)
 
     def __init__(self, clip: Tensor, num_envs: int, dt_s: float, far_m: float) -> None:
+        self.far_m = far_m
         self._clip = clip
         self._repeats = bool(distance_up_to_heading_m(clip[-1], clip[0]) < far_m)
         self._advances = torch.tensor(_ADVANCES, device=clip.device)
@@ -73,7 +77,7 @@ class ClipPhases:
         """Move all phases on by a control step.
 
         Args:
-            points: (N, P, 3) m, as those of the clip.
+            points: (N, P, 3) m, of the same points as the clip's.
 
         Returns:
             (N,) m, how far each is from the clip; 0 where none is followed.

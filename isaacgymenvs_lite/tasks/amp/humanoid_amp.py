@@ -189,7 +189,8 @@ class HumanoidAMP(HumanoidAMPBase):
         )
         zeros = torch.zeros(len(times_s), dtype=torch.int64, device=self.device)
         clip = _points(self._reference_states(zeros, times_s, zeros[:1]))
-        return ClipPhases(clip, self.num_envs, self.control_dt_s, self._clip_deviation_m)
+        far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
+        return ClipPhases(clip, self.num_envs, self.control_dt_s, far_m)
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -282,20 +283,13 @@ class HumanoidAMP(HumanoidAMPBase):
         if not self.env_cfg.enable_early_termination:
             return fallen
         if self._phases is not None and self.is_training:
-            fallen = fallen | self._strayed(self._phases)
+            away_m = self._phases.advance(_points(self._character_states(None)))
+            fallen = fallen | (away_m > self._phases.far_m)
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
         # Contact forces may be stale in the first step.
         return fallen | (missed & (self.progress_buf > 1))
-
-    def _strayed(self, phases: ClipPhases) -> Tensor:
-        """Return (N,) bool: farther from the clip of its start than `clipDeviation` allows."""
-        return phases.advance(_points(self._character_states(None))) > self._clip_deviation_m
-
-    @property
-    def _clip_deviation_m(self) -> float:
-        return self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""
