@@ -13,7 +13,7 @@ ARGS ?=
 help:
 	@echo "make install      virtual environment with the tested set of packages; then: . $(BIN)/activate"
 	@echo "make train        install, then train HumanoidAMP; ARGS=\"key=value ...\" adds settings"
-	@echo "make demo         install, then film the trained policies that ship: demo/*.mp4"
+	@echo "make demo         install, then ask which of the trained policies to film: demo/*.mp4"
 	@echo "make test         install-dev, lint, and the fast tests"
 	@echo "make test-slow    the slow tests"
 	@echo "make lint         ruff and pyright;   make format   lets ruff rewrite the files"

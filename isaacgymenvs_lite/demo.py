@@ -1,32 +1,38 @@
 """Plays the shipped policies and records videos: python -m isaacgymenvs_lite.demo [key=value ...].
 
-    python -m isaacgymenvs_lite.demo                            # all of them: demo/<name>.mp4
+    python -m isaacgymenvs_lite.demo                            # asks which; demo/<name>.mp4
     python -m isaacgymenvs_lite.demo policies=[walk] seconds=10
     python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
     python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
 
 For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
 the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
-video shows the first one. For skills, and policies with a goal, the video shows the first three of
-16 episodes, and the goals; skills start from the default pose.
+video shows the first one. For skills, policies with a goal and the classic tasks, the video shows
+the first three of 16 episodes, and the goals; skills start from the default pose. Without a
+terminal to ask in, all policies are shown whose clips are installed.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import re
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
@@ -57,7 +63,7 @@ class DemoSettings:
     """Arguments of the command."""
 
     policies: tuple[str, ...] = setting([])
-    """Names of shipped policies; []: all."""
+    """Names of shipped policies; []: those chosen in the terminal, or all."""
     seconds: float = setting(5.0, above=0, maximum=60)
     """Time to show."""
     format: str = setting("mp4", choices=(*_SIZES, "png"))
@@ -94,15 +100,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     Raises:
         UserError: no such policy, no way to draw or encode, a folder that cannot be written.
     """
-    names = settings.policies or tuple(shipped_policies())
-    for name in names:
-        if name not in shipped_policies():
-            raise ConfigError(unknown("policy", name, shipped_policies()))
-    if not names:
-        raise ConfigError(
-            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
-            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
-        )
+    names = _names(settings.policies, shipped_policy_infos())
     ensure_gl()  # fails before the play
     folder = Path(settings.out)
     try:
@@ -120,6 +118,44 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     return files
 
 
+def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
+    """Return the policies to show: those wanted, or chosen, or all that can be played.
+
+    Raises:
+        ConfigError: there is none, or none of a wanted name.
+    """
+    if not infos:
+        raise ConfigError(
+            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+        )
+    if not wanted and sys.stdin.isatty():
+        wanted = ask(infos)
+    for name in wanted:
+        if name not in infos:
+            raise ConfigError(unknown("policy", name, infos))
+    if wanted:
+        return list(wanted)
+    lacks = {name: info.missing() for name, info in infos.items()}
+    for name in filter(lacks.get, infos):
+        log.info("%s is left out: %s", name, lacks[name])
+    return [name for name in infos if not lacks[name]]
+
+
+def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
+    """Show the policies in a terminal and return those that the user names; [] for all."""
+    numbers = {str(number): name for number, name in enumerate(infos, start=1)}
+    for number, name in numbers.items():
+        sys.stdout.write(f"{number:>4}  {name:20}{infos[name]}\n")
+    try:
+        words: list[str] = re.findall(
+            r"[^\s,]+", input("Which ones, by number or name? Enter: all  ")
+        )
+    except EOFError:
+        return []
+    return [numbers.get(word, word) for word in words]
+
+
 def perform(name: str, seconds: float) -> Performance:
     """Play a shipped policy with its mean actions, and record it.
 
@@ -130,23 +166,10 @@ def perform(name: str, seconds: float) -> Performance:
     Raises:
         UserError: the policy cannot be played.
     """
-    fixed = (
-        "test=True",
-        f"checkpoint={name}",
-        f"num_envs={_EPISODES}",
-        f"seed={_SEED}",
-        "rl_device=cpu",
-        "num_threads=1",  # so few humanoids are slower on more
-    )
-    cfg = compose([*playing_overrides(name), *fixed])
-    has_skills = cfg.train.params.network.name in _SKILL_NETWORKS
-    cfg.task.env.stateInit = "Default" if has_skills else "Random"
-    dt_s = cfg.task.sim.dt * cfg.task.env.controlFrequencyInv
-    num_steps = max(1, round(seconds / dt_s))
-    cfg.task.env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
+    cfg, num_steps = _tree(name, seconds)
     with load_player(cfg) as player:
         env = player.env
-        imitates = not has_skills and env.get_task_obs_size() == 0
+        imitates = _imitates(env, cfg)
         recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
         result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
         tracks = recorder.tracks()
@@ -158,12 +181,42 @@ def perform(name: str, seconds: float) -> Performance:
             tuple(tracks),
             _LABELS if imitates else (),
             () if imitates else tuple(recorder.markers()),
-            str(result.imitation) if imitates else _summary_of_goal(result, cfg),
+            str(result.imitation) if imitates else _summary(result, cfg),
         )
 
 
-def _summary_of_goal(result: EvaluationResult, cfg: DictConfig) -> str:
-    assert result.imitation is not None  # a task with reference motions
+def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
+    """Return the configuration that plays a policy, and the control steps to record."""
+    fixed = (
+        "test=True",
+        f"checkpoint={name}",
+        f"num_envs={_EPISODES}",
+        f"seed={_SEED}",
+        "rl_device=cpu",
+        "num_threads=1",  # so few humanoids are slower on more
+    )
+    cfg = compose([*playing_overrides(name), *fixed])
+    env = cfg.task.env
+    num_steps = max(1, round(seconds / (cfg.task.sim.dt * env.controlFrequencyInv)))
+    if "stateInit" in env:  # it has reference motions
+        env.stateInit = "Default" if _has_skills(cfg) else "Random"
+        env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
+    return cfg, num_steps
+
+
+def _imitates(env: Any, cfg: DictConfig) -> bool:
+    """Return whether a policy follows the clip, without a goal."""
+    has_goal = env.get_task_obs_size() > 0
+    return not has_goal and not _has_skills(cfg) and fits(env, ReferenceEnv)
+
+
+def _has_skills(cfg: DictConfig) -> bool:
+    return cfg.train.params.network.name in _SKILL_NETWORKS
+
+
+def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
+    if result.imitation is None:  # a classic task
+        return f"return {result.reward:.1f} in {result.steps:.0f} steps"
     parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
     if cfg.train.params.network.name == "hrl":  # skills have no task
         parts.append(f"task reward {result.reward / result.steps:.2f} per step")

@@ -1,4 +1,7 @@
-"""Packs a policy: python -m isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME [clip=CLIP].
+"""Lists the policies that ship, and packs more: python -m isaacgymenvs_lite.policies COMMAND.
+
+    python -m isaacgymenvs_lite.policies list
+    python -m isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME [clip=CLIP]
 
 `checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The packed policy
 is written to assets/policies, or to the folder out=FOLDER, and can be played by its name:
@@ -14,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
-from isaacgymenvs_lite.checkpoints.packed import pack_policy
+from isaacgymenvs_lite.checkpoints.packed import pack_policy, shipped_policy_infos
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import setting
@@ -38,6 +41,21 @@ class PackSettings:
     """Folder of the runs, for `last`."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ListSettings:
+    """Arguments of `list`: none."""
+
+
+def show(_: ListSettings) -> None:
+    """Write one line for each policy that ships.
+
+    Raises:
+        CheckpointError: a file is damaged.
+    """
+    for name, info in shipped_policy_infos().items():
+        sys.stdout.write(f"{name:20}{info}\n")
+
+
 def pack(settings: PackSettings) -> None:
     """Pack a checkpoint.
 
@@ -50,13 +68,18 @@ def pack(settings: PackSettings) -> None:
     pack_policy(Path(checkpoint), settings.name, settings.clip, settings.out or None)
 
 
+_COMMANDS = {"list": (ListSettings, show), "pack": (PackSettings, pack)}
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m isaacgymenvs_lite.policies", description=__doc__
     )
-    parser.add_argument("command", choices=["pack"])
-    return run_command(parser, PackSettings, pack, arguments)
+    parser.add_argument("command", choices=_COMMANDS)
+    words = sys.argv[1:] if arguments is None else arguments
+    settings, action = _COMMANDS.get(words[0] if words else "", _COMMANDS["pack"])
+    return run_command(parser, settings, action, words)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,11 @@ from isaacgymenvs_lite.checkpoints import shipped
 from isaacgymenvs_lite.checkpoints.packed import pack_policy
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.demo import DemoSettings, run_demo
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.formats import deepmimic_package
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
-from tests.tiny import TINY_AMP
+from tests.tiny import TINY_AMP, TINY_PPO, train_in
 
 TINY = (*TINY_AMP, "max_iterations=1")
 
@@ -120,6 +124,66 @@ def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch,
     path = demo.save_performance(performance, tmp_path / "skills.webp")
     with PIL.Image.open(path) as image:
         assert image.size == (3 * 48, 64)
+
+
+class Terminal(io.StringIO):
+    """Standard input that a user types into."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("answer", "names"),
+    [
+        ("\n", ["small", "tiny"]),
+        ("2\n", ["tiny"]),
+        ("tiny, 1\n", ["tiny", "small"]),
+        ("", ["small", "tiny"]),  # the end of the input
+    ],
+)
+@pytest.mark.usefixtures("policies", "gl", "small_panels")
+def test_a_terminal_is_asked_which_policies_to_show(answer, names, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", Terminal(answer))
+    files = run_demo(DemoSettings(out=str(tmp_path), seconds=0.1))
+    assert files == [tmp_path / f"{name}.mp4" for name in names]
+    choice = capsys.readouterr().out.splitlines()
+    assert choice[0].startswith("   1  small ") and choice[1].startswith("   2  tiny ")
+    assert "HumanoidAMP of walk.npz" in choice[0]
+
+
+@pytest.mark.usefixtures("policies", "gl")
+def test_an_unknown_choice_is_refused(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", Terminal("tinny\n"))
+    with pytest.raises(ConfigError, match=r"unknown policy 'tinny' \(did you mean 'tiny'\?\)"):
+        run_demo(DemoSettings())
+
+
+@pytest.mark.usefixtures("gl", "small_panels")
+def test_all_leaves_out_a_policy_whose_clip_is_not_installed(assets, tmp_path, monkeypatch, caplog):
+    (checkpoint,) = assets.parent.glob("runs/*/nn/HumanoidAMP.pth")
+    for name, clip in (("flip", "deepmimic:backflip"), ("walk", "walk")):
+        pack_policy(checkpoint, name, clip, folder=tmp_path / "assets" / "policies")
+    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    monkeypatch.setattr(deepmimic_package, "_PACKAGE", "no_such_package")
+    with caplog.at_level(logging.INFO):
+        assert run_demo(DemoSettings(out=str(tmp_path), seconds=0.1)) == [tmp_path / "walk.mp4"]
+    assert "flip is left out: 'deepmimic:backflip' belongs to the package" in caplog.text
+    assert "isaacgymenvs-lite[motions]" in caplog.text
+    with pytest.raises(MotionFileError, match="is not installed"):
+        run_demo(DemoSettings(policies=("flip",), out=str(tmp_path)))
+
+
+@pytest.mark.usefixtures("gl", "small_panels")
+def test_a_classic_task_is_shown_in_three_environments(tmp_path, monkeypatch, caplog):
+    run_folder = train_in(tmp_path, ["task=Cartpole", *TINY_PPO, "max_iterations=1"])
+    pack_policy(run_folder / "nn" / "Cartpole.pth", "pole", folder=tmp_path / "assets/policies")
+    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+    performance = demo.perform("pole", 0.2)
+    assert [track.shape for track in performance.tracks] == [(12, 2)] * 3
+    assert performance.labels == ()
+    found = re.fullmatch(r"return ([0-9.]+) in ([0-9]+) steps", performance.summary)
+    assert found and 0 < float(found[1]) <= float(found[2]) <= 499
 
 
 def test_a_policy_with_a_goal_is_shown_with_its_goals():

@@ -25,9 +25,13 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_config,
     units_of_model,
 )
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, is_package_name
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
+from isaacgymenvs_lite.motion.formats.deepmimic_package import (
+    PREFIX,
+    find_in_package,
+    is_package_name,
+)
 from isaacgymenvs_lite.motion.loader import (
     shipped_motions,
     shipped_motions_dir,
@@ -105,6 +109,15 @@ class PolicyInfo:
         of_clip = f" of {self.clip}" if self.clip else ""
         return f"{self.task}{of_clip}, {self.frames / 1e6:.1f} M frames, {layers}"
 
+    def missing(self) -> str:
+        """Return what must be installed before its clip can be read; '' if nothing is missing."""
+        if is_package_name(self.clip):
+            try:
+                find_in_package(self.clip)
+            except MotionFileError as error:
+                return str(error)
+        return ""
+
 
 def read_policy_info(path: Path) -> PolicyInfo:
     """Read the `PolicyInfo` of a packed policy; no code of the file is run.
@@ -123,6 +136,15 @@ def read_policy_info(path: Path) -> PolicyInfo:
         return read_section(PolicyInfo, info, "policy")
     except ConfigError as error:
         raise CheckpointError(f"{path}: {error}") from error
+
+
+def shipped_policy_infos() -> dict[str, PolicyInfo]:
+    """Return the policies that ship, in the order of their names.
+
+    Raises:
+        CheckpointError: a file is damaged.
+    """
+    return {name: read_policy_info(path) for name, path in shipped_policies().items()}
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:

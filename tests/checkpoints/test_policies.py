@@ -21,6 +21,24 @@ def test_the_newest_checkpoint_is_packed_into_another_folder(full_checkpoint, tm
     assert (tmp_path / "mine" / "tiny.pth").is_file()
 
 
+def test_the_list_has_a_line_for_each_policy(full_checkpoint, shipped_dir, capsys):
+    assert main(["list"]) == 0
+    assert capsys.readouterr().out == ""
+    for name in ("second", "first"):
+        main(["pack", f"checkpoint={full_checkpoint}", f"name={name}"])
+    assert main(["list"]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("first ") and second.startswith("second ")
+    assert "HumanoidAMP of walk.npz, 0.0 M frames" in first
+
+
+def test_the_list_has_no_settings(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["list", "name=walk"])
+    assert caught.value.code == 2
+    assert "unknown key 'name'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
