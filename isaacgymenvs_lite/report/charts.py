@@ -86,7 +86,8 @@ _PLANS = (
     _Plan("Learning rate", {"learning rate": ("info/last_lr",)}),
     _Plan("Frames per second, learning included", {"frames/s": FPS_TAGS}),
 )
-_LOSSES = "losses/"
+# Tags of which each gets a chart of its own: beginning -> beginning of the title.
+_EACH = {GOAL_TAG: "Goal", "reward_terms/": "Reward term, per step", "losses/": "Loss"}
 
 
 def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
@@ -98,13 +99,12 @@ def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
         lines = tuple(Line(label, series) for label, series in found.items() if len(series))
         if any(line.label != "task" for line in lines):  # alone it repeats the chart of its sum
             charts.append(Chart(plan.title, lines))
-    charts += [
-        _single(tag, f"Goal: {tag.removeprefix(GOAL_TAG)}", scalars)
+    return charts + [
+        _single(tag, f"{title}: {tag.removeprefix(beginning)}", scalars)
+        for beginning, title in _EACH.items()
         for tag in sorted(scalars)
-        if tag.startswith(GOAL_TAG)
+        if tag.startswith(beginning)
     ]
-    losses = (tag for tag in sorted(scalars) if tag.startswith(_LOSSES))
-    return charts + [_single(tag, f"Loss: {tag.removeprefix(_LOSSES)}", scalars) for tag in losses]
 
 
 def other_charts(scalars: Mapping[str, Series]) -> list[Chart]:
@@ -116,7 +116,7 @@ def other_charts(scalars: Mapping[str, Series]) -> list[Chart]:
     return [
         _single(tag, tag, scalars)
         for tag in sorted(scalars)
-        if tag not in shown and not tag.startswith((_LOSSES, GOAL_TAG))
+        if tag not in shown and not tag.startswith(tuple(_EACH))
     ]
 
 

@@ -17,7 +17,9 @@ class TaskScalarsObserver(AlgoObserver):
     `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums
     of infos["episode_cumulative"] over an episode; every scalar in infos, nested keys joined by
     "/", as `<key>/frame`, `/iter`, `/time`. Also `sim/diverged`: how many simulations diverged in
-    the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means.
+    the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means. And
+    `reward_terms/<name>`: the terms of a reward that has several, as means over environments and
+    over the steps of the epoch after which the agent acts.
     """
 
     stored = ("_running", "_finished")
@@ -30,6 +32,8 @@ class TaskScalarsObserver(AlgoObserver):
         self._running: dict[str, Tensor] = {}
         self._finished: dict[str, list[float]] = {}
         self._diverged: int | None = None
+        self._terms: dict[str, Tensor] = {}
+        self._steps = 0
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Collect the values of a step.
@@ -48,6 +52,15 @@ class TaskScalarsObserver(AlgoObserver):
         if "episode_cumulative" in infos:
             self._accumulate(infos["episode_cumulative"], done_indices.flatten(), diverged)
         self._scalars = dict(_flat_scalars(infos))
+        self._add_reward_terms()
+
+    def _add_reward_terms(self) -> None:
+        task = getattr(getattr(self._algo, "vec_env", None), "env", None)
+        terms = getattr(task, "reward_terms", {})
+        if len(terms) > 1:  # one is the reward itself
+            self._steps += 1
+            for name, term in terms.items():
+                self._terms[name] = self._terms.get(name, 0.0) + term.mean()
 
     def _accumulate(
         self, values: dict[str, Tensor], done_ids: Tensor, diverged: Tensor | None
@@ -69,6 +82,10 @@ class TaskScalarsObserver(AlgoObserver):
         if self._diverged is not None:
             writer.add_scalar("sim/diverged", self._diverged, frame)
             self._diverged = 0
+        for name, sum_of_means in self._terms.items():
+            writer.add_scalar(f"reward_terms/{name}", float(sum_of_means) / self._steps, frame)
+        self._terms.clear()
+        self._steps = 0
         if self._episode_infos:
             for key in self._episode_infos[0]:
                 values = [torch.as_tensor(i[key]).float().flatten() for i in self._episode_infos]

@@ -44,6 +44,7 @@ AMP = {
     "imitation/tempo": [0.5, 0.75, 1.0],
     "goal/velocity_error_m_s": [0.9, 0.5, 0.25],
     "Episode/some": [1.0, 2.0, 3.0],
+    "reward_terms/effort": [-0.25, -0.5, -0.75],
 }
 # As rl_games' PPO and SAC agents write them.
 PPO = {

@@ -31,6 +31,7 @@ def test_charts_of_an_amp_run(make_run) -> None:
         "Learning rate": ["learning rate"],
         "Frames per second, learning included": ["frames/s"],
         "Goal: velocity_error_m_s": ["goal/velocity_error_m_s"],
+        "Reward term, per step: effort": ["reward_terms/effort"],
         "Loss: a_loss": ["losses/a_loss"],
         "Loss: disc_loss": ["losses/disc_loss"],
     }

@@ -98,7 +98,7 @@ def test_a_run_on_one_page(make_run) -> None:
     }
     assert page.config == CONFIG
     assert page.resources == []
-    assert len(page.titles) == len(page.data) == 12 + 2
+    assert len(page.titles) == len(page.data) == 13 + 2
     (accuracy,) = (d for t, d in zip(page.titles, page.data, strict=True) if "accuracy" in t)
     assert [line["label"] for line in accuracy] == ["both", "policy", "clips"]
     assert accuracy[0]["values"] == pytest.approx([0.9, 0.8, 0.7])

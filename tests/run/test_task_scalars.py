@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import types
+
 import pytest
 import torch
 
+from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.run import TaskScalarsObserver
+from tests.tiny import TINY_PPO, train_in
 
 
 @pytest.fixture
@@ -92,3 +96,38 @@ def test_diverged_simulations_are_counted_in_each_epoch_and_in_no_episode(task_s
     assert agent.writer.scalars["sim/diverged"] == [(1000, 3), (2000, 0)]
     # The diverged episode is in no mean, and its work is not in the next one.
     assert agent.writer.scalars["episode_cumulative/work"] == [(1000, 1.0), (2000, 100.5)]
+
+
+def test_the_terms_of_a_reward_are_means_over_environments_and_steps(task_scalars, agent):
+    task = types.SimpleNamespace()
+    agent.vec_env = types.SimpleNamespace(env=task)
+    for up, effort in (([1.0, 3.0], [-1.0, 0.0]), ([4.0, 6.0], [-2.0, -3.0])):
+        task.reward_terms = {"up": torch.tensor(up), "effort": torch.tensor(effort)}
+        task_scalars.process_infos({}, NOBODY)
+    task_scalars.after_print_stats(1000, 1, 1.0)
+    task.reward_terms = {"up": torch.zeros(2), "effort": torch.ones(2)}
+    task_scalars.process_infos({}, NOBODY)
+    task_scalars.after_print_stats(2000, 2, 2.0)
+    assert agent.writer.scalars == {
+        "reward_terms/up": [(1000, 3.5), (2000, 0.0)],
+        "reward_terms/effort": [(1000, -1.5), (2000, 1.0)],
+    }
+
+
+def test_a_reward_of_one_term_is_not_written_twice(task_scalars, agent):
+    task = types.SimpleNamespace(reward_terms={"alive": torch.ones(2)})
+    agent.vec_env = types.SimpleNamespace(env=task)
+    task_scalars.process_infos({}, NOBODY)
+    task_scalars.after_print_stats(1000, 1, 1.0)
+    assert agent.writer.scalars == {}
+
+
+def test_a_training_writes_the_terms_whose_sum_is_the_reward(tmp_path):
+    # The first episodes end with the epoch, after four steps.
+    words = ["task=Ant", *TINY_PPO, "num_envs=8", "task.env.episodeLength=5", "max_iterations=1"]
+    run = train_in(tmp_path, words)
+    scalars = read_scalars(run / "summaries")
+    terms = {tag: series for tag, series in scalars.items() if tag.startswith("reward_terms/")}
+    assert len(terms) > 3
+    per_step = sum(series.last for series in terms.values())
+    assert 4 * per_step == pytest.approx(scalars["rewards/step"].last, rel=1e-4)
