@@ -17,6 +17,8 @@ EXTRAS = {
     "onnx": "export",
     "onnxruntime": "export",
     "onnxscript": "export",
+    "optuna": "sweep",
+    "pybullet_data": "motions",
     "pybvh": "retarget",
     "rsl_rl": "rsl-rl",
     "skrl": "skrl",
