@@ -186,12 +186,14 @@ class Diagnostics:
     Attributes:
         history: what the rules read.
         implausible: what is implausible in the clips, for users; '' if nothing is known.
+        keeps_to_clip: whether the task ends episodes that stay behind their clip.
     """
 
     def __init__(self, config: Mapping[str, Any], max_episode_steps: int) -> None:
         self._config = config
         self._max_episode_steps = max_episode_steps
         self.implausible = ""
+        self.keeps_to_clip = False
         self.history = RunHistory(WINDOW_FRAMES, WINDOW_EPOCHS)
         self._warned_s: dict[str, float] = {}
         # The first that applies is the warning: the later ones may be its consequences.
@@ -274,12 +276,19 @@ class Diagnostics:
         last = self.history.measured()[-LAST_MEASUREMENTS:]
         if len(last) < LAST_MEASUREMENTS or not all(_is_still(one) for one in last):
             return None
+        # A training that still ends its episodes: on a clip of the ground only the distance does.
+        if self._fall_rate() > NEARLY_ALL_FALL:
+            return None
+        cut = "cut parts without motion out of the clips"
+        if not self.keeps_to_clip:
+            cut = (
+                "set task.env.clipDeviation=0.34, which ends episodes that stay behind their clip"
+                f" (with one clip in task.env.motion_file), or {cut}"
+            )
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
             f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
-            " set task.env.clipDeviation=0.34, which ends episodes that stay behind their clip"
-            " (with one clip in task.env.motion_file), or cut parts without motion out of the"
-            f" clips{self._clips_are_odd()}"
+            f" {cut}{self._clips_are_odd()}"
         )
 
     def _falls(self) -> str | None:
@@ -401,6 +410,7 @@ class DiagnosticsObserver(AlgoObserver):
         metrics: the epochs' metrics.
         imitation: the measured pose error, if any.
         max_episode_steps: the task's time limit in control steps.
+        keeps_to_clip: whether the task ends episodes that stay behind their clip.
 
     Attributes:
         diagnostics: the rules; set once there is an agent.
@@ -413,16 +423,19 @@ class DiagnosticsObserver(AlgoObserver):
         metrics: MetricsObserver,
         imitation: ImitationObserver | None,
         max_episode_steps: int,
+        keeps_to_clip: bool = False,
     ) -> None:
         super().__init__()
         self._metrics = metrics
         self._imitation = imitation
         self._max_episode_steps = max_episode_steps
+        self._keeps_to_clip = keeps_to_clip
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
         self.diagnostics = Diagnostics(algo.config, self._max_episode_steps)
+        self.diagnostics.keeps_to_clip = self._keeps_to_clip
         self._measured_at: int | None = None
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:

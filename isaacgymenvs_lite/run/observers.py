@@ -101,7 +101,8 @@ class TrainingObservers(MultiObserver):
             observers.append(self._wandb)
         if imitation is not None:
             observers.append(imitation)
-        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps)
+        keeps_to_clip = bool(cfg.task.env.get("clipDeviation"))
+        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps, keeps_to_clip)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes
             observers = []

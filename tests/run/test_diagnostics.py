@@ -115,10 +115,12 @@ def warnings_of(
     config: dict[str, Any] | None = None,
     first_frame: int = 0,
     implausible: str = "",
+    keeps_to_clip: bool = False,
 ) -> list[tuple[int, str]]:
     """[(frame, warning)] of a run; a measurement every 50 epochs."""
     diagnostics = Diagnostics(CONFIG if config is None else config, max_episode_steps=300)
     diagnostics.implausible = implausible
+    diagnostics.keeps_to_clip = keeps_to_clip
     warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
         frame = first_frame + (epoch - 1) * EPOCH_FRAMES
@@ -269,6 +271,18 @@ def test_a_policy_that_stands_still():
     assert warning.startswith("the policy stands still")
     assert "they show 12% of the clips' motion" in warning
     assert "set task.env.clipDeviation=0.34" in warning
+
+
+def test_a_key_that_is_set_is_not_proposed():
+    warning = warnings_of(walking, STILL, keeps_to_clip=True)[0][1]
+    assert warning.endswith("12% of the clips' motion; cut parts without motion out of the clips")
+
+
+def test_a_training_that_ends_its_episodes_is_not_standing():
+    """As the roll in its first 3 M frames: nothing that it does is a fall, but it stays behind."""
+    rolling = {**walking(0), "falls": 1.0}
+    shown = measuring(0.3, motion_shown=0.0, no_fall_share=1.0)
+    assert warnings_of(lambda _: rolling, shown, frames=5_000_000, keeps_to_clip=True) == []
 
 
 def test_a_policy_of_a_clip_that_stands_still():
