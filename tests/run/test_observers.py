@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import types
 from typing import Any
 
+import pytest
 import torch
 from rl_games.common.algo_observer import AlgoObserver
 
-from isaacgymenvs_lite.run import MultiObserver
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.run import DiagnosticsObserver, MultiObserver, TrainingObservers
+from isaacgymenvs_lite.run.stop_request import StopRequest
 
 
 def test_calls_reach_all_observers_in_order():
@@ -49,3 +54,19 @@ def test_calls_reach_all_observers_in_order():
     for name, args in calls.items():
         getattr(both, name)(*args)
     assert calls_made == [(who, name, args) for name, args in calls.items() for who in ("a", "b")]
+
+
+@pytest.mark.parametrize(
+    ("words", "keeps"),
+    [
+        (["task=HumanoidAMP", "task.env.clipDeviation=0.34"], True),
+        (["task=HumanoidAMP", "task.env.clipDeviation=0"], False),
+        (["task=Ant"], False),
+    ],
+)
+def test_the_advice_depends_on_whether_episodes_keep_to_their_clip(words, keeps):
+    cfg = compose([*words, "rl_device=cpu"])
+    observers = TrainingObservers(cfg, check_config(cfg), "run", None, 300, StopRequest())
+    (advice,) = (one for one in observers.observers if isinstance(one, DiagnosticsObserver))
+    advice.after_init(types.SimpleNamespace(config={}))
+    assert advice.diagnostics.keeps_to_clip is keeps
