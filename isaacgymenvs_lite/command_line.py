@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, TypeVar
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
-from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, unknown
+from isaacgymenvs_lite.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_USER_ERROR,
+    ConfigError,
+    UserError,
+    unknown,
+)
 from isaacgymenvs_lite.schema import read_section
 
 if TYPE_CHECKING:
@@ -29,7 +35,8 @@ def run_command(
 ) -> int:
     """Read `key=value` words into a settings dataclass and call a function with it.
 
-    The log goes to stderr, messages only. A user's mistake is one line and exit code 2.
+    The log goes to stderr, messages only. A user's mistake is one line and exit code 2; Ctrl-C
+    ends with 130.
 
     Args:
         parser: may have options and words of its own; the settings are added to it.
@@ -49,6 +56,8 @@ def run_command(
         action(read_settings(cls, given))
     except UserError as error:
         parser.exit(EXIT_USER_ERROR, f"error: {error}\n")
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
     return 0
 
 

@@ -16,6 +16,8 @@ the key, the end what to do next."""
 _KEPT_END = 160
 EXIT_USER_ERROR = 2
 """Exit status of every command after a user's mistake."""
+EXIT_INTERRUPTED = 130
+"""Exit status of every command that Ctrl-C ends, as shells expect."""
 
 
 class UserError(Exception):

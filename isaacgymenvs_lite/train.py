@@ -39,6 +39,7 @@ from isaacgymenvs_lite.config.run_names import train_dir_of
 from isaacgymenvs_lite.distributed import started_by_torchrun
 from isaacgymenvs_lite.distributed.restarts import words_after_restart
 from isaacgymenvs_lite.errors import (
+    EXIT_INTERRUPTED,
     EXIT_USER_ERROR,
     ConfigError,
     PeerMistakeError,
@@ -61,7 +62,6 @@ from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 log = logging.getLogger(__name__)
 
 EXIT_FAILED_JOBS = 1
-EXIT_INTERRUPTED = 130
 
 
 def main() -> None:

@@ -56,3 +56,11 @@ def test_a_users_mistake_ends_with_exit_code_2(capsys):
         run_command(argparse.ArgumentParser(), Settings, action, [])
     assert caught.value.code == 2
     assert capsys.readouterr().err == "error: no such file\n"
+
+
+def test_ctrl_c_ends_with_exit_code_130(capsys):
+    def action(settings: Settings) -> None:
+        raise KeyboardInterrupt
+
+    assert run_command(argparse.ArgumentParser(), Settings, action, []) == 130
+    assert capsys.readouterr().err == ""

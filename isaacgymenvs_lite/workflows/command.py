@@ -20,7 +20,13 @@ from omegaconf import OmegaConf
 from yaml import YAMLError
 
 from isaacgymenvs_lite.config.devices import check_device
-from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
+from isaacgymenvs_lite.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_USER_ERROR,
+    ConfigError,
+    UserError,
+    suggest,
+)
 from isaacgymenvs_lite.gymnasium_ids import task_of_id
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.utils.optional_packages import require
@@ -29,7 +35,6 @@ from isaacgymenvs_lite.workflows.library import Library
 
 log = logging.getLogger(__name__)
 
-EXIT_INTERRUPTED = 130
 LAST = "last"
 """`checkpoint=last`: the newest checkpoint of the task's trainings."""
 
