@@ -172,6 +172,7 @@ def _protocol_config(
         "max_iterations": "",
         "wandb_activate": False,
         "train.params.torch_threads": num_threads,
+        "train.params.config.player.deterministic": True,
         **fixed,
     }
     for key, value in protocol.items():
@@ -199,7 +200,7 @@ def _measure_imitation(player: Any, env: Any) -> Outcome:
     speed = SpeedProbe(env.num_envs, env.dt)
     result = evaluate(
         env,
-        lambda obs: player.get_action(player.obs_to_torch(obs), True),
+        player.act,
         EPISODES,
         on_step=lambda dones, _: speed.step(env.simulation.root_states[:, :3].cpu(), dones.cpu()),
     )

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from benchmarks import hierarchy
-from benchmarks.protocol import SEED, play_checkpoint
+from benchmarks.protocol import SEED, evaluate_checkpoint, play_checkpoint
 from benchmarks.runs import Run
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run as train
@@ -70,6 +70,16 @@ def test_skills(runs, tmp_path, capsys) -> None:
     assert 0.0 <= found["encoder_reward"] <= 1.0
     assert found["no_fall_share"] == 0.0
     assert "skills seed 1: coverage 1.00" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["skills", "heading_hrl", "heading_ppo"])
+def test_the_imitation_of_every_level_is_measured(runs, name) -> None:
+    """As `benchmarks.learning` does when a training has ended."""
+    checkpoint = Run.of(runs, name, 1).newest_checkpoint()
+    assert checkpoint is not None
+    settings = ("num_envs=2", "task.env.numEnvs=2", "task.env.episodeLength=5")
+    outcome = evaluate_checkpoint(checkpoint, overrides=settings)
+    assert outcome.imitation.mean_episode_steps > 0
 
 
 def test_getting_up(runs, tmp_path, capsys) -> None:
