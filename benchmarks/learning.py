@@ -8,10 +8,10 @@
 Each seed is one `train.py` process with a run folder of its own, `<experiment>_seed<n>`. With
 `--parallel 2` two of them run at a time, each on its own half of the CPUs: compare those by frames,
 not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
-with it, and minutes count together. When a run has ended, `benchmarks.evaluate` plays its policy
-and writes benchmarks/results/<experiment>.jsonl. `clips` is one experiment for each clip,
-seed 1, in folders of their own; `benchmarks.clips` prints their table. docs/protocol.md has the
-rest.
+with it, and minutes count together. When a run has ended, `benchmarks.evaluate`, of a classic task
+`benchmarks.returns`, plays its policy and writes benchmarks/results/<experiment>.jsonl. `clips` is
+one experiment for each clip, seed 1, in folders of their own; `benchmarks.clips` prints their
+table. docs/protocol.md has the rest.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from benchmarks.clips import NAME as CLIPS
 from benchmarks.evaluate import RESULTS_DIR, keep, measure, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
 from benchmarks.records import Record
+from benchmarks.returns import measure_and_keep
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
 from benchmarks.training import Plan, log_file, plan, train_all
 from isaacgymenvs_lite.errors import ConfigError, UserError
@@ -54,9 +55,14 @@ def main() -> None:
         records: list[Record] = []
 
         def play(run: Run) -> None:
-            if not args.no_evaluation:
-                records.append(measure(run))
-                keep(run, records[-1], args.results_dir)
+            if args.no_evaluation:
+                return
+            checkpoint = run.newest_checkpoint()
+            if checkpoint is not None and not run.has_motions():
+                measure_and_keep(run, checkpoint, args.results_dir)
+                return
+            records.append(measure(run, checkpoint))
+            keep(run, records[-1], args.results_dir)
 
         with StopRequest() as stop:
             todo = [job for job in plans if job.minutes > 0]

@@ -22,11 +22,12 @@ from typing import Any
 from benchmarks.evaluate import RESULTS_DIR, keep_curve
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import SEED, play_checkpoint
-from benchmarks.runs import DEFAULT_RUNS_DIR
+from benchmarks.runs import DEFAULT_RUNS_DIR, Run
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 
 EPISODES = 128
+_FIXED = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.task.randomize": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,38 @@ def measure_returns(player: Any, env: Any) -> Returns:
     )
 
 
+def measure_and_keep(
+    run: Run,
+    checkpoint: Path,
+    results_dir: Path | None,
+    seed: int = SEED,
+    num_threads: int = 1,
+    overrides: tuple[str, ...] = (),
+) -> Returns:
+    """Play a checkpoint of a run and print what it reached.
+
+    Args:
+        run: that the checkpoint is of.
+        checkpoint: in its folder nn/.
+        results_dir: where a line and the learning curve are written; None: nowhere.
+        seed: of the starts.
+        num_threads: for physics and networks.
+        overrides: settings that replace the run's.
+
+    Raises:
+        UserError: it cannot be played.
+    """
+    found = play_checkpoint(
+        checkpoint, measure_returns, _FIXED, seed, num_threads=num_threads, overrides=overrides
+    )
+    print(f"{run.label}: {found}", flush=True)
+    if results_dir is not None:
+        name, steps = run.experiment, found.max_steps
+        append_result(results_dir, name, run, checkpoint, found, seed, EPISODES, steps)
+        keep_curve(run, results_dir)
+    return found
+
+
 def main(words: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -67,31 +100,17 @@ def main(words: list[str] | None = None) -> None:
     args = parser.parse_intermixed_args(words)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     found_of: dict[str, list[Returns]] = {}
-    fixed = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.task.randomize": False}
     try:
         for run, checkpoint in find_targets(args.what, args.runs_dir):
-            found = play_checkpoint(
+            found = measure_and_keep(
+                run,
                 checkpoint,
-                measure_returns,
-                fixed,
+                args.results_dir if args.write else None,
                 args.evaluation_seed,
-                num_threads=args.threads,
-                overrides=tuple(word for word in args.what if "=" in word),
+                args.threads,
+                tuple(word for word in args.what if "=" in word),
             )
             found_of.setdefault(run.experiment, []).append(found)
-            print(f"{run.label}: {found}", flush=True)
-            if args.write:
-                append_result(
-                    args.results_dir,
-                    run.experiment,
-                    run,
-                    checkpoint,
-                    found,
-                    args.evaluation_seed,
-                    EPISODES,
-                    found.max_steps,
-                )
-                keep_curve(run, args.results_dir)
     except UserError as error:
         sys.exit(f"error: {error}")
     for experiment, group in found_of.items():

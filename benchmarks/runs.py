@@ -22,6 +22,7 @@ from isaacgymenvs_lite.run.folder import RunFolder
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT_RUNS_DIR = Path("runs/benchmarks")
 _STARTS_FILE = "benchmark.jsonl"
+_CLIP = "task.env.motion_file"
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,10 @@ class Run:
     def newest_checkpoint(self) -> Path | None:
         """Return the checkpoint that was written last."""
         return RunFolder(self.folder.parent, self.folder.name).newest_checkpoint()
+
+    def has_motions(self) -> bool:
+        """Return whether its task has reference motions, which a policy can be compared with."""
+        return OmegaConf.select(read_yaml(self.folder / "config.yaml"), _CLIP) is not None
 
     def checkpoint_of_epoch(self, epoch: int) -> Path:
         """Return the checkpoint that was saved after an epoch.

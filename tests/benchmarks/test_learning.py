@@ -79,7 +79,19 @@ def test_train_resume_and_record(tmp_path, monkeypatch):
     assert [row["frames"] > first["frames"] for row in rows] == [False, True]
     assert first["minutes"] < rows[1]["minutes"] < 0.7
     assert len(run.starts()) == 2
-    assert "checkpoint=" in run.starts()[1].command
+    assert "resume=" in run.starts()[1].command
 
     learning.main()  # it had its time: played again, not trained
     assert len(run.starts()) == 2
+
+
+@pytest.mark.slow
+def test_a_classic_task_is_recorded_by_its_return(tmp_path, monkeypatch, capsys):
+    words = ["cartpole", "num_envs=8", "rl_device=cpu", "max_iterations=3", "--seeds", "1", "2"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    monkeypatch.setattr("sys.argv", ["learning", *words, *folders, "--minutes", "5"])
+    learning.main()
+    rows = [json.loads(x) for x in (tmp_path / "results/cartpole.jsonl").read_text().splitlines()]
+    assert [row["seed"] for row in rows] == [1, 2]
+    assert all(-2.0 < row["episode_return"] <= row["steps"] for row in rows)
+    assert "cartpole seed 2: return" in capsys.readouterr().out
