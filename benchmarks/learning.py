@@ -61,7 +61,7 @@ def main() -> None:
             if checkpoint is not None and not run.has_motions():
                 measure_and_keep(run, checkpoint, args.results_dir)
                 return
-            records.append(measure(run, checkpoint))
+            records.append(measure(run))
             keep(run, records[-1], args.results_dir)
 
         with StopRequest() as stop:
