@@ -182,18 +182,21 @@ class Diagnostics:
     Args:
         config: `train.params.config`, for the values that a warning proposes.
         max_episode_steps: the task's time limit in control steps.
+        keeps_to_clip: whether the task ends episodes that stay behind their clip.
 
     Attributes:
         history: what the rules read.
         implausible: what is implausible in the clips, for users; '' if nothing is known.
-        keeps_to_clip: whether the task ends episodes that stay behind their clip.
+        keeps_to_clip: as given.
     """
 
-    def __init__(self, config: Mapping[str, Any], max_episode_steps: int) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], max_episode_steps: int, keeps_to_clip: bool = False
+    ) -> None:
         self._config = config
         self._max_episode_steps = max_episode_steps
+        self.keeps_to_clip = keeps_to_clip
         self.implausible = ""
-        self.keeps_to_clip = False
         self.history = RunHistory(WINDOW_FRAMES, WINDOW_EPOCHS)
         self._warned_s: dict[str, float] = {}
         # The first that applies is the warning: the later ones may be its consequences.
@@ -434,8 +437,8 @@ class DiagnosticsObserver(AlgoObserver):
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
-        self.diagnostics = Diagnostics(algo.config, self._max_episode_steps)
-        self.diagnostics.keeps_to_clip = self._keeps_to_clip
+        limit = self._max_episode_steps
+        self.diagnostics = Diagnostics(algo.config, limit, self._keeps_to_clip)
         self._measured_at: int | None = None
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:

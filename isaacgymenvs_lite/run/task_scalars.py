@@ -19,7 +19,7 @@ class TaskScalarsObserver(AlgoObserver):
     "/", as `<key>/frame`, `/iter`, `/time`. Also `sim/diverged`: how many simulations diverged in
     the epoch, of infos["diverged"] (N,) bool; their episodes are left out of all means. And
     `reward_terms/<name>`: the terms of a reward that has several, as means over environments and
-    over the steps of the epoch after which the agent acts.
+    steps of the epoch; a high level reads the last of the steps under one of its actions.
     """
 
     stored = ("_running", "_finished")

@@ -75,8 +75,9 @@ def test_skills(runs, tmp_path, capsys) -> None:
 @pytest.mark.parametrize("name", ["skills", "heading_hrl", "heading_ppo"])
 def test_the_imitation_of_every_level_is_measured(runs, name) -> None:
     """As `benchmarks.learning` does when a training has ended."""
-    checkpoint = Run.of(runs, name, 1).newest_checkpoint()
-    assert checkpoint is not None
+    run = Run.of(runs, name, 1)
+    checkpoint = run.newest_checkpoint()
+    assert checkpoint is not None and run.has_motions()
     settings = ("num_envs=2", "task.env.numEnvs=2", "task.env.episodeLength=5")
     outcome = evaluate_checkpoint(checkpoint, overrides=settings)
     assert outcome.imitation.mean_episode_steps > 0

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.returns import main
+from benchmarks.runs import Run
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run
 
@@ -38,6 +39,10 @@ def test_it_plays_whole_episodes_and_writes_a_line(cartpole: Path, tmp_path: Pat
     # At most 1 a step, and 2 less in the step in which a pole falls.
     assert -2.0 < row["episode_return"] <= row["steps"]
     assert row["frames"] == 2 * 64 * 16
+
+
+def test_a_classic_task_has_no_motions(cartpole: Path) -> None:
+    assert not Run.at(cartpole).has_motions()
 
 
 def test_the_same_starts_give_the_same_numbers(cartpole: Path, capsys) -> None:

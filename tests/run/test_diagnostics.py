@@ -118,9 +118,8 @@ def warnings_of(
     keeps_to_clip: bool = False,
 ) -> list[tuple[int, str]]:
     """[(frame, warning)] of a run; a measurement every 50 epochs."""
-    diagnostics = Diagnostics(CONFIG if config is None else config, max_episode_steps=300)
+    diagnostics = Diagnostics(CONFIG if config is None else config, 300, keeps_to_clip)
     diagnostics.implausible = implausible
-    diagnostics.keeps_to_clip = keeps_to_clip
     warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
         frame = first_frame + (epoch - 1) * EPOCH_FRAMES
