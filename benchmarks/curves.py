@@ -2,11 +2,13 @@
 
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
         [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved] [--returns]
+    python -m benchmarks.curves TARGET [TARGET ...] --measurements [--saved] [--results-dir DIR]
 
 A target is a run folder or the name of an experiment: one thin line for each seed, the median
 thick. Dotted is where a run was resumed and had ended short episodes only. `--saved` draws the
 curves of experiments that benchmarks/results keeps, without their runs.
 `--returns` draws the return of training episodes, a panel for each experiment: classic tasks.
+`--measurements` prints each run's own table, a row for each measurement of the pose error.
 Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
 """
 
@@ -33,6 +35,18 @@ _PANELS = {
     "episode_length": "episode length in training (steps)",
     "pose_error_m": "pose error (m)",
     "style_reward": "style reward per step",
+}
+# Columns of the course of a run: scalar -> title, format.
+_COURSE = {
+    "episode_length": ("episode length in training", ".0f"),
+    "fall_rate": ("falls in training", ".0%"),
+    "style_reward": ("style reward", ".2f"),
+    "disc_agent_acc": ("accuracy: policy", ".2f"),
+    "disc_demo_acc": ("accuracy: clip", ".2f"),
+    "pose_error_m": ("pose error (m)", ".3f"),
+    "tempo": ("tempo", ".2f"),
+    "motion_shown": ("motion shown", ".2f"),
+    "no_fall_share": ("without a fall", ".2f"),
 }
 _AXES = {"minutes": ("minutes", 1.0), "frames": ("million frames", 1e-6)}
 _MEDIAN_POINTS = 400
@@ -180,6 +194,34 @@ def markdown_table_of_returns(curves: Curves) -> str:
     return "\n".join(lines)
 
 
+def markdown_table_of_measurements(curves: Curves) -> str:
+    """Return for each run a table with a row for each measurement of its pose error."""
+    head = "| " + " | ".join(("frames (M)", "minutes", *(title for title, _ in _COURSE.values())))
+    lines: list[str] = []
+    for experiment, seeds in curves.items():
+        for number, curve in enumerate(seeds, 1):
+            lines += [
+                f"{experiment}, run {number}",
+                "",
+                f"{head} |",
+                "|---" * (2 + len(_COURSE)) + "|",
+            ]
+            lines += [_row_of_measurement(curve, i) for i in range(len(curve["pose_error_m"]))]
+            lines.append("")
+    return "\n".join(lines).rstrip()
+
+
+def _row_of_measurement(curve: LearningCurve, number: int) -> str:
+    measured = curve["pose_error_m"]
+    frames = measured.frames[number]
+    cells = [f"{frames / 1e6:.1f}", f"{measured.minutes[number]:.1f}"]
+    for name, (_, number_format) in _COURSE.items():
+        series = curve[name]
+        value = np.interp(frames, series.frames, series.values) if len(series) else None
+        cells.append("-" if value is None else f"{value:{number_format}}")
+    return f"| {' | '.join(cells)} |"
+
+
 def _frames_per_s(curve: LearningCurve) -> float | None:
     """Return the frames per second of the whole training, measurements and all."""
     clock = curve["fps"]
@@ -197,8 +239,8 @@ def _of_runs(targets: Sequence[str], runs_dir: Path) -> dict[str, list[LearningC
     return curves
 
 
-def _saved(experiments: Sequence[str]) -> dict[str, list[LearningCurve]]:
-    return {name: find_saved_curves(name, RESULTS_DIR / CURVES) for name in experiments}
+def _saved(experiments: Sequence[str], results_dir: Path) -> dict[str, list[LearningCurve]]:
+    return {name: find_saved_curves(name, results_dir / CURVES) for name in experiments}
 
 
 def main() -> None:
@@ -209,13 +251,21 @@ def main() -> None:
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
     parser.add_argument("--saved", action="store_true", help="curves that were kept")
+    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR, help="where --saved looks")
     parser.add_argument("--returns", action="store_true", help="returns of classic tasks")
+    parser.add_argument("--measurements", action="store_true", help="the course of each run")
     args = parser.parse_intermixed_args()
     table, picture = (
         (markdown_table_of_returns, draw_returns) if args.returns else (markdown_table, draw)
     )
+    if args.measurements:
+        table = markdown_table_of_measurements
     try:
-        curves = _saved(args.targets) if args.saved else _of_runs(args.targets, args.runs_dir)
+        curves = (
+            _saved(args.targets, args.results_dir)
+            if args.saved
+            else _of_runs(args.targets, args.runs_dir)
+        )
         print(table(curves))
         if args.out:
             picture(curves, args.out, args.against)

@@ -20,6 +20,11 @@ TAGS = {
     "tempo": ("imitation/tempo",),
     "motion_shown": ("imitation/motion_shown",),
     "style_reward": ("info/disc_reward_mean",),
+    "fall_rate": ("info/fall_rate",),
+    "disc_agent_acc": ("info/disc_agent_acc",),
+    "disc_demo_acc": ("info/disc_demo_acc",),
+    "disc_agent_logit": ("info/disc_agent_logit",),
+    "disc_demo_logit": ("info/disc_demo_logit",),
     "episode_return": ("rewards/frame", "rewards/step"),
 }
 """Names of curves -> scalar of our agents' runs, and of rl_games' own where it differs."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.learning_curve import LearningCurve
+from benchmarks.learning_curve import TAGS, LearningCurve
 from benchmarks.records import GOOD_EPISODE_STEPS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.scalars import Series
@@ -32,9 +32,13 @@ def load_curve(file: Path) -> LearningCurve:
     columns = json.loads(file.read_text(encoding="utf-8"))
     run = columns.pop(_RUN, {"num_envs": 0, "resumed_at": []})
     resumed_at = tuple(run["resumed_at"])
+    missing = ([], [], [])  # of a scalar that was not kept when the file was written
     series = {
-        name: Series(*(np.array(c, dtype=np.float64) for c in cs), resumed_at=resumed_at)
-        for name, cs in columns.items()
+        name: Series(
+            *(np.array(c, dtype=np.float64) for c in columns.get(name, missing)),
+            resumed_at=resumed_at,
+        )
+        for name in TAGS
     }
     return LearningCurve(series, run["num_envs"])
 

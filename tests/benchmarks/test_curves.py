@@ -8,6 +8,7 @@ from benchmarks.curves import (
     draw,
     draw_returns,
     markdown_table,
+    markdown_table_of_measurements,
     markdown_table_of_returns,
     median_line,
     with_gaps,
@@ -111,3 +112,15 @@ def test_picture_without_a_folder(two_seeds, tmp_path):
     pytest.importorskip("matplotlib")
     with pytest.raises(ConfigError, match="does not exist"):
         draw(two_seeds, tmp_path / "absent" / "curves.png")
+
+
+def test_the_course_of_a_run_has_a_row_for_each_measurement(two_seeds):
+    text = markdown_table_of_measurements(two_seeds)
+    first, second = text.split("walk, run 2")
+    rows = [line.split(" | ") for line in first.splitlines()[4:] if line]
+    # at 100 frames an episode length of 100, at 200 one of 280; minutes count the epochs before
+    assert [row[2] for row in rows] == ["100", "280"]
+    assert [row[7] for row in rows] == ["0.100", "0.050"]
+    assert {row[3] for row in rows} == {"-"}  # no falls were written
+    assert "| 20 |" in second
+    assert "| 30 |" in second

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,14 @@ def test_seeds_of_one_experiment_only(write_events, tmp_path):
     assert len(find_saved_curves("walk+fp32", tmp_path)) == 1
     with pytest.raises(ConfigError, match=r"'run': no saved curve.*walk_seed2"):
         find_saved_curves("run", tmp_path)
+
+
+def test_a_scalar_that_an_older_file_lacks_has_no_values(write_events, tmp_path):
+    write_events(tmp_path / "summaries", [3.0])
+    save_curve(read_learning_curve(tmp_path / "summaries"), tmp_path / "walk_seed1.json")
+    columns = json.loads((tmp_path / "walk_seed1.json").read_text())
+    del columns["fall_rate"]
+    (tmp_path / "walk_seed1.json").write_text(json.dumps(columns))
+    again = load_curve(tmp_path / "walk_seed1.json")
+    assert len(again["fall_rate"]) == 0
+    assert again["episode_length"].last == 3.0
