@@ -124,6 +124,18 @@ class ClipSkillEnv(SkillEnv, Protocol):
         ...
 
 
+class ClipKeepingEnv(ClipSkillEnv, Protocol):
+    """A task that can end episodes which leave the clip that they started in."""
+
+    def keep_to_clips(self, env_ids: Tensor) -> None:
+        """From here on, episodes (n,) that started in a clip fail if they leave it."""
+        ...
+
+    def leave_clips(self, env_ids: Tensor) -> None:
+        """From here on, episodes (n,) may do something else."""
+        ...
+
+
 class ClipWindowsEnv(AMPObsEnv, Protocol):
     """A task in whose reference motions `SkillProbe` looks for what a policy shows."""
 

@@ -14,7 +14,14 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.env_interface import ClipSkillEnv, Env, SkillEnv, require
+from isaacgymenvs_lite.env_interface import (
+    ClipKeepingEnv,
+    ClipSkillEnv,
+    Env,
+    SkillEnv,
+    fits,
+    require,
+)
 from isaacgymenvs_lite.errors import OverrideError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
@@ -157,7 +164,11 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self.schedule.restart(env_ids)
             return
         amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
-        self.schedule.restart(env_ids, self._clip_latents.for_starts(amp_obs))
+        latents, of_starts = self._clip_latents.for_starts(amp_obs)
+        self.schedule.restart(env_ids, latents)
+        if fits(self._clips, ClipKeepingEnv):  # under another latent it may do something else
+            self._clips.leave_clips(env_ids)
+            self._clips.keep_to_clips(env_ids[of_starts])
 
     def _before_step(self) -> None:
         super()._before_step()
@@ -165,7 +176,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     def _update_latents(self) -> None:
         """Replace the latents whose time is over; called before each policy step."""
-        self.schedule.advance(self._progress())
+        changed = self.schedule.advance(self._progress())
+        if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
+            self._clips.leave_clips(changed)
 
     def _sample_latents(self, n: int) -> Tensor:
         """Return n random latents (n, Z), unit vectors."""

@@ -155,6 +155,27 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     assert distances.max() < 1e-3
 
 
+def test_episodes_keep_to_their_clips_while_they_have_the_latent_of_their_start(make):
+    agent = make(f"+{CONFIG}.clip_latents=0.5", "task.env.stateInit=Random", num_envs=32)
+    task = agent.vec_env.env
+    kept: set[int] = set()
+    task.keep_to_clips = lambda env_ids: kept.update(env_ids.tolist())
+    task.leave_clips = lambda env_ids: kept.difference_update(env_ids.tolist())
+    agent.init_tensors()
+    agent.obs = agent.env_reset()
+    read = agent.encoder.read(task.amp_obs_of(torch.arange(32)))
+    own = torch.isclose(agent.schedule.latents, read, atol=1e-5).all(dim=-1)
+    assert 5 < own.sum() < 27
+    assert kept == set(own.nonzero().flatten().tolist())
+    before = agent.schedule.latents
+    agent.schedule.change_at[:] = 9
+    agent.schedule.change_at[::2] = 0
+    agent._before_step()
+    changed = (agent.schedule.latents != before).any(dim=-1)
+    assert changed.tolist() == [i % 2 == 0 for i in range(32)]
+    assert kept == set((own & ~changed).nonzero().flatten().tolist())
+
+
 # --- update -----------------------------------------------------------------------------------
 
 

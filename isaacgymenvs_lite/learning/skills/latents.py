@@ -81,13 +81,17 @@ class LatentSchedule:
         """Return (N,) bool: the latent ends before the step after `progress` (N,) steps."""
         return self.change_at <= progress
 
-    def advance(self, progress: Tensor) -> None:
-        """Replace the latents that end after `progress` (N,) control steps of the episodes."""
+    def advance(self, progress: Tensor) -> Tensor:
+        """Replace the latents that end after `progress` (N,) control steps of the episodes.
+
+        Returns:
+            (n,) the environments whose latents were replaced.
+        """
         env_ids = self.is_over(progress).nonzero().flatten()
-        if len(env_ids) == 0:
-            return
-        self._renew(env_ids, self._draw(len(env_ids)))
-        self.change_at[env_ids] += self._draw_steps(len(env_ids))
+        if len(env_ids) > 0:
+            self._renew(env_ids, self._draw(len(env_ids)))
+            self.change_at[env_ids] += self._draw_steps(len(env_ids))
+        return env_ids
 
     def _renew(self, env_ids: Tensor, latents: Tensor) -> None:
         # A copy: the rollout keeps the latents of earlier steps.
@@ -130,12 +134,16 @@ class ClipLatents:
             latents[chosen] = self._read(self._fetch(len(chosen)))
         return latents
 
-    def for_starts(self, amp_obs: Tensor) -> Tensor:
-        """Return latents (n, Z) for episodes that start with AMP observations (n, F)."""
+    def for_starts(self, amp_obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return latents (n, Z) for episodes that start with AMP observations (n, F).
+
+        Returns:
+            The latents, and the rows (k,) whose latents were read from their starts.
+        """
         latents, chosen = self.random(len(amp_obs), amp_obs.device)
         if len(chosen) > 0:
             latents[chosen] = self._read(amp_obs[chosen])
-        return latents
+        return latents, chosen
 
     def random(self, n: int, device: str | torch.device) -> tuple[Tensor, Tensor]:
         """Return random latents (n, Z), and the rows (k,) to replace by latents of clips."""

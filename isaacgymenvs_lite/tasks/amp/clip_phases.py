@@ -1,4 +1,4 @@
-"""Measures how far episodes stray from the clip that they started in, at the moment that fits.
+"""Measures how far episodes stray from the clips that they started in, at the moment that fits.
 
 Early termination of imitation ends an episode at a fall. A policy that leaves a leap out, and
 stands, does not fall. Peng et al. 2018, "DeepMimic" (arXiv 1804.02717), has a phase that every
@@ -8,6 +8,8 @@ each control step moves it on by at least half a step, to the nearest pose a lit
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -39,13 +41,13 @@ def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
 
 
 class ClipPhases:
-    """Stores at which moment of a clip each environment is.
+    """Stores at which moment of which clip each environment is.
 
     A clip whose end is near its start repeats; after the end of another one nothing is measured.
 
     Args:
-        clip: (S, P, 3) m, points of the body, relative to the root's place on the ground,
-            `PHASES_PER_STEP` times in a control step from time 0 on.
+        clips: of each clip (S, P, 3) m, points of the body, relative to the root's place on the
+            ground, `PHASES_PER_STEP` times in a control step from time 0 on.
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
@@ -54,19 +56,25 @@ class ClipPhases:
         far_m: as given.
     """
 
-    stored = ("_phase",)
+    stored = ("_clip", "_phase")
 
-    def __init__(self, clip: Tensor, num_envs: int, dt_s: float, far_m: float) -> None:
+    def __init__(self, clips: Sequence[Tensor], num_envs: int, dt_s: float, far_m: float) -> None:
+        device = clips[0].device
         self.far_m = far_m
-        self._clip = clip
-        self._repeats = bool(distance_up_to_heading_m(clip[-1], clip[0]) < far_m)
-        self._advances = torch.tensor(_ADVANCES, device=clip.device)
+        self._points = torch.cat(list(clips))
+        self._lengths = torch.tensor([len(clip) for clip in clips], device=device)
+        self._firsts = self._lengths.cumsum(0) - self._lengths
+        ends_m = torch.stack([distance_up_to_heading_m(clip[-1], clip[0]) for clip in clips])
+        self._repeats = ends_m < far_m
+        self._advances = torch.tensor(_ADVANCES, device=device)
         self._costs_m = _OFF_TEMPO * far_m * (self._advances - PHASES_PER_STEP).abs()
         self._phases_per_s = PHASES_PER_STEP / dt_s
-        self._phase = torch.full((num_envs,), _NONE, device=clip.device)
+        self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        self._phase = torch.full((num_envs,), _NONE, device=device)
 
-    def start(self, env_ids: Tensor, times_s: Tensor) -> None:
-        """Follow environments (n,) from times (n,) of the clip on."""
+    def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
+        """Follow environments (n,) through clips (n,) from times (n,) of them on."""
+        self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
 
     def stop(self, env_ids: Tensor) -> None:
@@ -77,19 +85,20 @@ class ClipPhases:
         """Move all phases on by a control step.
 
         Args:
-            points: (N, P, 3) m, of the same points as the clip's.
+            points: (N, P, 3) m, of the same points as the clips'.
 
         Returns:
-            (N,) m, how far each is from the clip; 0 where none is followed.
+            (N,) m, how far each is from its clip; 0 where none is followed.
         """
-        length = len(self._clip)
+        if bool((self._phase == _NONE).all()):  # as of a policy without latents, of several clips
+            return torch.zeros(len(points), device=points.device)
+        lengths = self._lengths[self._clip].unsqueeze(1)
         phases = self._phase.unsqueeze(1) + self._advances
-        if self._repeats:
-            phases = phases % length
-        clip = self._clip[phases.clamp(max=length - 1)]
-        away_m = distance_up_to_heading_m(points.unsqueeze(1), clip)
+        phases = torch.where(self._repeats[self._clip].unsqueeze(1), phases % lengths, phases)
+        rows = self._firsts[self._clip].unsqueeze(1) + phases.clamp(max=lengths - 1)
+        away_m = distance_up_to_heading_m(points.unsqueeze(1), self._points[rows])
         nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
         away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
-        is_over = (self._phase == _NONE) | (phase >= length)
+        is_over = (self._phase == _NONE) | (phase >= lengths.squeeze(1))
         self._phase.copy_(torch.where(is_over, _NONE, phase))
         return torch.where(is_over, 0.0, away_m)

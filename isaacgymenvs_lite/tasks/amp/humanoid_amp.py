@@ -176,21 +176,18 @@ class HumanoidAMP(HumanoidAMPBase):
         self._phases = self._make_phases() if self.env_cfg.clip_deviation > 0.0 else None
         self.goal.attach(self.simulation, self.control_dt_s)
 
-    def _make_phases(self) -> ClipPhases | None:
-        """Return what follows episodes through their clip; None if there are several clips.
-
-        Between clips a policy may change, which an episode does not show.
-        """
-        if self._motion_lib.num_motions() > 1:
-            return None
-        length_s = float(self._motion_lib.get_motion_length([0]))
-        times_s = torch.arange(
-            0.0, length_s, self.control_dt_s / PHASES_PER_STEP, device=self.device
-        )
-        zeros = torch.zeros(len(times_s), dtype=torch.int64, device=self.device)
-        clip = _points(self._reference_states(zeros, times_s, zeros[:1]))
+    def _make_phases(self) -> ClipPhases:
+        """Return what follows episodes through the clips that they started in."""
+        clips = []
+        for motion_id in range(self._motion_lib.num_motions()):
+            length_s = float(self._motion_lib.get_motion_length([motion_id]))
+            times_s = torch.arange(
+                0.0, length_s, self.control_dt_s / PHASES_PER_STEP, device=self.device
+            )
+            ids = torch.full((len(times_s),), motion_id, device=self.device)
+            clips.append(_points(self._reference_states(ids, times_s, ids.new_zeros(1))))
         far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
-        return ClipPhases(clip, self.num_envs, self.control_dt_s, far_m)
+        return ClipPhases(clips, self.num_envs, self.control_dt_s, far_m)
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -235,6 +232,24 @@ class HumanoidAMP(HumanoidAMPBase):
     def motion_lib(self) -> MotionLib:
         """The reference motions."""
         return self._motion_lib
+
+    def keep_to_clips(self, env_ids: Tensor) -> None:
+        """From here on, episodes (n,) that started in a clip fail if they leave it.
+
+        To be called after a reset. Without `clipDeviation` it has no effect. With one clip the task
+        itself calls it; with several the policy must receive which one is meant, as latents show.
+        """
+        if self._phases is None:
+            return
+        env_ids = env_ids.to(self.device)
+        env_ids = env_ids[self._start_clips[env_ids] >= 0]
+        clips, times_s = self._start_clips[env_ids], self._start_times_s[env_ids]
+        self._phases.start(env_ids, clips, times_s)
+
+    def leave_clips(self, env_ids: Tensor) -> None:
+        """From here on, episodes (n,) may do something else than their clips."""
+        if self._phases is not None:
+            self._phases.stop(env_ids.to(self.device))
 
     # --- a step ------------------------------------------------------------------------------
 
@@ -525,15 +540,14 @@ class HumanoidAMP(HumanoidAMPBase):
         root_states, dof_pos, dof_vel, self._reference_history, self._roots_ahead = starts
         self._start_clips[env_ids] = clips
         self._start_times_s[env_ids] = times_s
-        if self._phases is not None:
-            self._phases.start(env_ids, times_s)
+        if self._motion_lib.num_motions() == 1:  # between clips a policy may change
+            self.keep_to_clips(env_ids)
         self.simulation.write_state(env_ids, root_states, dof_pos, dof_vel)
 
     def reset_idx(self, env_ids: Tensor) -> None:
         """As the base, and fill the AMP history with the steps before the start."""
         self._start_clips[env_ids] = -1
-        if self._phases is not None:
-            self._phases.stop(env_ids)
+        self.leave_clips(env_ids)
         super().reset_idx(env_ids)
         self._start_histories(env_ids)
 

@@ -40,10 +40,11 @@ def test_share_of_the_latents_that_are_of_clips(share):
 
 def test_an_episode_has_the_latent_of_its_own_start():
     starts = fetch(500)
-    latents = clip_latents(0.5).for_starts(starts)
+    latents, of_starts = clip_latents(0.5).for_starts(starts)
     own = of_clips(latents)
     assert 200 < own.sum() < 300
     torch.testing.assert_close(latents[own], read(starts)[own])
+    assert own.nonzero().flatten().tolist() == of_starts.tolist()
 
 
 def test_without_a_share_the_random_numbers_are_those_of_random_latents():

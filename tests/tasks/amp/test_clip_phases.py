@@ -40,8 +40,8 @@ def clip(length_s: float = LENGTH_S) -> Tensor:
 
 def followed(clip_points: Tensor, episode: Tensor, start_s: float = 0.0) -> Tensor:
     """Distances (T,) m over an episode (T, P, 3) that starts at a time of the clip."""
-    phases = ClipPhases(clip_points, 1, DT_S, far_m=0.3)
-    phases.start(torch.tensor([0]), torch.tensor([start_s]))
+    phases = ClipPhases([clip_points], 1, DT_S, far_m=0.3)
+    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([start_s]))
     return torch.cat([phases.advance(points.unsqueeze(0)) for points in episode])
 
 
@@ -113,10 +113,30 @@ def test_a_clip_that_does_not_close_ends() -> None:
 
 
 def test_environments_are_followed_one_by_one() -> None:
-    phases = ClipPhases(clip(), 3, DT_S, far_m=0.3)
+    phases = ClipPhases([clip()], 3, DT_S, far_m=0.3)
     far = torch.full((3, 3, 3), 9.0)
     assert phases.advance(far).tolist() == [0.0, 0.0, 0.0]
-    phases.start(torch.tensor([0, 2]), torch.tensor([0.0, 0.5]))
+    phases.start(torch.tensor([0, 2]), torch.tensor([0, 0]), torch.tensor([0.0, 0.5]))
     assert (phases.advance(far) > 5.0).tolist() == [True, False, True]
     phases.stop(torch.tensor([2]))
     assert (phases.advance(far) > 5.0).tolist() == [True, False, False]
+
+
+def test_each_environment_is_compared_with_its_own_clip() -> None:
+    """A circle that repeats between half a circle that does not, and a body at rest."""
+    rest = body(torch.zeros(PHASES_PER_STEP * 10))
+    phases = ClipPhases([clip(LENGTH_S / 2), clip(), rest], 4, DT_S, far_m=0.3)
+    phases.start(torch.arange(4), torch.tensor([0, 1, 2, 2]), torch.zeros(4))
+    standing = body(torch.zeros(2 * STEPS))
+    moving = body(times(2 * STEPS))
+    away_m = torch.stack(
+        [
+            phases.advance(torch.stack((round_, round_, still, round_)))
+            for round_, still in zip(moving, standing, strict=True)
+        ]
+    )
+    half_circle, circle, at_rest, leaves_its_rest = away_m.unbind(dim=1)
+    assert half_circle.max() < 0.05
+    assert circle.max() < 0.06
+    assert at_rest.max() == 0.0
+    assert leaves_its_rest.max() > 0.6

@@ -246,6 +246,29 @@ def test_it_goes_on_where_straying_does_not_count(
     assert _zero_step(task)[2].tolist() == [0, 0]
 
 
+@pytest.mark.parametrize("motion_file", ["walk", "locomotion"])
+def test_only_episodes_that_are_to_keep_to_their_clips_end(make_humanoid, motion_file: str) -> None:
+    """Of several clips, or of one that is left again."""
+    torch.manual_seed(3)
+    task = make_humanoid(2, clipDeviation=0.3, stateInit="Start", motion_file=motion_file)
+    task.is_training = True
+    for followed in (True, False):
+        task.reset()
+        task.leave_clips(torch.tensor([0, 1]))
+        task.keep_to_clips(torch.tensor([0] if followed else []).long())
+        _raise_first(task)
+        assert _zero_step(task)[2].tolist() == [followed, 0]
+
+
+def test_episodes_that_start_in_no_clip_cannot_keep_to_one(make_humanoid) -> None:
+    task = make_humanoid(2, clipDeviation=0.3, stateInit="Default", motion_file="locomotion")
+    task.is_training = True
+    task.reset()
+    task.keep_to_clips(torch.tensor([0, 1]))
+    _raise_first(task)
+    assert _zero_step(task)[2].tolist() == [0, 0]
+
+
 def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
     """And one that follows the clip, turned about z and ahead of it, does not."""
     torch.manual_seed(3)
