@@ -126,6 +126,10 @@ class GenAMPAgent(SkillRewards, AMPAgent):
                 "train.params.config: clip_latents, enc_alignment_coef, enc_uniformity_coef or"
                 " network.disc.conditional",
             )
+        # An episode keeps to its clip while it has the latent of its start.
+        self._keeping: ClipKeepingEnv | None = None
+        if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
+            self._keeping = self._clips
 
     def init_tensors(self) -> None:
         """Allocate the rollout, latents included."""
@@ -166,9 +170,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         amp_obs = self.discriminator.truncate(self._clips.amp_obs_of(env_ids))
         latents, of_starts = self._clip_latents.for_starts(amp_obs)
         self.schedule.restart(env_ids, latents)
-        if fits(self._clips, ClipKeepingEnv):  # under another latent it may do something else
-            self._clips.leave_clips(env_ids)
-            self._clips.keep_to_clips(env_ids[of_starts])
+        if self._keeping is not None:
+            self._keeping.leave_clips(env_ids)
+            self._keeping.keep_to_clips(env_ids[of_starts])
 
     def _before_step(self) -> None:
         super()._before_step()
@@ -177,8 +181,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _update_latents(self) -> None:
         """Replace the latents whose time is over; called before each policy step."""
         changed = self.schedule.advance(self._progress())
-        if self._amp.clip_latents > 0.0 and fits(self._clips, ClipKeepingEnv):
-            self._clips.leave_clips(changed)
+        if self._keeping is not None:
+            self._keeping.leave_clips(changed)
 
     def _sample_latents(self, n: int) -> Tensor:
         """Return n random latents (n, Z), unit vectors."""
