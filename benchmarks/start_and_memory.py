@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.machine import describe_machine
@@ -22,23 +23,26 @@ from benchmarks.machine import describe_machine
 _TRAIN = Path(__file__).resolve().parents[1] / "train.py"
 
 
-def run_training(overrides: list[str]) -> tuple[float, float]:
+def run_training(overrides: Sequence[str], folder: str) -> float:
+    """Run a training in a working folder; return seconds to the first progress line."""
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, str(_TRAIN), *overrides], cwd=folder, stderr=subprocess.PIPE, text=True
+    )
+    first_epoch_s = float("nan")
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("epoch 1/"):
+            first_epoch_s = time.perf_counter() - start
+    if process.wait() != 0:
+        raise SystemExit(f"train.py failed with exit code {process.returncode}")
+    return first_epoch_s
+
+
+def run_humanoid_amp(overrides: Sequence[str]) -> tuple[float, float]:
     """Return seconds to the first progress line and peak memory in GiB of one training."""
     with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, str(_TRAIN), "task=HumanoidAMP", *overrides],
-            cwd=folder,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        first_epoch_s = float("nan")
-        assert process.stderr is not None
-        for line in process.stderr:
-            if line.startswith("epoch 1/"):
-                first_epoch_s = time.perf_counter() - start
-        if process.wait() != 0:
-            raise SystemExit(f"train.py failed with exit code {process.returncode}")
+        first_epoch_s = run_training(["task=HumanoidAMP", *overrides], folder)
     peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     return first_epoch_s, peak_kib / 2**20
 
@@ -51,9 +55,9 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*")
     args = parser.parse_args()
     print(describe_machine())
-    first_epoch_s, _ = run_training(["max_iterations=1", *args.overrides])
+    first_epoch_s, _ = run_humanoid_amp(["max_iterations=1", *args.overrides])
     print(f"default size: first epoch finished {first_epoch_s:.1f} s after the command")
-    _, peak_gib = run_training(
+    _, peak_gib = run_humanoid_amp(
         [f"num_envs={args.num_envs}", f"max_iterations={args.epochs}", *args.overrides]
     )
     print(f"{args.num_envs} envs, {args.epochs} epochs: peak memory {peak_gib:.2f} GiB")
