@@ -44,7 +44,7 @@ from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 
 # Until the replay buffer is full: its memory is touched for the first time before that.
 _WARM_UP_EPOCHS = 14
-_MINIBATCH = 4096
+_MINIBATCH, _AMP_MINIBATCH = 4096, 512
 _TABLE = (4, 8, 16, 32, 64)
 
 
@@ -108,6 +108,7 @@ def inside(args: argparse.Namespace) -> None:
             f"num_envs={args.num_envs}",
             f"num_threads={args.threads}",
             f"train.params.config.minibatch_size={_MINIBATCH * args.threads}",
+            f"train.params.config.amp_minibatch_size={_AMP_MINIBATCH}",
             "train.params.config.imitation_frequency=0",
             f"+train.params.config.train_dir={args.folder}",
             *args.overrides,
