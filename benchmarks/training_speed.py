@@ -1,6 +1,6 @@
 """How fast AMP trains: frames per second, where the time goes, and what the limit is.
 
-    python -m benchmarks.training_speed [--units 512 256] [--num-envs 256] [--epochs 8] [key=value]
+    python -m benchmarks.training_speed [--units 512 256] [--num-envs 512] [--epochs 8] [key=value]
     python -m benchmarks.training_speed --compare --units 1024 512
     python -m benchmarks.training_speed --against torch_deterministic=True
 
@@ -299,7 +299,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("overrides", nargs="*", help="settings, key=value")
     parser.add_argument("--units", type=int, nargs="+", default=[512, 256])
-    parser.add_argument("--num-envs", type=int, default=256)
+    parser.add_argument("--num-envs", type=int, default=512)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=3)

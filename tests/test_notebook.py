@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "first_walk.ipynb"
-SHORT = {"EPOCHS = 200": "EPOCHS = 2", "NUM_ENVS = 256": "NUM_ENVS = 64"}
+SHORT = {"EPOCHS = 110": "EPOCHS = 2", "NUM_ENVS = 512": "NUM_ENVS = 64"}
 
 
 @pytest.mark.slow

@@ -61,7 +61,7 @@ def test_interpolations_resolve_through_the_tree():
 
 
 @pytest.mark.parametrize(
-    ("rl_device", "sizes"), [("cpu", (256, 1024, 128)), ("cuda:1", (4096, 32768, 4096))]
+    ("rl_device", "sizes"), [("cpu", (512, 2048, 256)), ("cuda:1", (4096, 32768, 4096))]
 )
 def test_sizes_follow_the_device_that_learns(rl_device, sizes):
     cfg = compose([f"rl_device={rl_device}"])

@@ -57,7 +57,7 @@ def test_sizes_that_the_cpu_made_smaller():
     note = cpu_defaults_note(compose(["rl_device=cpu"]))
     assert note == (
         "defaults for learning on a CPU (on a GPU): "
-        "numEnvs 256 (4096), minibatch_size 1024 (32768), amp_minibatch_size 128 (4096), "
+        "numEnvs 512 (4096), minibatch_size 2048 (32768), amp_minibatch_size 256 (4096), "
         "amp_replay_buffer_size 200000 (1000000), amp_replay_keep_prob 0.1 (0.01), "
         "amp_input_memory 1000000 (null), disc_grad_penalty_final 0.2 (null), mini_epochs 3 (6), "
         "learning_rate 0.0002 (5e-05), "
