@@ -63,7 +63,7 @@ def test_arguments_are_those_of_isaacgymenvs_all_with_defaults() -> None:
 def test_the_defaults_make_the_task_file_s_environments(make) -> None:
     task = make()
     assert isinstance(task, HumanoidAMP)
-    assert task.num_envs == 1024  # of the task file, on a CPU
+    assert task.num_envs == 512  # of the task file, on a CPU
     assert task.max_episode_length == 300
     assert task.headless
     assert task.motion_lib.get_motion_length([0]).tolist() == [1.5]  # the clip of the test

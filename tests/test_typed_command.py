@@ -147,4 +147,4 @@ def test_the_list_that_a_start_refers_to(tmp_path: Path) -> None:
     (line,) = (line for line in said.splitlines() if "for learning on a CPU" in line)
     assert len(line) < 200
     listed = _run(line.split("listed by: ")[1], tmp_path)
-    assert "defaults for learning on a CPU (on a GPU): numEnvs 1024 (4096), " in listed
+    assert "defaults for learning on a CPU (on a GPU): numEnvs 512 (4096), " in listed

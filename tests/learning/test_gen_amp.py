@@ -170,7 +170,10 @@ def test_episodes_keep_to_their_clips_while_they_have_the_latent_of_their_start(
     before = agent.schedule.latents
     agent.schedule.change_at[:] = 9
     agent.schedule.change_at[::2] = 0
-    agent._before_step()
+    agent.horizon_length = 1
+    agent.set_eval()
+    with torch.no_grad():
+        agent.play_steps()
     changed = (agent.schedule.latents != before).any(dim=-1)
     assert changed.tolist() == [i % 2 == 0 for i in range(32)]
     assert kept == set((own & ~changed).nonzero().flatten().tolist())
