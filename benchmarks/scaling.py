@@ -109,6 +109,7 @@ def inside(args: argparse.Namespace) -> None:
             f"num_threads={args.threads}",
             f"train.params.config.minibatch_size={_MINIBATCH * args.threads}",
             f"train.params.config.amp_minibatch_size={_AMP_MINIBATCH}",
+            f"train.params.config.amp_batch_size={_AMP_MINIBATCH}",
             "train.params.config.imitation_frequency=0",
             f"+train.params.config.train_dir={args.folder}",
             *args.overrides,

@@ -81,6 +81,10 @@ class ClipPhases:
         """Follow environments (n,) no more."""
         self._phase[env_ids] = _NONE
 
+    def follows_any(self) -> bool:
+        """Return whether an environment is followed: none is, of several clips without latents."""
+        return bool((self._phase != _NONE).any())
+
     def advance(self, points: Tensor) -> Tensor:
         """Move all phases on by a control step.
 
@@ -90,8 +94,6 @@ class ClipPhases:
         Returns:
             (N,) m, how far each is from its clip; 0 where none is followed.
         """
-        if bool((self._phase == _NONE).all()):  # as of a policy without latents, of several clips
-            return torch.zeros(len(points), device=points.device)
         lengths = self._lengths[self._clip].unsqueeze(1)
         phases = self._phase.unsqueeze(1) + self._advances
         phases = torch.where(self._repeats[self._clip].unsqueeze(1), phases % lengths, phases)

@@ -297,7 +297,7 @@ class HumanoidAMP(HumanoidAMPBase):
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
-        if self._phases is not None and self.is_training:
+        if self._phases is not None and self.is_training and self._phases.follows_any():
             away_m = self._phases.advance(_points(self._character_states(None)))
             fallen = fallen | (away_m > self._phases.far_m)
         missed = self.goal.failures(self.contact_body_ids)

@@ -116,8 +116,10 @@ def test_environments_are_followed_one_by_one() -> None:
     phases = ClipPhases([clip()], 3, DT_S, far_m=0.3)
     far = torch.full((3, 3, 3), 9.0)
     assert phases.advance(far).tolist() == [0.0, 0.0, 0.0]
+    assert not phases.follows_any()
     phases.start(torch.tensor([0, 2]), torch.tensor([0, 0]), torch.tensor([0.0, 0.5]))
     assert (phases.advance(far) > 5.0).tolist() == [True, False, True]
+    assert phases.follows_any()
     phases.stop(torch.tensor([2]))
     assert (phases.advance(far) > 5.0).tolist() == [True, False, False]
 
