@@ -36,7 +36,7 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 
 RESULTS_DIR = Path(__file__).with_name("results")
 CURVES = "curves"
-"""Folder of the learning curves in that of the records."""
+"""Folder of the learning curves, in the folder of the records."""
 
 
 def measure(

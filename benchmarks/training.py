@@ -132,7 +132,7 @@ class Training:
         job: what it runs.
         cores: CPUs that it is pinned to.
         command: the command line, by default the plan's own.
-        clock_s: tells the time.
+        clock_s: returns the time in s.
     """
 
     def __init__(

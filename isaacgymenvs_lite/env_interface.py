@@ -265,7 +265,7 @@ def diverged_in(infos: Any, device: Any) -> Tensor | None:
 
 
 def reports_divergence(diverged: Any) -> TypeGuard[Tensor]:
-    """Return whether an info of this name is that of `VecTask`: a task may have another."""
+    """Return whether `VecTask` writes an info of this name: a task may have another."""
     return isinstance(diverged, Tensor) and diverged.ndim == 1 and diverged.dtype == torch.bool
 
 

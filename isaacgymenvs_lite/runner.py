@@ -107,7 +107,7 @@ def run(
         cfg: the tree.
         command: the command line that the tree was composed from, for hints; None if a program
             composed it.
-        stop: tells the caller afterwards whether the user has ended a training; None: nobody asks.
+        stop: stores whether the user has ended a training; None: the caller does not need it.
         direction: of a study, `minimize` or `maximize`; '' for none.
 
     Returns:
@@ -646,7 +646,7 @@ def _imitation_observer(
 
 
 def _played(result: EvaluationResult | None, objective: Objective) -> float | None:
-    """Return the number of played episodes; None if they could not be measured."""
+    """Return what `play` returns: a pose error in m, or a mean reward; None if not measured."""
     if result is None:
         return None
     value = result.reward

@@ -1,7 +1,7 @@
 """Modules whose names can be imported; using one raises an error that names the replacement.
 
 Scripts import names that they do not use on every run, such as those of launchers of processes;
-and names of the simulator are in signatures of functions that nobody calls. An import of such a
+and names of the simulator are in signatures of functions that are never called. An import of such a
 name succeeds; calling it, or reading anything of it, raises an `UnavailableError`.
 """
 

@@ -73,8 +73,8 @@ class AMPParams:
     warm_start_noise: float = setting(0.1, minimum=0)
     """New here: noise on the observations meanwhile, in standard deviations of each."""
     warm_start_frozen_epochs: int = setting(6, minimum=0)
-    """New here: epochs after a warm start in which only critic and discriminator learn: they know
-    nothing yet, and would lead the policy astray."""
+    """New here: epochs after a warm start in which only critic and discriminator learn: before,
+    they would lead the policy astray."""
     enable_eps_greedy: bool = setting(False)
     """ASE's: some environments act without exploration noise, so that the discriminator sees
     motion free of noise; their steps do not train the policy."""

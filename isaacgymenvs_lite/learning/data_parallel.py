@@ -1,6 +1,6 @@
 """Mixin of PPO's agents: several processes train one policy, each with its own environments.
 
-rl_games averages gradients, KL and the decision to end over the processes; it knows NCCL only, and
+rl_games averages gradients, KL and the decision to end over the processes; it uses NCCL only, and
 its constructor starts it. So the agent is made as in a single process, and joins the others before
 its first epoch. What rl_games leaves out is here: equal parameters at the start, the frame and the
 statistics of episodes of all processes. Normalisers and advantages are in `distributed.moments`.

@@ -5,7 +5,7 @@
 
 A training writes FILE, the states before the last control steps, into `diverged/` of its run
 folder. The steps are computed again, and each physics step prints the largest acceleration and
-speed with their joints. The model is that of the run's config.yaml, or of the words after FILE;
+speed with their joints. The model comes from the run's config.yaml, or from the words after FILE;
 FILE itself holds numbers only.
 """
 
@@ -171,7 +171,7 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
         f" {first + len(recording.states) - 1}, {recording.substeps} physics steps each"
     )
     if model_identity(model) != recording.model_id:
-        yield "the model is not that of the recording: give the settings of its training"
+        yield "the recording was made with another model: give the settings of its training"
     widest = max((len(_joint_of(model, dof)) for dof in range(model.nv)), default=5)
     yield f"{'step':>10} {'time (s)':>9} {'max |qacc|':>11} {'joint':{widest}}" + (
         f" {'max |qvel|':>11} joint"

@@ -9,7 +9,7 @@ from typing import Any
 KEY_NAMES = ("up", "down", "left", "right", "space", *string.ascii_lowercase, *string.digits)
 """What a task can receive."""
 
-# Nobody types faster; whoever opens a page can send more.
+# Faster than people type; whoever opens a page can send more.
 _MAX_PER_S = 20.0
 
 
@@ -18,7 +18,7 @@ class TaskKeys:
 
     Args:
         env: the task (`VecTask`).
-        are_passed: False drops all keys: in a training nobody should change what is learned.
+        are_passed: False drops all keys: a viewer must not change what a training learns.
     """
 
     def __init__(self, env: Any, are_passed: bool = True) -> None:

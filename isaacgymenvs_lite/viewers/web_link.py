@@ -87,7 +87,7 @@ class TaskEnd:
     def _send(self, packet: bytes, *files: int) -> bool:
         try:
             socket.send_fds(self._link, [packet], files)
-        except OSError:  # no room, or nobody at the other end
+        except OSError:  # no room, or the other end is closed
             return False
         return True
 
@@ -112,7 +112,7 @@ class TaskEnd:
         while len(pressed) < _MAX_KEYS:
             try:
                 packet = self._link.recv(_MAX_KEY_BYTES)
-            except OSError:  # none, or nobody at the other end
+            except OSError:  # none, or the other end is closed
                 break
             if not packet:
                 break

@@ -12,7 +12,7 @@ What differs from IsaacGymEnvs:
   *fails* in its last step is no time-out, so that trainers which bootstrap there do not value a
   fall.
 - A step whose simulation diverged earns nothing and cuts its episode off: not a failure, as the
-  task did not end it. Its last observation is that of the step before, the last good one, and
+  task did not end it. Its last observation is the last good one, of the step before, and
   `infos["diverged"]` marks it, so that agents leave it out of their updates.
 - An action that is not finite is a failure without a reward; the physics gets zero in its place.
 - `step` returns copies, so that a caller may keep them over the next step.

@@ -56,7 +56,7 @@ class ReachSettings(GoalSettings):
     hand of a character that has none."""
     reach_obs_relative: bool = setting(False, key="reachObsRelative")
     """This project's: observe the point relative to the root in the plane. ASE observes it in the
-    world, so that a character away from the origin cannot tell where the point is."""
+    world, so that a character away from the origin does not observe where the point is."""
 
 
 class Reach(TimedGoal):

@@ -34,7 +34,7 @@ WINDOW_S = 1.0
 # A robot stalls that goes less than this share of a commanded way for a second, though the command,
 # of at least so much, has lasted for longer: a robot needs some steps to begin.
 _STALLED_SHARE, _LEAST_COMMAND_M_S, _TIME_TO_GO_S = 0.3, 0.25, 1.5
-# Moments of a clip whose mean motion is that of the second.
+# Moments of a clip; their mean motion stands for the whole second.
 _NUM_AHEAD = 8
 # Axis of the command and direction of the keys; presses from 0 to the end of a range.
 _STEERING = {
@@ -133,7 +133,7 @@ class Velocity(TimedGoal):
         super().attach(simulation, dt_s)
         n, device = simulation.num_envs, simulation.device
         self.commands = torch.zeros(n, 3, device=device)
-        # None: nobody steers.
+        # None: commands are drawn.
         self._steered: list[float] | None = None
         # What the last steps moved less than commanded, in turns, and how many there are of them.
         window = max(1, round(WINDOW_S / dt_s))
