@@ -241,7 +241,7 @@ _OPEN: list[RunFolder] = []
 
 
 def folder_of_checkpoint(checkpoint: Path) -> RunFolder:
-    """Return the run folder that a checkpoint is written to: the open one, if this process trains in it."""
+    """Return the run folder of a checkpoint: the open one, if this process trains in it."""
     for folder in _OPEN:
         if checkpoint.parent in (folder.checkpoints, folder.checkpoints.absolute()):
             return folder
