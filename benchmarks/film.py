@@ -6,7 +6,7 @@
 The target is a checkpoint, a run folder or an experiment, as for `benchmarks.evaluate`; of several
 policies the first is filmed. Mean actions, one panel for each environment. A policy that imitates
 is filmed beside its clip, from the same phase on. `--out` ends in .webp or .mp4. Shipped policies
-are filmed by `python -m isaacgymenvs_lite.demo`. Extra: [video].
+are filmed by `isaacgymenvs-lite demo`. Extra: [video].
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
         [--frames 16384] [--rounds 3] [--torch-first] [--load idle|busy|both]
 
 `script` is the example of docs/other_libraries.md, `workflow` the command
-`python -m isaacgymenvs_lite.workflows sb3 train`. Each is run with nothing set, as a user has it,
+`isaacgymenvs-lite workflows sb3 train`. Each is run with nothing set, as a user has it,
 and with its peers: torch's own choice (all CPUs, idle threads that spin, as before this project set
 anything), all CPUs with OMP_WAIT_POLICY=PASSIVE, and one thread. The runs take turns, each in a
 process of its own. Under load a process for each CPU does nothing but work.

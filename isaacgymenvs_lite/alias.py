@@ -1,6 +1,6 @@
 """Runs a script with `import isaacgymenvs`, unchanged.
 
-    python -m isaacgymenvs_lite.alias SCRIPT [its arguments]
+    isaacgymenvs-lite alias SCRIPT [its arguments]
 
 In this one process, `isaacgymenvs` and everything below it mean this package; nothing is installed
 under that name. `import gym` means gymnasium where gym is not installed. The names of `isaacgym`
@@ -131,7 +131,7 @@ def install() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the script that the command line names."""
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.alias",
+        prog="isaacgymenvs-lite alias",
         description=(__doc__ or "").partition("\n")[0],
     )
     parser.add_argument("script", type=Path, help="a Python file that imports isaacgymenvs")

@@ -1,7 +1,7 @@
 """Checks a task or train file and describes its training, without training; or the installation.
 
-    python -m isaacgymenvs_lite.check FILE.yaml [task=<name>] [key=value ...]
-    python -m isaacgymenvs_lite.check                    # versions and what works, for an issue
+    isaacgymenvs-lite check FILE.yaml [task=<name>] [key=value ...]
+    isaacgymenvs-lite check                    # versions and what works, for an issue
 
 FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
 task that its name begins with, or with `task=`. The command lists the algorithm, the network,
@@ -65,7 +65,7 @@ _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check the file that the command line names, or the installation; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.check",
+        prog="isaacgymenvs-lite check",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,4 +1,4 @@
-"""Runs commands that take `key=value` words: python -m isaacgymenvs_lite.demo key=value ..."""
+"""Runs commands that take `key=value` words: isaacgymenvs-lite demo key=value ..."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Plays the shipped policies and records videos: python -m isaacgymenvs_lite.demo [key=value ...].
+"""Plays the shipped policies and records videos: isaacgymenvs-lite demo [key=value ...].
 
-    python -m isaacgymenvs_lite.demo                            # asks which; demo/<name>.mp4
-    python -m isaacgymenvs_lite.demo policies=[walk] seconds=10
-    python -m isaacgymenvs_lite.demo format=webp seconds=2      # small: a moving picture for a page
-    python -m isaacgymenvs_lite.demo format=png seconds=1       # eight poses
+    isaacgymenvs-lite demo                            # asks which; demo/<name>.mp4
+    isaacgymenvs-lite demo policies=[walk] seconds=10
+    isaacgymenvs-lite demo format=webp seconds=2      # small: a moving picture for a page
+    isaacgymenvs-lite demo format=png seconds=1       # eight poses
 
 For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
 the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
@@ -249,7 +249,7 @@ def save_performance(performance: Performance, path: Path) -> Path:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.demo", description=__doc__)
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite demo", description=__doc__)
     return run_command(parser, DemoSettings, run_demo, arguments)
 
 

@@ -1,6 +1,6 @@
 """Describes this installation on one screen, to paste into an issue.
 
-Used by `python -m isaacgymenvs_lite.check` without a file. Each line says what works here, or what
+Used by `isaacgymenvs-lite check` without a file. Each line says what works here, or what
 does not and how to mend it; nothing is changed.
 """
 

@@ -1,7 +1,7 @@
-"""Lists the policies that ship, and packs more: python -m isaacgymenvs_lite.policies COMMAND.
+"""Lists the policies that ship, and packs more: isaacgymenvs-lite policies COMMAND.
 
-    python -m isaacgymenvs_lite.policies list
-    python -m isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME [clip=CLIP]
+    isaacgymenvs-lite policies list
+    isaacgymenvs-lite policies pack checkpoint=FILE name=NAME [clip=CLIP]
 
 `checkpoint` is a file of a run (runs/<run>/nn/*.pth), or `last` for the newest. The packed policy
 is written to assets/policies, or to the folder out=FOLDER, and can be played by its name:
@@ -73,9 +73,7 @@ _COMMANDS = {"list": (ListSettings, show), "pack": (PackSettings, pack)}
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.policies", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite policies", description=__doc__)
     parser.add_argument("command", choices=_COMMANDS)
     words = sys.argv[1:] if arguments is None else arguments
     settings, action = _COMMANDS.get(words[0] if words else "", _COMMANDS["pack"])

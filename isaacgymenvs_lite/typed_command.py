@@ -14,7 +14,6 @@ PACKAGE = "isaacgymenvs_lite"
 CONSOLE_SCRIPT = "isaacgymenvs-lite"
 """The program that an installed package brings along; its first word is a command."""
 _TRAIN = f"{PACKAGE}.train"
-_CHECK = f"{PACKAGE}.check"
 _NUM_PLAYED = 16
 # Root keys that a policy depends on, beside all keys of task and train.
 _KEPT_KEYS = ("rl_device", "task_checkout")
@@ -81,7 +80,7 @@ class TypedCommand:
         task, train = named["task"], named.get("train")
         words = [task] if train is None else [train, f"task={task}"]
         words += [word for word in self.words if _key(word) == "rl_device"]
-        return shlex.join([_python(), "-m", _CHECK, *words])
+        return package_command("check", *words)
 
     def _task_words(self, default: str) -> list[str]:
         """Return `task=`, and `train=` unless it is the task's default."""
@@ -104,6 +103,18 @@ class TypedCommand:
 def _key(word: str) -> str:
     """Return the key of an override, `task.env.x` for `+task.env.x=1`."""
     return word.partition("=")[0].lstrip("+~")
+
+
+def package_command(*words: str) -> str:
+    """Return a command of this package for a shell, in which no environment may be active.
+
+    Args:
+        words: its name, such as `check`, and its arguments.
+    """
+    found = shutil.which(CONSOLE_SCRIPT)
+    is_own = found is not None and Path(found).parent == Path(sys.executable).parent
+    program = [CONSOLE_SCRIPT] if is_own else [_python(), "-m", PACKAGE]
+    return shlex.join([*program, *words])
 
 
 def words_of_job(typed: Sequence[str], job: Sequence[str]) -> list[str]:

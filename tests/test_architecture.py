@@ -20,11 +20,12 @@ LOOPS = {"play_steps", "train_epoch", "calc_gradients"}
 # Every package and top-level module, from the lowest to the highest. Each may import only what
 # stands before it; modules of one package may import each other, but never in a circle.
 LAYERS = (
-    *("errors", "_version", "paths", "yaml_text", "schema", "utils", "distributed", "config"),
+    *("errors", "_version", "paths", "typed_command"),
+    *("yaml_text", "schema", "utils", "distributed", "config"),
     *("simulation", "robots", "rendering", "command_line", "motion"),
     *("env_interface", "gymnasium_ids"),
     *("tasks", "evaluation", "run", "checkpoints", "learning", "pbt", "viewers"),
-    *("env_factory", "wrappers", "registration", "typed_command", "runner"),
+    *("env_factory", "wrappers", "registration", "runner"),
     *(
         "installation",
         "check",

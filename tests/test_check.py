@@ -1,4 +1,4 @@
-"""`python -m isaacgymenvs_lite.check`: what a file asks for, in words."""
+"""`isaacgymenvs-lite check`: what a file asks for, in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m isaacgymenvs_lite.check` without a file: does this installation work?"""
+"""`isaacgymenvs-lite check` without a file: does this installation work?"""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 from isaacgymenvs_lite import typed_command
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
+from isaacgymenvs_lite.typed_command import TypedCommand, package_command, words_of_job
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PLAYED = "test=True checkpoint=last num_envs=16"
@@ -66,10 +67,21 @@ def test_going_on() -> None:
 
 
 def test_checking() -> None:
-    python = typed_command._python()
-    start = f"{python} -m isaacgymenvs_lite.check"
-    assert command("num_envs=3").check("Default") == f"{start} Default"
-    assert command("task=Ant", "train=AntSAC").check("x") == f"{start} AntSAC task=Ant"
+    assert command("num_envs=3").check("Default") == package_command("check", "Default")
+    expected = package_command("check", "AntSAC", "task=Ant")
+    assert command("task=Ant", "train=AntSAC").check("x") == expected
+
+
+def test_a_command_of_the_package_runs_in_any_shell(tmp_path, monkeypatch) -> None:
+    """Its short name is for a shell that finds this environment's program by it."""
+    monkeypatch.chdir(tmp_path)
+    own = Path(sys.executable).parent
+    for path, program in (
+        (own, "isaacgymenvs-lite"),
+        (tmp_path, f"{shlex.quote(sys.executable)} -m isaacgymenvs_lite"),
+    ):
+        monkeypatch.setenv("PATH", str(path))
+        assert package_command("replay", "my run/1.npz") == f"{program} replay 'my run/1.npz'"
 
 
 def test_a_job_of_a_sweep() -> None:

@@ -1,1 +1,1 @@
-"""Trained policies as files of other runtimes: python -m isaacgymenvs_lite.export."""
+"""Trained policies as files of other runtimes: isaacgymenvs-lite export."""

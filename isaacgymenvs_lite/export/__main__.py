@@ -1,9 +1,9 @@
-"""Writes a policy into one file: python -m isaacgymenvs_lite.export checkpoint=... format=onnx.
+"""Writes a policy into one file: isaacgymenvs-lite export checkpoint=... format=onnx.
 
-    python -m isaacgymenvs_lite.export checkpoint=walk                          # walk.onnx
-    python -m isaacgymenvs_lite.export checkpoint=last                          # policy.onnx
-    python -m isaacgymenvs_lite.export checkpoint=last task=Ant format=torchscript out=ant.pt
-    python -m isaacgymenvs_lite.export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
+    isaacgymenvs-lite export checkpoint=walk                          # walk.onnx
+    isaacgymenvs-lite export checkpoint=last                          # policy.onnx
+    isaacgymenvs-lite export checkpoint=last task=Ant format=torchscript out=ant.pt
+    isaacgymenvs-lite export checkpoint=old.pth task=Ant train=/path/to/AntPPO.yaml
 
 The file takes raw observations and returns actions within the task's limits; the normalisers are
 part of it. `checkpoint` is a .pth file, `last` (the newest one of all runs, or of `task=`), or a
@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     others = [word for word in words if "=" in word and word.partition("=")[0] not in _OWN_KEYS]
     own = [word for word in words if word not in others]
-    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.export", description=__doc__)
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite export", description=__doc__)
     return run_command(
         parser, ExportSettings, lambda settings: export_policy(settings, others), own
     )

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 # What to do with a clip of a robot, and with one of a humanoid, where the other is expected.
 ROBOT_HINT = "a clip of a robot needs task=RobotAMP in training, robot=FILE in the clip commands"
-RETARGET_HINT = "retarget it with python -m isaacgymenvs_lite.motion.convert IN OUT.npz robot=FILE"
+RETARGET_HINT = "retarget it with isaacgymenvs-lite convert IN OUT.npz robot=FILE"
 # Offsets in files are rounded to 1e-4 m; beyond this the clip was made for another body.
 _OFFSET_TOLERANCE_M = 0.01
 # A knee or elbow that turns this far out of its axis (0.6 deg) loses visible motion.

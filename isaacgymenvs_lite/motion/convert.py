@@ -1,9 +1,9 @@
-"""Converts motion clips: python -m isaacgymenvs_lite.motion.convert IN OUT [key=value ...].
+"""Converts motion clips: isaacgymenvs-lite convert IN OUT [key=value ...].
 
-    python -m isaacgymenvs_lite.motion.convert amp_humanoid_walk.npy walk.npz
-    python -m isaacgymenvs_lite.motion.convert walk.npz walk.csv fps=30 start_s=0.5 end_s=2
-    python -m isaacgymenvs_lite.motion.convert dance.bvh dance.npz mapping=lafan1
-    python -m isaacgymenvs_lite.motion.convert walk g1_walk.npz robot=mjcf/g1.xml
+    isaacgymenvs-lite convert amp_humanoid_walk.npy walk.npz
+    isaacgymenvs-lite convert walk.npz walk.csv fps=30 start_s=0.5 end_s=2
+    isaacgymenvs-lite convert dance.bvh dance.npz mapping=lafan1
+    isaacgymenvs-lite convert walk g1_walk.npz robot=mjcf/g1.xml
 
 IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file. The suffix of OUT
 determines its format: .npz (this project's), .npy (poselib's), .txt or .json (DeepMimic's), .csv
@@ -200,9 +200,7 @@ def _joint_file(settings: ConvertSettings) -> JointFileSettings:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.convert", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite convert", description=__doc__)
     parser.add_argument("source", metavar="IN", help="the clip to read")
     parser.add_argument("out", metavar="OUT", help="the file to write")
     files = argparse.Namespace()

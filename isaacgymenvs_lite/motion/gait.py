@@ -1,7 +1,7 @@
-"""Makes a gait of any quadruped: python -m isaacgymenvs_lite.motion.gait ROBOT OUT [key=value ...].
+"""Makes a gait of any quadruped: isaacgymenvs-lite gait ROBOT OUT [key=value ...].
 
-    python -m isaacgymenvs_lite.motion.gait assets/mjcf/quadruped.xml trot.npz speed=1
-    python -m isaacgymenvs_lite.motion.gait a1.urdf walk.npz gait=walk speed=0.4 frequency=1.2
+    isaacgymenvs-lite gait assets/mjcf/quadruped.xml trot.npz speed=1
+    isaacgymenvs-lite gait a1.urdf walk.npz gait=walk speed=0.4 frequency=1.2
 
 ROBOT is an MJCF or URDF of a quadruped that looks along x; OUT is a clip of its joint coordinates
 (.npz), for task=RobotAMP. Keys:
@@ -239,9 +239,7 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.gait", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite gait", description=__doc__)
     parser.add_argument("source", metavar="ROBOT", help="the robot's MJCF or URDF")
     parser.add_argument("out", metavar="OUT", help="the file to write")
     files = argparse.Namespace()

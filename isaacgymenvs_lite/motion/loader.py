@@ -40,7 +40,7 @@ _DATASET_SUFFIXES = (".yaml", ".yml")
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
 # Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
 _MAX_REPEATED_POSES = 160_000
-_CONVERT = "python -m isaacgymenvs_lite.motion.convert IN.bvh OUT.npz"
+_CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,9 @@
-"""Plots a clip: python -m isaacgymenvs_lite.motion.plot CLIP out=FILE.png.
+"""Plots a clip: isaacgymenvs-lite plot CLIP out=FILE.png.
 
 Over time: the angles of all joints (rad; of ball joints the length of the rotation vector), the
 height of the root (m), and when each foot is on the ground. A clip of a robot needs its file:
 
-    python -m isaacgymenvs_lite.motion.plot g1_walk robot=mjcf/g1.xml out=walk.png
+    isaacgymenvs-lite plot g1_walk robot=mjcf/g1.xml out=walk.png
 """
 
 from __future__ import annotations
@@ -133,9 +133,7 @@ def _draw_contacts(
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.plot", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite plot", description=__doc__)
     parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
     words = argparse.Namespace()
     return run_command(

@@ -1,7 +1,7 @@
-"""Checks the file of a robot: python -m isaacgymenvs_lite.motion.robot FILE [out=FILE.png].
+"""Checks the file of a robot: isaacgymenvs-lite robot FILE [out=FILE.png].
 
-    python -m isaacgymenvs_lite.motion.robot mjcf/g1.xml               # what is taken and added
-    python -m isaacgymenvs_lite.motion.robot /robots/g1.urdf out=start.png
+    isaacgymenvs-lite robot mjcf/g1.xml               # what is taken and added
+    isaacgymenvs-lite robot /robots/g1.urdf out=start.png
 
 FILE is an MJCF or URDF: absolute, relative to the working directory, or a name in assets/. It is
 read as task=RobotAMP reads it, and not changed. The picture shows the start pose from the right and
@@ -57,9 +57,7 @@ def check_robot(file: str, settings: RobotCheckSettings) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.robot", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite robot", description=__doc__)
     parser.add_argument("file", metavar="FILE", help="an MJCF or URDF of a robot")
     words = argparse.Namespace()
     return run_command(

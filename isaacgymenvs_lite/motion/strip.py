@@ -1,7 +1,7 @@
-"""Renders a clip as a strip of frames: python -m isaacgymenvs_lite.motion.strip CLIP OUT.png.
+"""Renders a clip as a strip of frames: isaacgymenvs-lite strip CLIP OUT.png.
 
-    python -m isaacgymenvs_lite.motion.strip walk walk.png seconds=0.9 frames=8 azimuth=180
-    python -m isaacgymenvs_lite.motion.strip g1_walk walk.png robot=mjcf/g1.xml
+    isaacgymenvs-lite strip walk walk.png seconds=0.9 frames=8 azimuth=180
+    isaacgymenvs-lite strip g1_walk walk.png robot=mjcf/g1.xml
 
 CLIP is a motion file of any format, or the name of a shipped one; a clip of a robot needs its file,
 robot=. The strip shows the first `seconds` of it (default: all) in `frames` poses (8), from the
@@ -130,9 +130,7 @@ def draw_strip(name: str, out: Path, settings: StripSettings) -> Path:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.strip", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite strip", description=__doc__)
     parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
     parser.add_argument("out", metavar="OUT", type=Path, help="the PNG to write")
     words = argparse.Namespace()

@@ -1,9 +1,9 @@
-"""Shows or records a clip: python -m isaacgymenvs_lite.motion.view CLIP [out=FILE.mp4].
+"""Shows or records a clip: isaacgymenvs-lite view CLIP [out=FILE.mp4].
 
-    python -m isaacgymenvs_lite.motion.view walk                   # in a window, again and again
-    python -m isaacgymenvs_lite.motion.view walk out=walk.mp4      # without a display
-    python -m isaacgymenvs_lite.motion.view run.npy out=run.webp seconds=2 azimuth=180
-    python -m isaacgymenvs_lite.motion.view g1_walk robot=mjcf/g1.xml out=walk.mp4
+    isaacgymenvs-lite view walk                   # in a window, again and again
+    isaacgymenvs-lite view walk out=walk.mp4      # without a display
+    isaacgymenvs-lite view run.npy out=run.webp seconds=2 azimuth=180
+    isaacgymenvs-lite view g1_walk robot=mjcf/g1.xml out=walk.mp4
 
 CLIP is a motion file of any format, or the name of a shipped one. A clip of a robot needs its file,
 an MJCF or URDF: robot=/robots/g1.xml, or a name in assets/.
@@ -103,9 +103,7 @@ def _show(
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.motion.view", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite view", description=__doc__)
     parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
     words = argparse.Namespace()
     return run_command(

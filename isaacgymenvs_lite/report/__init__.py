@@ -1,1 +1,1 @@
-"""What a run did, on one page: python -m isaacgymenvs_lite.report runs/<run>."""
+"""What a run did, on one page: isaacgymenvs-lite report runs/<run>."""

@@ -1,7 +1,7 @@
-"""Writes what a run did onto one HTML page: python -m isaacgymenvs_lite.report runs/<run>.
+"""Writes what a run did onto one HTML page: isaacgymenvs-lite report runs/<run>.
 
-    python -m isaacgymenvs_lite.report runs/HumanoidAMP_22-10-15-30             # report.html in it
-    python -m isaacgymenvs_lite.report runs/HumanoidAMP_22-10-15-30 out=walk.html
+    isaacgymenvs-lite report runs/HumanoidAMP_22-10-15-30             # report.html in it
+    isaacgymenvs-lite report runs/HumanoidAMP_22-10-15-30 out=walk.html
 
 The page has the curves, the configuration and the last video of the run, and needs no other file.
 """
@@ -40,7 +40,7 @@ class _Run(argparse.Action):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m isaacgymenvs_lite.report", description=__doc__)
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite report", description=__doc__)
     run = parser.add_argument("run", action=_Run, help="folder of the run")
 
     def report(settings: ReportSettings) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.simulation.recording import write_recording
+from isaacgymenvs_lite.typed_command import package_command
 
 log = logging.getLogger(__name__)
 
@@ -47,8 +48,8 @@ class DivergenceFiles:
             self._written += 1
             if not self._has_reported:
                 self._has_reported = True
-                show = "python -m isaacgymenvs_lite.simulation.replay"
-                log.warning("a simulation diverged; '%s %s' shows how", show, path)
+                show = package_command("replay", str(path))
+                log.warning("a simulation diverged; '%s' shows how", show)
 
     def render(self) -> None:
         """Nothing to show."""

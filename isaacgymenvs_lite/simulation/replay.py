@@ -1,7 +1,7 @@
-"""Shows how a simulation diverged: python -m isaacgymenvs_lite.simulation.replay FILE.
+"""Shows how a simulation diverged: isaacgymenvs-lite replay FILE.
 
-    python -m isaacgymenvs_lite.simulation.replay runs/Ant_22-10-15-30/diverged/0001.npz
-    python -m isaacgymenvs_lite.simulation.replay 0001.npz task=Ant task.sim.dt=0.02
+    isaacgymenvs-lite replay runs/Ant_22-10-15-30/diverged/0001.npz
+    isaacgymenvs-lite replay 0001.npz task=Ant task.sim.dt=0.02
 
 A training writes FILE, the states before the last control steps, into `diverged/` of its run
 folder. The steps are computed again, and each physics step prints the largest acceleration and
@@ -202,7 +202,7 @@ def main(arguments: list[str] | None, make_model: ModelMaker) -> int:
         make_model: makes the model of a recording; this package does not contain tasks.
     """
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.simulation.replay",
+        prog="isaacgymenvs-lite replay",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

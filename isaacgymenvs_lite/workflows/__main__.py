@@ -1,9 +1,9 @@
-"""Trains or plays an agent of sb3, skrl or rsl_rl: python -m isaacgymenvs_lite.workflows sb3 train.
+"""Trains or plays an agent of sb3, skrl or rsl_rl: isaacgymenvs-lite workflows sb3 train.
 
-    python -m isaacgymenvs_lite.workflows sb3 train task=Cartpole num_envs=64
-    python -m isaacgymenvs_lite.workflows sb3 play task=Cartpole
+    isaacgymenvs-lite workflows sb3 train task=Cartpole num_envs=64
+    isaacgymenvs-lite workflows sb3 play task=Cartpole
 
-`python -m isaacgymenvs_lite.workflows sb3 train --help` lists the keys.
+`isaacgymenvs-lite workflows sb3 train --help` lists the keys.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the verb for the library that the command line names; return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     parser = argparse.ArgumentParser(
-        prog="python -m isaacgymenvs_lite.workflows",
+        prog="isaacgymenvs-lite workflows",
         usage=f"%(prog)s {'|'.join(LIBRARIES)} {'|'.join(VERBS)} task=<name> [key=value ...]",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

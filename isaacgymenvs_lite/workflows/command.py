@@ -1,6 +1,6 @@
 """The command line of the workflows: `key=value` as for train.py, Isaac Lab's options as synonyms.
 
-    python -m isaacgymenvs_lite.workflows sb3 train task=Ant num_envs=64 agent.ppo.gamma=0.98
+    isaacgymenvs-lite workflows sb3 train task=Ant num_envs=64 agent.ppo.gamma=0.98
     python -m isaacgymenvs_lite.workflows.sb3.train --task Ant --num_envs 64 agent.ppo.gamma=0.98
 
 Each option is a synonym of a key. A key belongs to the command (`TrainSettings`, `PlaySettings`),
@@ -29,6 +29,7 @@ from isaacgymenvs_lite.errors import (
 )
 from isaacgymenvs_lite.gymnasium_ids import task_of_id
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
+from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT
 from isaacgymenvs_lite.utils.optional_packages import require
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 from isaacgymenvs_lite.workflows.library import Library
@@ -311,8 +312,8 @@ def make_parser(library: Library, verb: str) -> argparse.ArgumentParser:
     """
     title = library.title
     parser = _Parser(
-        prog=library.command(verb),
-        usage=f"{library.command(verb)} task=<name> [key=value ...]",
+        prog=f"{CONSOLE_SCRIPT} workflows {library.name} {verb}",
+        usage="%(prog)s task=<name> [key=value ...]",
         description=_HELP.format(verb=verb.capitalize(), title=title, **_VERB_HELP[verb]),
         epilog="Other options of Isaac Lab's scripts are accepted, or refused with what to use.",
         formatter_class=argparse.RawDescriptionHelpFormatter,

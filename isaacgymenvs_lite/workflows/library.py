@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.typed_command import package_command
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # Library -> keys that only its checkpoints have. Stable-Baselines3 writes archives with a member.
@@ -102,8 +103,8 @@ class Library:
         return getattr(module, self.agent_class)(task, content, device, seed)
 
     def command(self, verb: str) -> str:
-        """Return the command that trains or plays: `python -m ...workflows sb3 train`."""
-        return f"python -m isaacgymenvs_lite.workflows {self.name} {verb}"
+        """Return the command that trains or plays, for a shell."""
+        return package_command("workflows", self.name, verb)
 
 
 def read_parameters(checkpoint: Path, library: Library) -> dict[str, Any]:
@@ -173,6 +174,6 @@ def _wrong_kind(checkpoint: Path, library: Library, kind: str | None) -> str:
     if kind == "rl_games":
         hint = f"; play it with python train.py task=... test=True checkpoint={checkpoint}"
     elif kind is not None:
-        hint = f"; play it with python -m isaacgymenvs_lite.workflows {kind} play"
+        hint = f"; play it with {package_command('workflows', kind, 'play')}"
     what = f"a checkpoint of {kind}" if kind else "no checkpoint of a known library"
     return f"checkpoint={checkpoint}: {what}, expected one of {library.title}{hint}"

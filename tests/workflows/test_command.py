@@ -113,7 +113,7 @@ def test_the_published_modules_are_the_same_command(name, verb, monkeypatch, cap
         main([name, verb, "--help"])
     assert ended.value.code == 0
     text = capsys.readouterr().out
-    assert f"usage: python -m isaacgymenvs_lite.workflows {name} {verb} task=<name>" in text
+    assert f"usage: isaacgymenvs-lite workflows {name} {verb} task=<name>" in text
     module = f"isaacgymenvs_lite.workflows.{name}.{verb}"
     monkeypatch.setattr(sys, "argv", [module, "--help"])
     with pytest.raises(SystemExit):
@@ -149,9 +149,8 @@ def test_a_library_or_a_verb_that_does_not_exist_is_one_line(words, message, cap
 
 def test_without_words_the_usage_is_shown(capsys):
     assert main([]) == 0
-    assert "usage: python -m isaacgymenvs_lite.workflows sb3|skrl|rsl_rl train|play" in (
-        capsys.readouterr().out
-    )
+    usage = "usage: isaacgymenvs-lite workflows sb3|skrl|rsl_rl train|play"
+    assert usage in capsys.readouterr().out
 
 
 def test_the_tutorials_options_are_accepted(library, run_train, run_play, tmp_path, caplog):

@@ -1,4 +1,4 @@
-"""Plays an agent of rsl_rl: python -m isaacgymenvs_lite.workflows rsl_rl play."""
+"""Plays an agent of rsl_rl: isaacgymenvs-lite workflows rsl_rl play."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Trains an agent of rsl_rl: python -m isaacgymenvs_lite.workflows rsl_rl train."""
+"""Trains an agent of rsl_rl: isaacgymenvs-lite workflows rsl_rl train."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Plays an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows sb3 play."""
+"""Plays an agent of Stable-Baselines3: isaacgymenvs-lite workflows sb3 play."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Trains an agent of Stable-Baselines3: python -m isaacgymenvs_lite.workflows sb3 train."""
+"""Trains an agent of Stable-Baselines3: isaacgymenvs-lite workflows sb3 train."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Plays an agent of skrl: python -m isaacgymenvs_lite.workflows skrl play."""
+"""Plays an agent of skrl: isaacgymenvs-lite workflows skrl play."""
 
 import sys
 

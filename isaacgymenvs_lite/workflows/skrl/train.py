@@ -1,4 +1,4 @@
-"""Trains an agent of skrl: python -m isaacgymenvs_lite.workflows skrl train."""
+"""Trains an agent of skrl: isaacgymenvs-lite workflows skrl train."""
 
 import sys
 
