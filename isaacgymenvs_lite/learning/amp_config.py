@@ -110,6 +110,9 @@ class GenAMPParams(AMPParams):
     latent_sharpness: float = setting(0.0, minimum=0)
     """New here, for a conditional discriminator: above 0 random latents are paired with motions of
     the clips whose own latents are near, the more exclusively the larger it is."""
+    disc_mismatched_demos: float = setting(0.0, minimum=0, maximum=1)
+    """New here, for a conditional discriminator: share of the replayed rows in whose place it
+    receives demonstrations under the latents of others, as fakes."""
     enc_alignment_coef: float = setting(0.0, minimum=0)
     """New here: weight of the loss that brings together what the encoder reads at moments of a
     clip that are near each other."""

@@ -297,8 +297,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
         batch_dict |= self._demo_disc_batch(self.discriminator.sample_demos(rows))
-        replayed = self.discriminator.sample_replay(self._agent_disc_batch(batch_dict))
-        for name, values in replayed.items():
+        for name, values in self._replayed_disc_batch(batch_dict).items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
     def _schedule_grad_penalty(self) -> None:
@@ -324,6 +323,10 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _agent_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         """Return the fake rows, given the rollout's; their names begin with `amp_obs`."""
         return {"amp_obs": batch_dict["amp_obs"]}
+
+    def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """Return more fake rows, as many and with the same names: of earlier rollouts."""
+        return self.discriminator.sample_replay(self._agent_disc_batch(batch_dict))
 
     def _log_rewards(self) -> None:
         task, style = self._rollout_rewards["task_rewards"], self._rollout_rewards["disc_rewards"]

@@ -22,7 +22,7 @@ from isaacgymenvs_lite.env_interface import (
     fits,
     require,
 )
-from isaacgymenvs_lite.errors import OverrideError
+from isaacgymenvs_lite.errors import ConfigError, OverrideError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.common_agent import LossTerms, weighted_mean
@@ -112,6 +112,12 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         )
         # A subclass' loss as published has three arguments and draws the other latents itself.
         self._diversity_loss_takes_latents = accepts(self._diversity_loss, 4)
+        if self._amp.disc_mismatched_demos > 0.0 and not self._disc_is_conditional:
+            raise ConfigError(
+                "train.params.config.disc_mismatched_demos: only a discriminator that receives"
+                " latents can find a wrong one; set train.params.network.disc.conditional=True, or"
+                " leave it out"
+            )
         self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
         if self._needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
             raise OverrideError(
@@ -252,6 +258,23 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._disc_is_conditional:
             fakes["amp_obs_latents"] = batch_dict["amp_latents"]
         return fakes
+
+    def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
+        """As AMP; with `disc_mismatched_demos` some rows are demonstrations under wrong latents.
+
+        The policy gets no reward then for a good motion that is not what its latent stands for
+        (Reed et al. 2016, "Generative Adversarial Text to Image Synthesis", algorithm 1).
+        """
+        fakes = super()._replayed_disc_batch(batch_dict)
+        num = round(self._amp.disc_mismatched_demos * len(fakes["amp_obs"]))
+        if num == 0:
+            return fakes
+        mismatched = {
+            "amp_obs": batch_dict["amp_obs_demo"],
+            # Rows are drawn at random, so that the one before is a random other one.
+            "amp_obs_latents": batch_dict["amp_obs_demo_latents"].roll(1, dims=0),
+        }
+        return {name: torch.cat((mismatched[name][:num], fakes[name][num:])) for name in mismatched}
 
     def _log_rewards(self) -> None:
         super()._log_rewards()

@@ -196,3 +196,24 @@ def test_without_it_all_rows_keep_their_own_latents(make, roll_out):
     demos = all_demos(agent)
     near = demos["amp_obs_near"][places(batch["amp_obs_demo"], demos["amp_obs"])]
     torch.testing.assert_close(batch["amp_obs_demo_latents"], agent.encoder.read(near))
+
+
+def test_a_good_motion_under_a_wrong_latent_is_a_fake(make, roll_out):
+    agent = make(f"++{CONFIG}.disc_mismatched_demos=0.25")
+    batch = roll_out(agent)
+    make_training_set(agent, batch)
+    num = len(batch["amp_obs"]) // 4
+    fakes, latents = batch["amp_obs_replay"], batch["amp_obs_replay_latents"]
+    assert torch.equal(fakes[:num], batch["amp_obs_demo"][:num])
+    real = batch["amp_obs_demo_latents"]
+    assert (latents[:num] - real[:num]).norm(dim=-1).min() > 0.01
+    assert torch.equal(latents[1:num], real[: num - 1])  # of other demonstrations
+    # The others are the policy's, under its own latents.
+    assert torch.equal(fakes[num:], batch["amp_obs"][num:])
+    assert torch.equal(latents[num:], batch["amp_latents"][num:])
+
+
+def test_without_latents_there_are_no_wrong_ones(make):
+    words = ("train.params.network.disc.conditional=False", f"++{CONFIG}.disc_mismatched_demos=0.5")
+    with pytest.raises(ConfigError, match="disc_mismatched_demos: only a discriminator that"):
+        make(*words)
