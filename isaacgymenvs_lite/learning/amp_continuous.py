@@ -17,6 +17,7 @@ Hooks that this agent adds, for agents with other rewards or rows:
 | `_reward_latents` | inputs of the rewards beside `amp_obs` | GenAMP |
 | `_combine_rewards` | the sum of the reward terms | GenAMP |
 | `_demo_disc_batch`, `_agent_disc_batch` | real and fake rows for the discriminator | GenAMP |
+| `_replayed_disc_batch` | more fake rows, from earlier rollouts | GenAMP |
 | `_log_rewards` | scalars of the reward terms | GenAMP |
 | `_disc_loss`, `_disc_loss_neg`, `_disc_loss_pos` | the discriminator's loss | - |
 | `_compute_disc_acc` | its logged accuracies | - |

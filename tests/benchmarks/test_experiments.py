@@ -37,7 +37,8 @@ def test_every_experiment_composes(name, walk_clip):
 
 def test_every_variant_composes(walk_clip):
     for variant in VARIANTS:
-        compose_experiment(f"walk+{variant}", walk_clip)
+        base = "skills" if variant == "mismatched_demos" else "walk"
+        compose_experiment(f"{base}+{variant}", walk_clip)
 
 
 def test_variants_change_what_they_say_and_may_be_joined(walk_clip):

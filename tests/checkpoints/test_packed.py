@@ -22,7 +22,10 @@ from isaacgymenvs_lite.runner import load_player
 
 def play(cfg: DictConfig) -> tuple[list[Tensor], EvaluationResult]:
     """Four episodes of at most five steps: all actions, and what was measured."""
-    cfg.task.env.episodeLength = 6
+    if "learn" in cfg.task.env:  # Anymal's keys
+        cfg.task.env.learn.episodeLength_s = 0.12
+    else:
+        cfg.task.env.episodeLength = 6
     with load_player(cfg) as player:
         actions, act = list[Tensor](), player.act
         player.act = lambda obs: actions.append(act(obs)) or actions[-1]

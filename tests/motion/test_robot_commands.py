@@ -285,7 +285,7 @@ def test_clips_of_others_are_not_shown(line_of, main) -> None:
     assert "only the file has left_hip_pitch, left_hip_roll" in line
     line = line_of(main, "walk", G1, "out=a.png")
     assert "its skeleton lacks left_hip_pitch_link" in line
-    assert "motion.convert IN OUT.npz robot=FILE" in line
+    assert "isaacgymenvs-lite convert IN OUT.npz robot=FILE" in line
     line = line_of(main, "g1_walk", "out=a.png")
     assert "robot=FILE in the clip commands" in line
     assert not Path("a.png").exists()
