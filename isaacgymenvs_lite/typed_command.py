@@ -106,14 +106,13 @@ def _key(word: str) -> str:
 
 
 def package_command(*words: str) -> str:
-    """Return a command of this package for a shell, in which no environment may be active.
+    """Return a command of this package for a shell whose virtual environment may not be active.
 
     Args:
         words: its name, such as `check`, and its arguments.
     """
-    found = shutil.which(CONSOLE_SCRIPT)
-    is_own = found is not None and Path(found).parent == Path(sys.executable).parent
-    program = [CONSOLE_SCRIPT] if is_own else [_python(), "-m", PACKAGE]
+    is_found = _finds_own(CONSOLE_SCRIPT)
+    program = [CONSOLE_SCRIPT] if is_found else [_python(), "-m", PACKAGE]
     return shlex.join([*program, *words])
 
 
@@ -169,9 +168,15 @@ def _shortest(script: str) -> str:
     return Path(script).name if found is not None and Path(found) == Path(script) else script
 
 
+def _finds_own(program: str) -> bool:
+    """Return whether a shell finds the program of this environment by its name."""
+    found = shutil.which(program)
+    return found is not None and Path(found).parent == Path(sys.executable).parent
+
+
 def _python() -> str:
     """Return a name of this interpreter for a shell whose virtual environment may not be active."""
-    own, found = Path(sys.executable), shutil.which("python")
-    if found is not None and Path(found).parent == own.parent:
+    if _finds_own("python"):
         return "python"
+    own = Path(sys.executable)
     return str(own.relative_to(Path.cwd())) if own.is_relative_to(Path.cwd()) else str(own)

@@ -73,7 +73,7 @@ class AMPParams:
     warm_start_noise: float = setting(0.1, minimum=0)
     """New here: noise on the observations meanwhile, in standard deviations of each."""
     warm_start_frozen_epochs: int = setting(6, minimum=0)
-    """New here: epochs after a warm start in which only critic and discriminator learn: before,
+    """New here: epochs after a warm start in which only critic and discriminator learn: untrained
     they would lead the policy astray."""
     enable_eps_greedy: bool = setting(False)
     """ASE's: some environments act without exploration noise, so that the discriminator sees

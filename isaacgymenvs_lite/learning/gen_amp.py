@@ -262,8 +262,9 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
         """As AMP; with `disc_mismatched_demos` some rows are demonstrations under wrong latents.
 
-        The policy gets no reward then for a good motion that is not what its latent stands for
-        (Reed et al. 2016, "Generative Adversarial Text to Image Synthesis", algorithm 1).
+        The discriminator learns from them that a good motion is not enough: it must be the motion
+        of its latent (Reed et al. 2016, "Generative Adversarial Text to Image Synthesis",
+        algorithm 1).
         """
         fakes = super()._replayed_disc_batch(batch_dict)
         num = round(self._amp.disc_mismatched_demos * len(fakes["amp_obs"]))

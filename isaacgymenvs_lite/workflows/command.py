@@ -29,7 +29,6 @@ from isaacgymenvs_lite.errors import (
 )
 from isaacgymenvs_lite.gymnasium_ids import task_of_id
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
-from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT
 from isaacgymenvs_lite.utils.optional_packages import require
 from isaacgymenvs_lite.workflows.agent_files import PREFIX
 from isaacgymenvs_lite.workflows.library import Library
@@ -312,7 +311,7 @@ def make_parser(library: Library, verb: str) -> argparse.ArgumentParser:
     """
     title = library.title
     parser = _Parser(
-        prog=f"{CONSOLE_SCRIPT} workflows {library.name} {verb}",
+        prog=f"isaacgymenvs-lite workflows {library.name} {verb}",
         usage="%(prog)s task=<name> [key=value ...]",
         description=_HELP.format(verb=verb.capitalize(), title=title, **_VERB_HELP[verb]),
         epilog="Other options of Isaac Lab's scripts are accepted, or refused with what to use.",

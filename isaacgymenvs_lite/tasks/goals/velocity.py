@@ -34,7 +34,7 @@ WINDOW_S = 1.0
 # A robot stalls that goes less than this share of a commanded way for a second, though the command,
 # of at least so much, has lasted for longer: a robot needs some steps to begin.
 _STALLED_SHARE, _LEAST_COMMAND_M_S, _TIME_TO_GO_S = 0.3, 0.25, 1.5
-# Moments of a clip; their mean motion stands for the whole second.
+# Moments of the next second of a clip, over which its motion is averaged.
 _NUM_AHEAD = 8
 # Axis of the command and direction of the keys; presses from 0 to the end of a range.
 _STEERING = {
