@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", nargs="?", help="a task or train file, or its name")
-    parser.add_argument("settings", nargs="*", metavar="key=value")
+    parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
     args = parser.parse_args(arguments)
     if args.file is None:
         from isaacgymenvs_lite.installation import describe_installation  # torch, MuJoCo

@@ -49,7 +49,7 @@ def run_command(
         The exit code.
     """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("settings", nargs="*", metavar="key=value")
+    parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
     given = parser.parse_args(arguments, words or argparse.Namespace()).settings
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:

@@ -14,6 +14,7 @@ atomically and load them without running code.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 from rl_games.algos_torch import model_builder
@@ -89,6 +90,8 @@ def register_algorithms(runner: Runner) -> None:
 def register_networks() -> None:
     """Register our models, networks, checkpoints and tasks with rl_games, for all Runners."""
     checkpoints.install()
+    # rl_games scripts its normalisers, and torch 2.14 tells each user that this is deprecated.
+    warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     if _ENV_NAME not in env_configurations.configurations:
         register_env()
     for name, model in _MODELS.items():

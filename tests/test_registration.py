@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import pytest
@@ -115,6 +116,15 @@ def test_checkpoints_are_ours_after_registering(runner):
     assert torch_ext.save_checkpoint is checkpoints.save_checkpoint
     # rl_games' agents look the function up when they save
     assert a2c_continuous.torch_ext is torch_ext
+
+
+def test_users_do_not_read_that_rl_games_scripts_its_normalisers():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        register(Runner())
+        warnings.warn("`torch.jit.script` is deprecated. Please", FutureWarning, stacklevel=1)
+        warnings.warn("another of torch", FutureWarning, stacklevel=1)
+    assert [str(warning.message) for warning in caught] == ["another of torch"]
 
 
 def test_the_observer_of_a_new_runner():

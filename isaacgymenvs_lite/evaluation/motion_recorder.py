@@ -23,7 +23,7 @@ class MotionRecorder:
     """Records the first episode of environment 0 of a task with reference motions.
 
     A humanoid's clip has the rotations of its bodies, a robot's the coordinates of its joints, as
-    the clips of `motion.convert`.
+    the clips that the command `convert` writes.
 
     Args:
         env: the task.

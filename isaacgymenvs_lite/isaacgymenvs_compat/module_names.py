@@ -48,8 +48,8 @@ ABSENT: dict[str, str] = {
         "tasks with arms are not here yet",
     ),
     "tasks.amp.poselib": (
-        "clips in poselib's format are read by isaacgymenvs_lite.motion; python -m"
-        " isaacgymenvs_lite.motion.convert makes and retargets them"
+        "clips in poselib's format are read by isaacgymenvs_lite.motion; isaacgymenvs-lite"
+        " convert makes and retargets them"
     ),
     "tasks.amp.utils_amp.data_tree": "data sets of clips are YAML files, docs/motion_formats.md",
     "tasks.amp.utils_amp.gym_util": "it drives Isaac Gym's viewer; docs/watching.md",

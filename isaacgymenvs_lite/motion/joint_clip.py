@@ -195,8 +195,8 @@ class JointClip:
         for order in QUAT_ORDERS if self.file_quat_order else ():
             if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
                 text += (
-                    f", but not if the quaternions of the file are {order}: motion.convert reads"
-                    f" them so with quat_order={order}"
+                    f", but not if the quaternions of the file are {order}:"
+                    f" isaacgymenvs-lite convert reads them so with quat_order={order}"
                 )
         return [text]
 

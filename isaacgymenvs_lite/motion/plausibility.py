@@ -207,8 +207,8 @@ def _off_ground(poses: _Poses) -> str:
         return ""
     where = f"{-ground_m:.2f} m below" if ground_m < 0 else f"{ground_m:.2f} m above"
     return (
-        f"its lowest points are {where} the ground (task.env.groundClips=True or motion.convert"
-        " ground=True puts them on it)"
+        f"its lowest points are {where} the ground (task.env.groundClips=True, or"
+        " isaacgymenvs-lite convert with ground=True, puts them on it)"
     )
 
 

@@ -60,7 +60,7 @@ def view_clip(name: str, settings: ViewSettings) -> None:
     if settings.out:
         check_encoder()
     else:
-        check_display("motion.view without out=", "out=FILE.mp4")
+        check_display("view without out=", "out=FILE.mp4")
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     model, qpos = clip_to_qpos(clip, skeleton if robot else None)
     poses = qpos[_frames(clip, settings.seconds)]
