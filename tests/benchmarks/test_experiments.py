@@ -37,7 +37,7 @@ def test_every_experiment_composes(name, walk_clip):
 
 def test_every_variant_composes(walk_clip):
     for variant in VARIANTS:
-        base = "skills" if variant == "mismatched_demos" else "walk"
+        base = "skills" if variant in ("mismatched_demos", "diversity") else "walk"
         compose_experiment(f"{base}+{variant}", walk_clip)
 
 
