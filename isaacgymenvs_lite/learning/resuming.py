@@ -25,7 +25,7 @@ from isaacgymenvs_lite.checkpoints.training_state import (
     write_training_state,
 )
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError, one_line
+from isaacgymenvs_lite.errors import CheckpointError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
 from isaacgymenvs_lite.utils.object_state import (
     read_generators,
@@ -236,16 +236,10 @@ class Resuming(BaseAlgorithm):
 
         Raises:
             CheckpointError: it does not fit. Nothing was trained.
-            ConfigError: the run had reached its last epoch.
         """
         state, self._to_resume = self._to_resume, None
         if state is None:
             return
-        if self.epoch_num >= self.max_epochs > 0:
-            raise ConfigError(
-                f"resume={self._resumed_from}: the run has trained its {self.max_epochs} epochs; to"
-                " go on give more of them: max_iterations=N"
-            )
         fresh: list[str] = []
         try:
             self._write_memory(state, fresh)

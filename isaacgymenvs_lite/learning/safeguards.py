@@ -79,6 +79,19 @@ class Safeguards(Resuming):
         fitted = Fitting(self._source).parts(weights, self._parts())
         super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
 
+    def train(self) -> Any:
+        """Train as rl_games.
+
+        Raises:
+            ConfigError: what was restored has reached the last epoch.
+        """
+        if self._restored_from and self.epoch_num >= self.max_epochs > 0:
+            raise ConfigError(
+                f"{self._source}: trained for {self.epoch_num} epochs, and max_epochs is"
+                f" {self.max_epochs}; to go on give more of them: max_iterations=N, in all"
+            )
+        return super().train()
+
     @property
     def _source(self) -> str:
         key = "resume" if self.config.get("resume") else "checkpoint"

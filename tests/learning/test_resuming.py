@@ -17,7 +17,7 @@ from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.errors import CheckpointError, UserError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC, TINY_STYLE
@@ -39,7 +39,11 @@ AGENTS = {
         *("task.env.observationNoise.dof_vel=1.5", "task.env.actionDelay=[0,2]"),
         *("task.env.pushRobots=True", "task.env.pushInterval_s=0.1"),
     ),
-    "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES),
+    # Its own schedule, linear, depends on how many epochs a run has in all.
+    "gen_amp": (
+        *("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES),
+        f"{CONFIG}.lr_schedule=constant",
+    ),
     "lstm": (*TINY_LSTM, *ONE_THREAD, f"{CONFIG}.seq_length=4"),
     "sac": (*TINY_SAC, *ONE_THREAD, SHORT_EPISODES),
 }
@@ -206,6 +210,15 @@ def test_a_run_does_not_decide_who_looks_on(stopped):
     assert check_config(resumed_tree(["resume=last", "viewer=web"])).viewer == "web"
 
 
+def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
+    file = next(stopped.glob("nn/last*_ep_2_*.pth"))
+    words = ["task=HumanoidAMP", *TINY_AMP, f"checkpoint={file}", "max_iterations=1"]
+    with pytest.raises(
+        ConfigError, match=r"checkpoint=.*: trained for 2 epochs, and max_epochs is 1"
+    ):
+        train(tmp_path, words)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -214,7 +227,10 @@ def test_a_run_does_not_decide_who_looks_on(stopped):
         (["resume=last", "task=Ant"], "resume=last: no run with task.name=Ant"),
         (["resume=last", "task.env.num_legs=3"], r"task.env.num_legs=3.*settings of the run"),
         (["resume=last", "--multirun"], "only settings can be given"),
-        (["resume=last", "max_iterations=2"], "has trained its 2 epochs; to go on give more"),
+        (
+            ["resume=last", "max_iterations=2"],
+            "resume=.*: trained for 2 epochs, and max_epochs is 2; to go on give more",
+        ),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
     ],
 )
