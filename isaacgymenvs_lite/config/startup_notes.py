@@ -36,6 +36,8 @@ _CPU_SETTINGS = {
     "train.params.config.disc_grad_penalty_final": "disc_grad_penalty_final",
     "train.params.config.mini_epochs": "mini_epochs",
     "train.params.config.learning_rate": "learning_rate",
+    "train.params.config.lr_schedule": "lr_schedule",
+    "train.params.config.max_epochs": "max_epochs",
     "train.params.network.mlp.units": "mlp.units",
     "train.params.network.disc.units": "disc.units",
     "train.params.network.disc.conditional": "disc.conditional",
