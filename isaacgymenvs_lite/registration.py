@@ -90,7 +90,7 @@ def register_algorithms(runner: Runner) -> None:
 def register_networks() -> None:
     """Register our models, networks, checkpoints and tasks with rl_games, for all Runners."""
     checkpoints.install()
-    # rl_games scripts its normalisers, and torch 2.14 tells each user that this is deprecated.
+    # rl_games scripts its normalisers, for which torch 2.14 prints a warning that no user can mend.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     if _ENV_NAME not in env_configurations.configurations:
         register_env()
