@@ -87,7 +87,7 @@ class Safeguards(Resuming):
         """
         if self._restored_from and self.epoch_num >= self.max_epochs > 0:
             raise ConfigError(
-                f"{self._source}: trained for {self.epoch_num} epochs, and max_epochs is"
+                f"{self._source}: its last epoch was {self.epoch_num}, and max_epochs is"
                 f" {self.max_epochs}; to go on give more of them: max_iterations=N, in all"
             )
         return super().train()

@@ -214,7 +214,7 @@ def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
     file = next(stopped.glob("nn/last*_ep_2_*.pth"))
     words = ["task=HumanoidAMP", *TINY_AMP, f"checkpoint={file}", "max_iterations=1"]
     with pytest.raises(
-        ConfigError, match=r"checkpoint=.*: trained for 2 epochs, and max_epochs is 1"
+        ConfigError, match=r"checkpoint=.*: its last epoch was 2, and max_epochs is 1"
     ):
         train(tmp_path, words)
 
@@ -229,7 +229,7 @@ def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
         (["resume=last", "--multirun"], "only settings can be given"),
         (
             ["resume=last", "max_iterations=2"],
-            "resume=.*: trained for 2 epochs, and max_epochs is 2; to go on give more",
+            "resume=.*: its last epoch was 2, and max_epochs is 2; to go on give more",
         ),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
     ],
