@@ -5,11 +5,12 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf, flag_override
+from omegaconf import DictConfig, OmegaConf, flag_override
 
 from isaacgymenvs_lite.config.train_files import merge_defaults
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.schema import leaves, plain
 
 # Read by Isaac Gym's PhysX, its importer or its viewer, by nothing here.
 _ROOT_KEYS = ("physics_engine", "solver_type", "num_subscenes", "graphics_device_id")
@@ -24,43 +25,11 @@ _TASK_KEYS = (
 _TASK_SECTIONS = ("sim.physx", "sim.flex")
 _ABSENT = object()
 
-# Keys whose shipped defaults differ on a CPU -> their short names for users.
-_CPU_SETTINGS = {
-    "task.env.numEnvs": "numEnvs",
-    "train.params.config.minibatch_size": "minibatch_size",
-    "train.params.config.amp_minibatch_size": "amp_minibatch_size",
-    "train.params.config.amp_replay_buffer_size": "amp_replay_buffer_size",
-    "train.params.config.amp_replay_keep_prob": "amp_replay_keep_prob",
-    "train.params.config.amp_input_memory": "amp_input_memory",
-    "train.params.config.disc_grad_penalty": "disc_grad_penalty",
-    "train.params.config.disc_grad_penalty_final": "disc_grad_penalty_final",
-    "train.params.config.mini_epochs": "mini_epochs",
-    "train.params.config.learning_rate": "learning_rate",
-    "train.params.config.lr_schedule": "lr_schedule",
-    "train.params.config.max_epochs": "max_epochs",
-    "train.params.network.mlp.units": "mlp.units",
-    "train.params.network.disc.units": "disc.units",
-    "train.params.network.disc.conditional": "disc.conditional",
-    "train.params.network.enc.separate": "enc.separate",
-    "train.params.network.latent_scale": "latent_scale",
-    "train.params.config.gamma": "gamma",
-    "train.params.config.disc_input_noise": "disc_input_noise",
-    **{
-        f"train.params.config.{key}": key
-        for key in (
-            "latent_dim",
-            "disc_reward_w",
-            "enc_reward_w",
-            "amp_obs_steps",
-            "enc_coef",
-            "enc_alignment_coef",
-            "enc_uniformity_coef",
-            "clip_latents",
-            "amp_diversity_bonus",
-            "exploration_correlation",
-        )
-    },
-}
+# What a user need not type to find a key, the longest first.
+_SECTIONS = ("task.env.", "task.", "train.params.config.", "train.params.network.", "train.params.")
+# They follow another default.
+_FOLLOWING_KEYS = ("train.params.config.num_actors",)
+_GPU = "cuda:0"
 
 
 def startup_notes(cfg: DictConfig, check_command: str) -> list[str]:
@@ -109,17 +78,30 @@ def _cpu_defaults(cfg: DictConfig) -> list[str]:
         return []
     on_gpu = copy.deepcopy(cfg)
     with flag_override(on_gpu, "readonly", False):
-        on_gpu.rl_device = "cuda:0"
-    settings = []
-    for path, name in _CPU_SETTINGS.items():
-        here, there = OmegaConf.select(cfg, path), OmegaConf.select(on_gpu, path)
-        if here != there:
-            settings.append(f"{name} {_short(here)} ({_short(there)})")
-    return settings
+        on_gpu.rl_device = _GPU
+    here, there = _settings(cfg), _settings(on_gpu)
+    return [
+        f"{_short_name(path)} {_short(value)} ({_short(there.get(path))})"
+        for path, value in here.items()
+        if value != there.get(path) != _GPU and path not in _FOLLOWING_KEYS
+    ]
+
+
+def _settings(cfg: DictConfig) -> dict[str, Any]:
+    """Return the values of the task and of the training by their paths."""
+    sections = {path: OmegaConf.select(cfg, path) for path in ("task", "train.params")}
+    return {
+        leaf: value for path, tree in sections.items() for leaf, value in leaves(plain(tree), path)
+    }
+
+
+def _short_name(path: str) -> str:
+    section = next((name for name in _SECTIONS if path.startswith(name)), "")
+    return path.removeprefix(section)
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, ListConfig):
+    if isinstance(value, list):
         return "-".join(str(entry) for entry in value)
     return "null" if value is None else str(value)
 

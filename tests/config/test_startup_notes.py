@@ -1,4 +1,5 @@
 import pytest
+from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys, startup_notes
@@ -57,13 +58,37 @@ def test_sizes_that_the_cpu_made_smaller():
     note = cpu_defaults_note(compose(["rl_device=cpu"]))
     assert note == (
         "defaults for learning on a CPU (on a GPU): "
-        "numEnvs 512 (4096), minibatch_size 2048 (32768), amp_minibatch_size 256 (4096), "
-        "amp_replay_buffer_size 200000 (1000000), amp_replay_keep_prob 0.1 (0.01), "
-        "amp_input_memory 1000000 (null), disc_grad_penalty_final 0.2 (null), mini_epochs 3 (6), "
-        "learning_rate 0.0002 (5e-05), "
-        "mlp.units 512-256 (1024-512), disc.units 512-256 (1024-512)"
+        "numEnvs 512 (4096), mlp.units 512-256 (1024-512), disc.units 512-256 (1024-512), "
+        "save_frequency 100 (50), minibatch_size 2048 (32768), mini_epochs 3 (6), "
+        "learning_rate 0.0002 (5e-05), amp_replay_buffer_size 200000 (1000000), "
+        "amp_replay_keep_prob 0.1 (0.01), amp_batch_size 256 (512), "
+        "amp_minibatch_size 256 (4096), disc_grad_penalty_final 0.2 (null), "
+        "amp_input_memory 1000000 (null)"
     )
     assert cpu_defaults_note(compose(["rl_device=cuda:0"])) is None
+
+
+def test_every_default_of_skills_on_a_cpu_is_named():
+    """Values are compared with the two trees, by another walk through them."""
+    here, there = (
+        OmegaConf.to_container(compose(["task=HumanoidASE", f"rl_device={device}"]), resolve=True)
+        for device in ("cpu", "cuda:0")
+    )
+    note = cpu_defaults_note(compose(["task=HumanoidASE", "rl_device=cpu"]))
+    assert note is not None
+    config, on_gpu = (tree["train"]["params"]["config"] for tree in (here, there))
+    different = {key for key in config if config[key] != on_gpu[key]} - {"num_actors"}
+    assert "disc_mismatched_demos" in different
+    for key in different:
+        assert f" {key} {'null' if config[key] is None else config[key]} (" in note
+
+
+def test_a_device_in_a_users_file_is_no_default(config_dir):
+    file = config_dir / "train" / "Published.yaml"
+    file.write_text(file.read_text() + "    device: ${....rl_device}\n")
+    cfg = compose(["rl_device=cpu", "train=Published", "num_envs=64"], config_dir)
+    assert cfg.train.params.config.device == "cpu"
+    assert cpu_defaults_note(cfg) is None
 
 
 def test_sizes_that_the_user_gave_are_not_named(config_dir):
@@ -89,7 +114,7 @@ def test_startup_notes(override, expected):
 
 def test_the_list_of_cpu_defaults_is_for_those_who_ask():
     notes = startup_notes(compose(["rl_device=cpu"]), "check it")
-    assert notes == ["11 defaults are for learning on a CPU, listed by: check it"]
+    assert notes == ["13 defaults are for learning on a CPU, listed by: check it"]
 
 
 def test_notes_change_nothing():
