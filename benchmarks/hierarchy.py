@@ -1,15 +1,17 @@
 """Measures the levels of a hierarchy by the fixed protocol.
 
     python -m benchmarks.hierarchy skills TARGET [TARGET ...] [key=value ...]
+    python -m benchmarks.hierarchy clips TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy getup TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
 `skills` plays low-level controllers under latents as in training: which clips of the data set their
-motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `getup`
-plays low-level controllers of HumanoidASEGetup from the ground: the share of characters that are up
-within 3 s, and stay up until 6 s.
-`goal` plays policies on a task: the task's return, 1 for the full reward in every step.
+motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `clips`
+plays each of them under latents of one clip after the other, and compares how fast the character
+goes and turns with the clip. `getup` plays low-level controllers of HumanoidASEGetup from the
+ground: the share of characters that are up within 3 s, and stay up until 6 s. `goal` plays policies
+on a task: the task's return, 1 for the full reward in every step.
 
 Targets are those of `benchmarks.evaluate`. 128 episodes of up to 300 steps from the default pose,
 the same goals for all policies; mean actions. `--random-latents` plays a hierarchy's low level
@@ -38,8 +40,12 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
+from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
 
 EPISODES = 128
+CLIP_STEPS, CLIP_STARTS = 150, 40
+"""Control steps under latents of one clip, and after how many of them it is under way."""
 GETUP_S = 3.0
 CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
@@ -69,6 +75,75 @@ class Skills:
             f"coverage {self.coverage:.2f}, encoder reward {self.encoder_reward:.3f}"
             f" ({self.shuffled_reward:.3f} shuffled), without a fall {self.no_fall_share:.2f}"
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How fast a character goes and turns, in the heading frame of its root.
+
+    Attributes:
+        forward: m/s.
+        left: m/s.
+        turn: degrees/s, to the left.
+    """
+
+    forward: float
+    left: float
+    turn: float
+
+    def __str__(self) -> str:
+        return f"{self.forward:.2f}, {self.left:.2f}, {self.turn:.0f}"
+
+    @classmethod
+    def of(cls, root_pos: torch.Tensor, root_rot: torch.Tensor, dt_s: float) -> Pace:
+        """Return the means over roots (T, n, 3) m and (T, n, 4) xyzw of consecutive moments."""
+        travel = xy_in_heading_frame(
+            root_rot[:-1].flatten(0, 1), (root_pos[1:] - root_pos[:-1])[..., :2].flatten(0, 1)
+        )
+        ahead = facing(root_rot.flatten(0, 1)).view(*root_rot.shape[:2], 2)
+        before, after = ahead[:-1], ahead[1:]
+        cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
+        turn = torch.atan2(cross, (before * after).sum(-1)).rad2deg()
+        forward, left = (travel.mean(dim=0) / dt_s).tolist()
+        return cls(forward=forward, left=left, turn=turn.mean().item() / dt_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipSkill:
+    """What a low-level controller does under latents of one clip.
+
+    Attributes:
+        clip: how fast the clip goes and turns.
+        shown: how fast the character does.
+        encoder_reward: mean of the steps.
+        no_fall_share: of the characters.
+    """
+
+    clip: Pace
+    shown: Pace
+    encoder_reward: float
+    no_fall_share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipSkills:
+    """What a low-level controller does under latents of each clip, by the clips' names."""
+
+    clips: dict[str, ClipSkill]
+
+    def __str__(self) -> str:
+        columns = (
+            "clip",
+            "m/s forward, left, degrees/s",
+            "shown",
+            "encoder reward",
+            "without a fall",
+        )
+        rows = [columns, ("---",) * len(columns)]
+        for name, of in self.clips.items():
+            shares = f"{of.encoder_reward:.2f}", f"{of.no_fall_share:.2f}"
+            rows.append((name, str(of.clip), str(of.shown), *shares))
+        return "".join(f"\n| {' | '.join(row)} |" for row in rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +218,54 @@ def measure_skills(player: Any, env: Any) -> Skills:
     )
 
 
+def measure_clips(player: Any, env: Any) -> ClipSkills:
+    """Play a low-level controller under latents of each clip; see the module docstring.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not hasattr(player, "hold_latents"):
+        raise ConfigError("clips: expected a policy of algo: name: gen_amp or ase")
+    clips = env.motion_lib
+    own_clip = torch.arange(env.num_envs) % clips.num_motions()
+    player.hold_latents(player.encoder.read(moments_of(env.windows_of_clips(), own_clip)))
+    obs, roots, agreements = env.reset(), [], []
+    stays_up = torch.ones(env.num_envs, dtype=torch.bool)
+    for _ in range(CLIP_STEPS):
+        obs, _, dones, infos = env.step(player.act(obs))
+        found = player.encoder.read(infos["amp_obs"].to(player.device))
+        agreements.append((found * player.current_latents).sum(dim=-1).cpu())
+        roots.append(env.simulation.root_states[:, :7].cpu().clone())
+        stays_up &= ~dones.bool().cpu()
+    moving, agreement = torch.stack(roots[CLIP_STARTS:]), torch.stack(agreements[CLIP_STARTS:])
+    skills = {}
+    for clip in range(clips.num_motions()):
+        of_clip = (own_clip == clip).nonzero().flatten()
+        root = moving[:, of_clip]
+        skills[Path(clips.get_motion(clip).name).stem] = ClipSkill(
+            clip=_pace_of_clip(clips, clip, env.control_dt_s),
+            shown=Pace.of(root[..., :3], root[..., 3:], env.control_dt_s),
+            encoder_reward=agreement[:, of_clip].clamp(min=0.0).mean().item(),
+            no_fall_share=stays_up[of_clip].float().mean().item(),
+        )
+    return ClipSkills(clips=skills)
+
+
+def moments_of(windows: list[torch.Tensor], clips: torch.Tensor) -> torch.Tensor:
+    """Return a window (N, F) of clips (N,) each, evenly spread over the clip."""
+    rows = torch.empty(len(clips), windows[0].shape[1])
+    for clip, of_clip in enumerate(windows):
+        (envs,) = (clips == clip).nonzero(as_tuple=True)
+        rows[envs] = of_clip[torch.linspace(0, len(of_clip) - 1, len(envs)).long()].cpu()
+    return rows
+
+
+def _pace_of_clip(clips: MotionLib, clip: int, dt_s: float) -> Pace:
+    times_s = torch.arange(0.0, float(clips.get_motion_length([clip])), dt_s)
+    state = clips.get_motion_state(torch.full((len(times_s),), clip), times_s)
+    return Pace.of(state.root_pos.cpu()[:, None], state.root_rot.cpu()[:, None], dt_s)
+
+
 def measure_getup(player: Any, env: Any) -> GotUp:
     """Play a low-level controller from the ground; see the module docstring.
 
@@ -197,7 +320,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
 def main(words: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=["skills", "getup", "goal"])
+    parser.add_argument("kind", choices=["skills", "clips", "getup", "goal"])
     parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--random-latents", action="store_true")
@@ -211,6 +334,7 @@ def main(words: list[str] | None = None) -> None:
         sys.exit("error: --random-latents belongs to goal")
     measures = {
         "skills": measure_skills,
+        "clips": measure_clips,
         "getup": measure_getup,
         "goal": partial(measure_goal, random_latents=args.random_latents),
     }
