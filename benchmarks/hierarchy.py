@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -46,6 +47,7 @@ from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
 EPISODES = 128
 CLIP_STEPS, CLIP_STARTS = 150, 40
 """Control steps under latents of one clip, and after how many of them it is under way."""
+MOVING_M_S = 0.3
 GETUP_S = 3.0
 CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
@@ -107,6 +109,11 @@ class Pace:
         forward, left = (travel.mean(dim=0) / dt_s).tolist()
         return cls(forward=forward, left=left, turn=turn.mean().item() / dt_s)
 
+    def distance(self, other: Pace) -> float:
+        """Return the difference in m/s; 100 degrees/s count as 1 m/s."""
+        pairs = (self.forward, other.forward), (self.left, other.left), (self.turn, other.turn)
+        return math.hypot(*(w * (a - b) for w, (a, b) in zip((1.0, 1.0, 0.01), pairs, strict=True)))
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClipSkill:
@@ -127,9 +134,25 @@ class ClipSkill:
 
 @dataclass(frozen=True, kw_only=True)
 class ClipSkills:
-    """What a low-level controller does under latents of each clip, by the clips' names."""
+    """What a low-level controller does under latents of each clip.
 
+    Attributes:
+        num_moving: clips that go or turn, at 0.3 m/s or more.
+        num_followed: those of them whose pace is met by half.
+        clips: by the clips' names.
+    """
+
+    num_moving: int
+    num_followed: int
     clips: dict[str, ClipSkill]
+
+    @classmethod
+    def of(cls, clips: dict[str, ClipSkill]) -> ClipSkills:
+        """Count what is followed."""
+        rest = Pace(forward=0.0, left=0.0, turn=0.0)
+        moving = [of for of in clips.values() if of.clip.distance(rest) >= MOVING_M_S]
+        followed = [of for of in moving if of.shown.distance(of.clip) <= of.clip.distance(rest) / 2]
+        return cls(num_moving=len(moving), num_followed=len(followed), clips=clips)
 
     def __str__(self) -> str:
         columns = (
@@ -143,7 +166,8 @@ class ClipSkills:
         for name, of in self.clips.items():
             shares = f"{of.encoder_reward:.2f}", f"{of.no_fall_share:.2f}"
             rows.append((name, str(of.clip), str(of.shown), *shares))
-        return "".join(f"\n| {' | '.join(row)} |" for row in rows)
+        table = "".join(f"\n| {' | '.join(row)} |" for row in rows)
+        return f"follows {self.num_followed} of the {self.num_moving} clips that go or turn{table}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +272,7 @@ def measure_clips(player: Any, env: Any) -> ClipSkills:
             encoder_reward=agreement[:, of_clip].clamp(min=0.0).mean().item(),
             no_fall_share=stays_up[of_clip].float().mean().item(),
         )
-    return ClipSkills(clips=skills)
+    return ClipSkills.of(skills)
 
 
 def moments_of(windows: list[torch.Tensor], clips: torch.Tensor) -> torch.Tensor:

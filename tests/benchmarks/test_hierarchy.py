@@ -81,6 +81,7 @@ def test_clips(runs, tmp_path, capsys) -> None:
     # An untrained character falls within 5 s, and lies there.
     assert skill["no_fall_share"] == 0.0
     assert 0.0 <= skill["encoder_reward"] <= 1.0
+    assert (found["num_moving"], found["num_followed"]) == (0, 0)
     assert "| stand | -0.00, -0.00, 0 |" in capsys.readouterr().out
 
 
@@ -92,6 +93,28 @@ def test_pace_is_measured_along_and_across_where_the_root_faces() -> None:
     root_pos = torch.tensor([[0.0, 0.0, 0.9], [0.05, 0.0, 0.9]])
     pace = hierarchy.Pace.of(root_pos[:, None], root_rot[:, None], dt_s=0.1)
     assert (pace.forward, pace.left, pace.turn) == pytest.approx((0.0, -0.5, 20.0), abs=1e-3)
+
+
+def test_a_clip_is_followed_at_more_than_half_of_its_pace() -> None:
+    def skill(clip: tuple[float, float, float], shown: tuple[float, float, float]) -> Any:
+        paces = [
+            hierarchy.Pace(forward=forward, left=left, turn=turn)
+            for forward, left, turn in (clip, shown)
+        ]
+        return hierarchy.ClipSkill(
+            clip=paces[0], shown=paces[1], encoder_reward=1.0, no_fall_share=1.0
+        )
+
+    found = hierarchy.ClipSkills.of(
+        {
+            "followed": skill((-1.0, 0.0, 0.0), (-0.6, 0.0, 10.0)),
+            "stands": skill((-1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            "turns": skill((0.0, 0.0, 50.0), (0.0, 0.0, 74.0)),
+            "turns the other way": skill((0.0, 0.0, 50.0), (0.0, 0.0, -50.0)),
+            "rests": skill((0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
+        }
+    )
+    assert (found.num_moving, found.num_followed) == (4, 2)
 
 
 def test_latents_are_of_moments_all_along_each_clip() -> None:
