@@ -78,7 +78,7 @@ def test_every_default_of_skills_on_a_cpu_is_named():
     assert note is not None
     config, on_gpu = (tree["train"]["params"]["config"] for tree in (here, there))
     different = {key for key in config if config[key] != on_gpu[key]} - {"num_actors"}
-    assert "disc_mismatched_demos" in different
+    assert "enc_uniformity_coef" in different
     for key in different:
         assert f" {key} {'null' if config[key] is None else config[key]} (" in note
 

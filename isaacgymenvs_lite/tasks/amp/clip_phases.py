@@ -14,7 +14,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
+
 PHASES_PER_STEP = 2
+TRAVEL_S = 1.0
+"""Travel is compared over so much time."""
 # From half the tempo of the clip on; a phase that has stayed behind catches up.
 _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
@@ -45,20 +49,34 @@ class ClipPhases:
 
     A clip whose end is near its start repeats; after the end of another one nothing is measured.
 
+    Poses do not show who stands in the middle of a walk: travel does.
+
     Args:
         clips: of each clip (S, P, 3) m, points of the body, relative to the root's place on the
             ground, `PHASES_PER_STEP` times in a control step from time 0 on.
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
+        travels: of each clip (S, 2) m, where the root came from in the last `TRAVEL_S` before each
+            of these moments, in its heading frame; None: travel is not compared.
+        travel_share: how much the travel may be off, as a share of the clip's, but at least
+            `far_m`.
 
     Attributes:
         far_m: as given.
     """
 
-    stored = ("_clip", "_phase")
+    stored = ("_clip", "_phase", "_trail", "_num_followed")
 
-    def __init__(self, clips: Sequence[Tensor], num_envs: int, dt_s: float, far_m: float) -> None:
+    def __init__(
+        self,
+        clips: Sequence[Tensor],
+        num_envs: int,
+        dt_s: float,
+        far_m: float,
+        travels: Sequence[Tensor] | None = None,
+        travel_share: float = 0.0,
+    ) -> None:
         device = clips[0].device
         self.far_m = far_m
         self._points = torch.cat(list(clips))
@@ -71,11 +89,17 @@ class ClipPhases:
         self._phases_per_s = PHASES_PER_STEP / dt_s
         self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._phase = torch.full((num_envs,), _NONE, device=device)
+        self._travels = None if travels is None else torch.cat(list(travels))
+        self._travel_share = travel_share
+        # Where the roots were in the control steps of the last TRAVEL_S, (T + 1, N, 2) m.
+        self._trail = torch.zeros(round(TRAVEL_S / dt_s) + 1, num_envs, 2, device=device)
+        self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
+        self._num_followed[env_ids] = 0
 
     def stop(self, env_ids: Tensor) -> None:
         """Follow environments (n,) no more."""
@@ -104,3 +128,20 @@ class ClipPhases:
         is_over = (self._phase == _NONE) | (phase >= lengths.squeeze(1))
         self._phase.copy_(torch.where(is_over, _NONE, phase))
         return torch.where(is_over, 0.0, away_m)
+
+    def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
+        """Return (N,) bool: followed for `TRAVEL_S`, and the travel in it is off; after `advance`.
+
+        Args:
+            root_pos: (N, 3) m, world.
+            root_rot: (N, 4) xyzw.
+        """
+        if self._travels is None:
+            return torch.zeros_like(self._phase, dtype=torch.bool)
+        self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
+        self._num_followed += 1
+        travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
+        expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
+        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self.far_m)
+        is_off = (travel - expected).norm(dim=-1) > allowed_m
+        return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))

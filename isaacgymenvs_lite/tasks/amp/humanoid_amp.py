@@ -16,7 +16,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
-from isaacgymenvs_lite.tasks.amp.clip_phases import PHASES_PER_STEP, ClipPhases
+from isaacgymenvs_lite.tasks.amp.clip_phases import PHASES_PER_STEP, TRAVEL_S, ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -33,6 +33,7 @@ from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
+from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
 log = logging.getLogger(__name__)
 
@@ -178,16 +179,23 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _make_phases(self) -> ClipPhases:
         """Return what follows episodes through the clips that they started in."""
-        clips = []
+        clips, travels = [], []
         for motion_id in range(self._motion_lib.num_motions()):
             length_s = float(self._motion_lib.get_motion_length([motion_id]))
             times_s = torch.arange(
                 0.0, length_s, self.control_dt_s / PHASES_PER_STEP, device=self.device
             )
             ids = torch.full((len(times_s),), motion_id, device=self.device)
-            clips.append(_points(self._reference_states(ids, times_s, ids.new_zeros(1))))
+            state = self._reference_states(ids, times_s, ids.new_zeros(1))
+            clips.append(_points(state))
+            before = self._reference_states(ids, times_s - TRAVEL_S, ids.new_zeros(1))
+            travel_w = state[0][:, :2] - before[0][:, :2]
+            travels.append(xy_in_heading_frame(state[0][:, 3:7], travel_w))
         far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
-        return ClipPhases(clips, self.num_envs, self.control_dt_s, far_m)
+        share = self.env_cfg.clip_travel
+        return ClipPhases(
+            clips, self.num_envs, self.control_dt_s, far_m, travels if share > 0.0 else None, share
+        )
 
     @property
     def amp_observation_space(self) -> gymnasium.spaces.Box:
@@ -298,8 +306,10 @@ class HumanoidAMP(HumanoidAMPBase):
         if not self.env_cfg.enable_early_termination:
             return fallen
         if self._phases is not None and self.is_training and self._phases.follows_any():
-            away_m = self._phases.advance(_points(self._character_states(None)))
+            state = self._character_states(None)
+            away_m = self._phases.advance(_points(state))
             fallen = fallen | (away_m > self._phases.far_m)
+            fallen = fallen | self._phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen

@@ -57,6 +57,9 @@ class HumanoidAMPConfig(TaskConfig):
     """This project's: with one clip, an episode that starts in it ends as a fall when the character
     is farther from it than this, as a share of the root's height in standing; 0: it does not. A
     policy that leaves a leap out and stands is then no better than one that falls."""
+    clip_travel: float = setting(0.0, key="clipTravel", minimum=0, maximum=1)
+    """This project's: with `clip_deviation`, such an episode also ends where the travel of its last
+    second is off by more than this share of the clip's; 0: it may be any."""
     ground_clips: bool = setting(False, key="groundClips")
     """This project's: raise or lower each clip so that its lowest points are on the ground."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")

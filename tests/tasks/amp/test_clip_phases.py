@@ -10,6 +10,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.amp.clip_phases import (
     PHASES_PER_STEP,
+    TRAVEL_S,
     ClipPhases,
     distance_up_to_heading_m,
 )
@@ -142,3 +143,65 @@ def test_each_environment_is_compared_with_its_own_clip() -> None:
     assert circle.max() < 0.06
     assert at_rest.max() == 0.0
     assert leaves_its_rest.max() > 0.6
+
+
+FACES_PLUS_Y = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+
+
+def travels_otherwise(
+    velocity_w: tuple[float, float], clip_speed: float = 1.0, steps: int = 26
+) -> bool:
+    """Whether a root that faces +y is off after some steps; its clip goes ahead."""
+    points = clip()
+    travels = torch.tensor([[clip_speed * TRAVEL_S, 0.0]]).expand(len(points), 2)
+    phases = ClipPhases([points], 1, DT_S, 0.3, [travels], travel_share=0.5)
+    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
+    found = False
+    for time_s in times(steps):
+        phases.advance(body(time_s[None]))
+        root = torch.tensor([[*velocity_w, 0.0]]) * time_s + torch.tensor([[3.0, 4.0, 1.0]])
+        found = bool(phases.travels_otherwise(root, torch.tensor([FACES_PLUS_Y])))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("velocity_w", "expected"),
+    [
+        ((0.0, 1.0), False),
+        ((0.0, 0.6), False),
+        ((0.0, 0.4), True),
+        ((0.0, 1.4), False),
+        ((0.0, 1.6), True),
+        ((0.0, 0.0), True),
+        ((1.0, 0.0), True),
+        ((0.0, -1.0), True),
+    ],
+)
+def test_the_travel_of_a_second_may_be_off_by_a_share_of_the_clips(velocity_w, expected) -> None:
+    assert travels_otherwise(velocity_w) is expected
+
+
+def test_travel_is_compared_when_a_second_has_passed() -> None:
+    assert round(TRAVEL_S / DT_S) == 25
+    assert not travels_otherwise((0.0, 0.0), steps=25)
+
+
+def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
+    assert not travels_otherwise((0.0, 0.0), clip_speed=0.25)
+    assert travels_otherwise((0.0, 0.0), clip_speed=0.35)
+
+
+def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
+    points = clip()
+    travels = torch.tensor([[1.0, 0.0]]).expand(len(points), 2)
+    phases = ClipPhases([points], 2, DT_S, 0.3, [travels], travel_share=0.5)
+    phases.start(torch.arange(2), torch.zeros(2, dtype=torch.int64), torch.zeros(2))
+    at_rest, facing = torch.tensor([0.0, 0.0, 1.0]).expand(2, 3), torch.tensor([FACES_PLUS_Y] * 2)
+    for time_s in times(26):
+        phases.advance(body(time_s[None]).expand(2, -1, -1))
+        found = phases.travels_otherwise(at_rest, facing)
+    assert found.tolist() == [True, True]
+    phases.stop(torch.tensor([1]))
+    assert phases.travels_otherwise(at_rest, facing).tolist() == [True, False]
+    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
+    assert phases.travels_otherwise(at_rest, facing).tolist() == [False, False]

@@ -293,6 +293,36 @@ def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
     assert any(stood for _, stood in ended)
 
 
+@pytest.mark.parametrize(("share", "ends"), [(0.5, True), (0.0, False)])
+def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid, share: float, ends: bool) -> None:
+    """Both characters have the poses of the walk; the first goes where it goes, turned about z."""
+    torch.manual_seed(3)
+    task = make_humanoid(
+        2, clipDeviation=0.34, clipTravel=share, stateInit="Start", motion_file="walk"
+    )
+    task.is_training = True
+    task.reset_done()
+    turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
+    ended = []
+    for step in range(40):
+        time_s = torch.tensor([step * task.control_dt_s])
+        root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, _ = (
+            task.motion_lib.get_motion_state(torch.zeros(1, dtype=torch.int64), time_s)
+        )
+        half_turned = root_pos * torch.tensor([-1.0, -1.0, 1.0])
+        on_the_spot = root_pos * torch.tensor([0.0, 0.0, 1.0])
+        roots = [
+            torch.cat((place, quat_mul(turn, root_rot), -root_vel, -root_ang_vel), dim=-1)
+            for place in (half_turned, on_the_spot)
+        ]
+        both = (torch.cat(roots), dof_pos.expand(2, -1), dof_vel.expand(2, -1))
+        task.simulation.write_state(torch.arange(2), *both)
+        ended.append(_zero_step(task)[2].tolist())
+    assert not any(followed for followed, _ in ended)
+    assert any(stayed for _, stayed in ended) is ends
+    assert not any(stayed for _, stayed in ended[:30])  # a second
+
+
 def _starts_in_clip(task: HumanoidAMP) -> Tensor:
     """Mask (N,) of environments that do not stand in the default pose."""
     return (task.simulation.dof_pos != 0.0).any(dim=-1)
