@@ -92,10 +92,19 @@ def test_the_goal_follows_the_agent() -> None:
     assert _env(*chosen)["goal"] == "strike"
 
 
+def _env_on_a_gpu(task: str) -> dict[str, Any]:
+    """`task.env` where learning runs on a GPU, which this machine need not have."""
+    env = OmegaConf.to_container(
+        compose([f"task={task}", "rl_device=cuda:0"]).task.env, resolve=True
+    )
+    assert isinstance(env, dict)
+    return {str(key): value for key, value in env.items()}
+
+
 def test_values_of_the_file_are_the_defaults_in_the_code() -> None:
-    env = _env("task=HumanoidASE")
+    env = _env_on_a_gpu("HumanoidASE")
     assert read_ase_config(env) == HumanoidASEConfig()
-    getup = _env("task=HumanoidASEGetup")
+    getup = _env_on_a_gpu("HumanoidASEGetup")
     assert read_ase_config(getup, GetupConfig) == GetupConfig()
     # All goals' keys are there to be overridden, and have the goals' own values.
     given = {key: env[key] for key in goal_keys()}
@@ -104,12 +113,21 @@ def test_values_of_the_file_are_the_defaults_in_the_code() -> None:
     }
 
 
+@pytest.mark.parametrize("task", ["HumanoidASE", "HumanoidASEGetup"])
+def test_skills_are_learned_on_a_cpu_in_short_episodes_and_played_in_long_ones(task: str) -> None:
+    learned, played = _env(f"task={task}"), _env(f"task={task}", "test=True", "checkpoint=x.pth")
+    assert [learned[key] for key in ("episodeLength", "hybridInitProb")] == [150, 0.75]
+    assert played["episodeLength"] == 300
+    for train in ("HumanoidASEHRLPPO", "HumanoidASETaskPPO"):
+        assert _env(f"task={task}", f"train={train}")["episodeLength"] == 300
+
+
 def test_values_of_the_file_are_ase_s() -> None:
-    env = _env("task=HumanoidASE")
+    env = _env_on_a_gpu("HumanoidASE")
     # A viewer's key that ours does without.
     expected = {key: value for key, value in PUBLISHED.items() if key != "isFlagrun"}
     assert {key: env[key] for key in expected} == expected
-    getup = _env("task=HumanoidASEGetup")
+    getup = _env_on_a_gpu("HumanoidASEGetup")
     keys = ("recoveryEpisodeProb", "recoverySteps", "fallInitProb")
     assert [getup[key] for key in keys] == [0.2, 60, 0.1]
 
