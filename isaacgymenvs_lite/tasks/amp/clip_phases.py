@@ -58,7 +58,8 @@ class ClipPhases:
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
         travels: of each clip (S, 2) m, where the root came from in the last `TRAVEL_S` before each
-            of these moments, in its heading frame; None: travel is not compared.
+            of these moments, in its heading frame; nan where the clip is younger, which is not
+            compared. None: travel is compared nowhere.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
 

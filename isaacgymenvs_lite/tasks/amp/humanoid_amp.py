@@ -190,7 +190,8 @@ class HumanoidAMP(HumanoidAMPBase):
             clips.append(_points(state))
             before = self._reference_states(ids, times_s - TRAVEL_S, ids.new_zeros(1))
             travel_w = state[0][:, :2] - before[0][:, :2]
-            travels.append(xy_in_heading_frame(state[0][:, 3:7], travel_w))
+            travel = xy_in_heading_frame(state[0][:, 3:7], travel_w)
+            travels.append(travel.masked_fill((times_s < TRAVEL_S)[:, None], torch.nan))
         far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
         share = self.env_cfg.clip_travel
         return ClipPhases(

@@ -186,6 +186,10 @@ def test_travel_is_compared_when_a_second_has_passed() -> None:
     assert not travels_otherwise((0.0, 0.0), steps=25)
 
 
+def test_travel_that_the_clip_does_not_show_is_not_compared() -> None:
+    assert not travels_otherwise((0.0, 0.0), clip_speed=math.nan)
+
+
 def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
     assert not travels_otherwise((0.0, 0.0), clip_speed=0.25)
     assert travels_otherwise((0.0, 0.0), clip_speed=0.35)
