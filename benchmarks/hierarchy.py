@@ -48,6 +48,7 @@ EPISODES = 128
 CLIP_STEPS, CLIP_STARTS = 150, 40
 """Control steps under latents of one clip, and after how many of them it is under way."""
 MOVING_M_S = 0.3
+"""A clip of this pace goes or turns, a slower one rests."""
 GETUP_S = 3.0
 CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
@@ -99,15 +100,12 @@ class Pace:
     @classmethod
     def of(cls, root_pos: torch.Tensor, root_rot: torch.Tensor, dt_s: float) -> Pace:
         """Return the means over roots (T, n, 3) m and (T, n, 4) xyzw of consecutive moments."""
-        travel = xy_in_heading_frame(
-            root_rot[:-1].flatten(0, 1), (root_pos[1:] - root_pos[:-1])[..., :2].flatten(0, 1)
-        )
-        ahead = facing(root_rot.flatten(0, 1)).view(*root_rot.shape[:2], 2)
-        before, after = ahead[:-1], ahead[1:]
-        cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
-        turn = torch.atan2(cross, (before * after).sum(-1)).rad2deg()
-        forward, left = (travel.mean(dim=0) / dt_s).tolist()
-        return cls(forward=forward, left=left, turn=turn.mean().item() / dt_s)
+        before, after = root_rot[:-1].flatten(0, 1), root_rot[1:].flatten(0, 1)
+        travel_w = (root_pos[1:] - root_pos[:-1])[..., :2].flatten(0, 1)
+        forward, left = (xy_in_heading_frame(before, travel_w).mean(dim=0) / dt_s).tolist()
+        ahead, aside = xy_in_heading_frame(before, facing(after)).unbind(-1)
+        turn = torch.atan2(aside, ahead).mean().rad2deg().item() / dt_s
+        return cls(forward=forward, left=left, turn=turn)
 
     def distance(self, other: Pace) -> float:
         """Return the difference in m/s; 100 degrees/s count as 1 m/s."""
@@ -138,7 +136,7 @@ class ClipSkills:
 
     Attributes:
         num_moving: clips that go or turn, at 0.3 m/s or more.
-        num_followed: those of them whose pace is met by half.
+        num_followed: those of them from whose pace the character's differs by at most a half.
         clips: by the clips' names.
     """
 
@@ -246,11 +244,17 @@ def measure_clips(player: Any, env: Any) -> ClipSkills:
     """Play a low-level controller under latents of each clip; see the module docstring.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is none, or has more clips than there are episodes.
     """
     if not hasattr(player, "hold_latents"):
         raise ConfigError("clips: expected a policy of algo: name: gen_amp or ase")
     clips = env.motion_lib
+    if clips.num_motions() > env.num_envs:
+        raise ConfigError(
+            f"clips: got a data set of {clips.num_motions()} clips, expected at most"
+            f" {env.num_envs}, one for each episode; give a smaller one:"
+            " task.env.motion_file=FILE.yaml"
+        )
     own_clip = torch.arange(env.num_envs) % clips.num_motions()
     player.hold_latents(player.encoder.read(moments_of(env.windows_of_clips(), own_clip)))
     obs, roots, agreements = env.reset(), [], []

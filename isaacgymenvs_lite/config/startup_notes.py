@@ -83,16 +83,16 @@ def _cpu_defaults(cfg: DictConfig) -> list[str]:
     return [
         f"{_short_name(path)} {_short(value)} ({_short(there.get(path))})"
         for path, value in here.items()
-        if value != there.get(path) != _GPU and path not in _FOLLOWING_KEYS
+        if value != there.get(path) and there.get(path) != _GPU and path not in _FOLLOWING_KEYS
     ]
 
 
 def _settings(cfg: DictConfig) -> dict[str, Any]:
     """Return the values of the task and of the training by their paths."""
-    sections = {path: OmegaConf.select(cfg, path) for path in ("task", "train.params")}
-    return {
-        leaf: value for path, tree in sections.items() for leaf, value in leaves(plain(tree), path)
-    }
+    found: dict[str, Any] = {}
+    for section in ("task", "train.params"):
+        found |= leaves(plain(OmegaConf.select(cfg, section)), section)
+    return found
 
 
 def _short_name(path: str) -> str:

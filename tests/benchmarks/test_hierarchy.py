@@ -85,6 +85,14 @@ def test_clips(runs, tmp_path, capsys) -> None:
     assert "| stand | -0.00, -0.00, 0 |" in capsys.readouterr().out
 
 
+def test_more_clips_than_episodes_are_refused(runs, monkeypatch) -> None:
+    monkeypatch.setattr(hierarchy, "EPISODES", 1)
+    with pytest.raises(SystemExit, match="got a data set of 35 clips, expected at most 1"):
+        hierarchy.main(
+            ["clips", "skills", "task.env.motion_file=locomotion", "--runs-dir", str(runs)]
+        )
+
+
 def test_pace_is_measured_along_and_across_where_the_root_faces() -> None:
     """A root that faces +y, walks along +x at 0.5 m/s and turns left by 20 degrees/s, by hand."""
     yaw = torch.tensor(math.pi / 2) + torch.tensor([0.0, 2.0]).deg2rad()

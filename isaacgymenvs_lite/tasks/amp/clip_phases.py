@@ -49,7 +49,8 @@ class ClipPhases:
 
     A clip whose end is near its start repeats; after the end of another one nothing is measured.
 
-    Poses do not show who stands in the middle of a walk: travel does.
+    A character that rests in a pose of a walk is near the clip, but its root travels less than the
+    clip's; so travel can be compared, too.
 
     Args:
         clips: of each clip (S, P, 3) m, points of the body, relative to the root's place on the
@@ -57,9 +58,8 @@ class ClipPhases:
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
-        travels: of each clip (S, 2) m, where the root came from in the last `TRAVEL_S` before each
-            of these moments, in its heading frame; nan where the clip is younger, which is not
-            compared. None: travel is compared nowhere.
+        travels: of each clip (S, 2) m, how far the root moved in the `TRAVEL_S` before each of
+            these moments, in its heading frame; nan is not compared. None: nothing is.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
 
@@ -93,7 +93,8 @@ class ClipPhases:
         self._travels = None if travels is None else torch.cat(list(travels))
         self._travel_share = travel_share
         # Where the roots were in the control steps of the last TRAVEL_S, (T + 1, N, 2) m.
-        self._trail = torch.zeros(round(TRAVEL_S / dt_s) + 1, num_envs, 2, device=device)
+        num_places = 0 if travels is None else round(TRAVEL_S / dt_s) + 1
+        self._trail = torch.zeros(num_places, num_envs, 2, device=device)
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
@@ -131,7 +132,10 @@ class ClipPhases:
         return torch.where(is_over, 0.0, away_m)
 
     def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: followed for `TRAVEL_S`, and the travel in it is off; after `advance`.
+        """Return (N,) bool: who moved otherwise than the clip in the last `TRAVEL_S`.
+
+        To be called once in a control step, after `advance`. Who is followed for less time is not
+        compared.
 
         Args:
             root_pos: (N, 3) m, world.

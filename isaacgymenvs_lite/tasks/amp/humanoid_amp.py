@@ -191,6 +191,7 @@ class HumanoidAMP(HumanoidAMPBase):
             before = self._reference_states(ids, times_s - TRAVEL_S, ids.new_zeros(1))
             travel_w = state[0][:, :2] - before[0][:, :2]
             travel = xy_in_heading_frame(state[0][:, 3:7], travel_w)
+            # Before its start a clip would go on backwards at the speed of its first frame.
             travels.append(travel.masked_fill((times_s < TRAVEL_S)[:, None], torch.nan))
         far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
         share = self.env_cfg.clip_travel
