@@ -6,6 +6,7 @@ them once, when an agent or a player is made. N is the number of environments.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeGuard, TypeVar
 
 import gymnasium
@@ -90,11 +91,26 @@ class AMPEnv(AMPObsEnv, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class TrackingDemo:
+    """Moments of the reference motions, for the actor to learn.
+
+    Attributes:
+        obs: (n, O) observations.
+        actions: (n, A) that make the drives go on as the clips do, within +-1.
+        amp_obs: (n, F) AMP observations of the same moments.
+    """
+
+    obs: Tensor
+    actions: Tensor
+    amp_obs: Tensor
+
+
 class TrackingEnv(AMPEnv, Protocol):
     """A task that shows how to follow its reference motions, for a warm start."""
 
-    def fetch_tracking_demo(self, num_samples: int) -> tuple[Tensor, Tensor] | None:
-        """Return observations (n, O) and the actions (n, A) to take there; None if not known."""
+    def fetch_tracking_demo(self, num_samples: int) -> TrackingDemo | None:
+        """Return n moments, None if they are not known; called before a reset of all episodes."""
         ...
 
 

@@ -10,6 +10,7 @@ Hooks that this agent adds, for agents with other rewards or rows:
 
 | hook | what it is for | overridden by |
 |---|---|---|
+| `_fetch_tracking_demo`, `_tracking_latents` | what a warm start learns from | GenAMP |
 | `_store_demos` | which demonstrations enter the buffer | GenAMP |
 | `_fetch_amp_obs_demo` | AMP observations of the reference motions | - |
 | `_preproc_amp_obs` | from AMP observations to inputs of the discriminator | - |
@@ -34,7 +35,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.env_interface import AMPEnv, require
+from isaacgymenvs_lite.env_interface import AMPEnv, TrackingDemo, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_advantages
@@ -54,7 +55,6 @@ from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
 from isaacgymenvs_lite.learning.warm_start import (
     NUM_SAMPLES,
-    TrackingDemo,
     actor_parameters,
     clone_actions,
 )
@@ -77,14 +77,12 @@ class AMPAgent(StyleRewards, CommonAgent):
         params_class: the keys that it reads beside PPO's.
         env_contract: the members that it needs of a task.
         discriminator: buffers, normaliser, loss and reward.
-        acts_on_obs_alone: whether the actor has no other input; else it has no warm start.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
         staying_up: how far the policy has learned to stay up, 0 to 1, smoothed over epochs.
     """
 
     discriminator: DiscriminatorTrainer
     frozen_until = 0
-    acts_on_obs_alone = True
     staying_up = 0.0
     stored = ("frozen_until", "staying_up")
     stored_buffers = ("demo_buffer", "replay_buffer")
@@ -225,21 +223,32 @@ class AMPAgent(StyleRewards, CommonAgent):
 
         Every process does so; rl_games then copies the first one's networks to all.
         """
-        fetch = getattr(self._env, "fetch_tracking_demo", None)
-        fetched = fetch(NUM_SAMPLES) if fetch is not None and self.acts_on_obs_alone else None
-        if fetched is None or not self.model.a2c_network.separate:
-            log.info("no warm start: the clips do not show all that the policy observes")
-            return
         start_s = time.monotonic()
-        obs, actions = (rows.to(self.ppo_device) for rows in fetched)
+        demo = self._fetch_tracking_demo()
+        if demo is None or not self.model.a2c_network.separate:
+            log.info("no warm start: the clips do not show all that the policy receives")
+            return
         normalizer = self.model.running_mean_std if self.normalize_input else None
-        inputs: Any = self._preproc_obs(obs)
-        demo = TrackingDemo(inputs, actions)
         steps, noise = self._amp.warm_start_steps, self._amp.warm_start_noise
-        error = clone_actions(self.model, normalizer, demo, steps, noise)
+        latents = self._tracking_latents(demo)
+        error = clone_actions(self.model, normalizer, demo, steps, noise, latents)
         self.frozen_until = self._amp.warm_start_frozen_epochs
         taken_s = time.monotonic() - start_s
         log.info("warm start: follows the clips' actions to %.3f, %.1f s", error, taken_s)
+
+    def _fetch_tracking_demo(self) -> TrackingDemo | None:
+        """Return moments of the clips as the networks receive them; None if there are none."""
+        fetch = getattr(self._env, "fetch_tracking_demo", None)
+        fetched = None if fetch is None else fetch(NUM_SAMPLES)
+        if fetched is None:
+            return None
+        inputs: Any = self._preproc_obs(fetched.obs.to(self.ppo_device))
+        actions, amp_obs = (rows.to(self.ppo_device) for rows in (fetched.actions, fetched.amp_obs))
+        return TrackingDemo(inputs, actions, self.discriminator.truncate(amp_obs))
+
+    def _tracking_latents(self, demo: TrackingDemo) -> Tensor | None:
+        """Return the latents (n, Z) under which the actor learns a demonstration; None: none."""
+        return None
 
     def _frozen_parameters(self) -> list[torch.nn.Parameter]:
         if self.frozen_until == 0 or self.epoch_num > self.frozen_until:

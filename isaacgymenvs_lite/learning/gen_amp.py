@@ -19,6 +19,7 @@ from isaacgymenvs_lite.env_interface import (
     ClipSkillEnv,
     Env,
     SkillEnv,
+    TrackingDemo,
     fits,
     require,
 )
@@ -35,6 +36,7 @@ from isaacgymenvs_lite.learning.skills.latents import (
     LatentSchedule,
     sample_similar_rows,
 )
+from isaacgymenvs_lite.learning.warm_start import descend
 
 # Rows of the clips that a random latent is compared with.
 _NEIGHBOURS = 512
@@ -66,7 +68,6 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         "enc_grad_penalty": "info/enc_grad_penalty",
     }
     stored_episodes = ("schedule",)
-    acts_on_obs_alone = False
     # Its critic needs the latents.
     unsupported_keys = (*AMPAgent.unsupported_keys, "central_value_config")
     _amp: GenAMPParams
@@ -156,6 +157,22 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
         return self._clips.fetch_amp_obs_demo_pairs(num_samples)
+
+    def _fetch_tracking_demo(self) -> TrackingDemo | None:
+        """As AMP; only an encoder that learns from clips finds latents for them."""
+        return super()._fetch_tracking_demo() if self._amp.encodes_clips else None
+
+    def _tracking_latents(self, demo: TrackingDemo) -> Tensor:
+        """Let the encoder learn from the clips, and return what it finds in a demonstration."""
+        self.discriminator.update_normalizer(demo.amp_obs)
+
+        def loss() -> Tensor:
+            terms = self._clip_encoding_losses(self._draw_demo_triples())
+            return torch.stack([weight * value for weight, value in terms.values()]).sum()
+
+        network = self.model.a2c_network
+        descend(loss, network.enc_parameters(), self._amp.warm_start_steps)
+        return self._eval_enc(demo.amp_obs)
 
     # --- rollout ---------------------------------------------------------------------------
 
@@ -298,12 +315,16 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._enable_amp_diversity_bonus():
             rows["diversity_latents"] = self._sample_latents(len(input_dict["amp_latents"]))
         if self._amp.encodes_clips:
-            demos = self.discriminator.sample_demos(max(1, self._amp_minibatch_size // 2))
-            pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
-            # Rows are drawn at random, so that the next one is a random other one.
-            others = pairs[:, :1].roll(1, dims=0)
-            rows["demo_triples"] = self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
+            rows["demo_triples"] = self._draw_demo_triples()
         return rows
+
+    def _draw_demo_triples(self) -> Tensor:
+        """Return normalised AMP observations (n, 3, F): near moments of a clip, and any other."""
+        demos = self.discriminator.sample_demos(max(1, self._amp_minibatch_size // 2))
+        pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
+        # Rows are drawn at random, so that the next one is a random other one.
+        others = pairs[:, :1].roll(1, dims=0)
+        return self._preproc_amp_obs(torch.cat((pairs, others), dim=1))
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Any]:
         names = ("amp_latents", "amp_obs_latents", *_DISC_LATENTS)
@@ -323,19 +344,24 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         weights = {"enc_loss": self._amp.enc_coef}
         terms |= {name: (weights.get(name, 0.0), value) for name, value in info.items()}
         if "demo_triples" in input_dict:
-            triples = input_dict["demo_triples"]
-            found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
-            at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
-            alignment = alignment_loss(at, near).mean()
-            uniformity = uniformity_loss(at, other).mean()
-            terms["enc_alignment_loss"] = (self._amp.enc_alignment_coef, alignment)
-            terms["enc_uniformity_loss"] = (self._amp.enc_uniformity_coef, uniformity)
+            terms |= self._clip_encoding_losses(input_dict["demo_triples"])
         if "diversity_latents" in input_dict:
             fresh = (input_dict["diversity_latents"],) if self._diversity_loss_takes_latents else ()
             loss = self._diversity_loss(batch["obs"], result["mus"], batch["amp_latents"], *fresh)
             mean = weighted_mean(loss, input_dict)
             terms["amp_diversity_loss"] = (self._amp.amp_diversity_bonus, mean)
         return terms
+
+    def _clip_encoding_losses(self, triples: Tensor) -> LossTerms:
+        """Return the encoder's losses of clips, given rows of `_draw_demo_triples`."""
+        found = self.model.a2c_network.eval_enc(triples.flatten(0, 1)).float()
+        at, near, other = found.view(*triples.shape[:2], -1).unbind(dim=1)
+        alignment = alignment_loss(at, near).mean()
+        uniformity = uniformity_loss(at, other).mean()
+        return {
+            "enc_alignment_loss": (self._amp.enc_alignment_coef, alignment),
+            "enc_uniformity_loss": (self._amp.enc_uniformity_coef, uniformity),
+        }
 
     def _enable_amp_diversity_bonus(self) -> bool:
         """Return whether there is a diversity loss."""

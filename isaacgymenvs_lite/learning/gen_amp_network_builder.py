@@ -278,6 +278,10 @@ class GenAMPBuilder(AMPBuilder):
             """Return n random latents (n, Z), unit vectors, where the network is."""
             return sample_latents(n, self._latent_dim, self._enc.weight.device)
 
+        def enc_parameters(self) -> list[nn.Parameter]:
+            """Return the parameters of the encoder."""
+            return [*self._enc_mlp.parameters(), *self._enc.parameters()]
+
         def get_enc_weights(self) -> list[Tensor]:
             """Return all weight matrices of the encoder, flat; no biases."""
             layers = [m for m in self._enc_mlp.modules() if isinstance(m, nn.Linear)]

@@ -8,12 +8,13 @@ that is what the training is for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from isaacgymenvs_lite.env_interface import TrackingDemo
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 NUM_SAMPLES = 20_000
@@ -23,25 +24,13 @@ _FIRST_RATE, _LAST_RATE = 1e-3, 1e-5
 _LEAST_STD = 0.1
 
 
-@dataclass(frozen=True)
-class TrackingDemo:
-    """Moments of the reference motions, for the actor to learn.
-
-    Attributes:
-        obs: (n, O) observations.
-        actions: (n, A) that make the drives go on as the clips do, within +-1.
-    """
-
-    obs: Tensor
-    actions: Tensor
-
-
 def clone_actions(
     model: Any,
     normalizer: RunningMeanStd | None,
     demo: TrackingDemo,
     num_steps: int,
     noise: float,
+    latents: Tensor | None = None,
 ) -> float:
     """Teach the actor the actions of a demonstration; return the root mean squared error.
 
@@ -50,9 +39,10 @@ def clone_actions(
     Args:
         model: rl_games' model, with an actor of layers of its own.
         normalizer: of its observations, which takes the noisy ones in; None without one.
-        demo: on the model's device.
-        num_steps: of Adam, whose step size falls linearly.
+        demo: on the model's device; `obs` as the model receives them.
+        num_steps: as `descend`.
         noise: standard deviation of the noise on observations, as a share of theirs.
+        latents: (n, Z) of the demonstration, for an actor that receives them.
     """
     std = noise * demo.obs.std(dim=0)
     if normalizer is not None:
@@ -60,26 +50,46 @@ def clone_actions(
         # Of entries that hardly differ in the clips; else a falling robot's were all at the limit.
         normalizer.running_var.clamp_(min=_LEAST_STD**2)
     network = model.a2c_network
-    adam = torch.optim.Adam(actor_parameters(network), lr=_FIRST_RATE)
-    rates = torch.optim.lr_scheduler.LinearLR(adam, 1.0, _LAST_RATE / _FIRST_RATE, num_steps)
     model.eval()
-    loss = torch.zeros(())
-    for _ in range(num_steps):
+
+    def loss() -> Tensor:
         rows = torch.randint(len(demo.obs), (_ROWS,), device=demo.obs.device)
         obs = demo.obs[rows]
         with torch.no_grad():
             inputs = model.norm_obs(obs + std * torch.randn_like(obs))
-        means, _ = network.eval_actor(inputs)
-        loss = (means - demo.actions[rows]).square().mean()
-        adam.zero_grad()
-        loss.backward()
+        of_latents = () if latents is None else (latents[rows],)
+        means, _ = network.eval_actor(inputs, *of_latents)
+        return (means - demo.actions[rows]).square().mean()
+
+    return descend(loss, actor_parameters(network), num_steps) ** 0.5
+
+
+def descend(
+    loss: Callable[[], Tensor], parameters: Iterable[nn.Parameter], num_steps: int
+) -> float:
+    """Take steps of Adam, whose size falls linearly; return the last step's loss.
+
+    Args:
+        loss: returns it for a batch of its own choice.
+        parameters: those to learn; the gradients of all others are left as they are.
+        num_steps: at least 1.
+    """
+    learned = list(parameters)
+    adam = torch.optim.Adam(learned, lr=_FIRST_RATE)
+    rates = torch.optim.lr_scheduler.LinearLR(adam, 1.0, _LAST_RATE / _FIRST_RATE, num_steps)
+    value = torch.zeros(())
+    for _ in range(num_steps):
+        value = loss()
+        gradients = torch.autograd.grad(value, learned)
+        for parameter, gradient in zip(learned, gradients, strict=True):
+            parameter.grad = gradient
         adam.step()
         rates.step()
     adam.zero_grad()
-    return float(loss.detach().sqrt())
+    return float(value.detach())
 
 
-def actor_parameters(network: Any) -> list[torch.nn.Parameter]:
+def actor_parameters(network: Any) -> list[nn.Parameter]:
     """Return the parameters of the mean action, in the order of `parameters()`."""
     layers = (network.actor_mlp, network.mu)
     return [parameter for layer in layers for parameter in layer.parameters()]

@@ -7,7 +7,8 @@ import logging
 import pytest
 import torch
 
-from isaacgymenvs_lite.learning.warm_start import TrackingDemo, actor_parameters, clone_actions
+from isaacgymenvs_lite.env_interface import TrackingDemo
+from isaacgymenvs_lite.learning.warm_start import actor_parameters, clone_actions
 from tests.tiny import CONFIG
 
 WARM = (f"{CONFIG}.warm_start_steps=50", f"{CONFIG}.warm_start_frozen_epochs=2")
@@ -28,7 +29,7 @@ def test_the_actor_learns_the_actions_and_nothing_else_changes(make_agent):
     others = [p for p in agent.model.parameters() if id(p) not in ours]
     before = values(others)
     normalizer = agent.model.running_mean_std
-    demo = TrackingDemo(obs, actions)
+    demo = TrackingDemo(obs, actions, amp_obs=torch.empty(0))
     first = clone_actions(agent.model, normalizer, demo, num_steps=1, noise=0.1)
     assert clone_actions(agent.model, normalizer, demo, num_steps=400, noise=0.1) < 0.7 * first
     assert torch.equal(values(others), before)
@@ -89,10 +90,55 @@ def test_without_normalised_inputs_or_drives(make_agent, caplog, words):
     assert ("no warm start" in caplog.text) == (words[0] == "task.env.pdControl=False")
 
 
-def test_skills_are_not_taught(make_agent, caplog):
-    """Their actor also reads a latent, which no clip shows."""
+ASE_WARM = ("task=HumanoidASE", "train=HumanoidASEPPO", *WARM, f"{CONFIG}.minibatch_size=16")
+
+
+def test_skills_are_taught_under_the_latents_of_the_clips(make_agent, caplog):
     caplog.set_level(logging.INFO)
-    agent = make_agent("train=HumanoidASEPPO", *(f"+{word}" for word in WARM))
+    many = (f"{CONFIG}.amp_obs_demo_buffer_size=400", f"{CONFIG}.amp_minibatch_size=64")
+    agent = make_agent(*ASE_WARM, *many, f"{CONFIG}.warm_start_steps=300", num_envs=64)
+    network, task = agent.model.a2c_network, agent.vec_env.env
+    others = [*network.critic_mlp.parameters(), *network.disc_parameters()]
+    before = values(others)
+
+    def agreements(pairs):
+        found = agent.encoder.read(agent.discriminator.truncate(pairs))
+        at, near = found.unbind(dim=1)
+        return float((at * near).sum(-1).mean()), float((at * at.roll(1, dims=0)).sum(-1).mean())
+
+    pairs = task.fetch_amp_obs_demo_pairs(256)
+    assert agreements(pairs)[1] > 0.8  # a new encoder sees the same latent everywhere
+    agent.init_tensors()
+    agent.env_reset()
+    assert "warm start: follows the clips' actions" in caplog.text
+    assert torch.equal(values(others), before)
+    of_near, of_others = agreements(pairs)
+    assert of_others < 0.7
+    assert of_others < of_near - 0.05
+    demo = task.fetch_tracking_demo(500)
+    latents = agent.encoder.read(agent.discriminator.truncate(demo.amp_obs))
+    agent.model.eval()
+
+    def error(actions):
+        return float((actions - demo.actions).square().mean().detach()) ** 0.5
+
+    obs = agent.model.norm_obs(demo.obs)
+    own, wrong = (network.eval_actor(obs, z)[0] for z in (latents, latents.roll(250, dims=0)))
+    assert error(own) < 0.7 * error(demo.actions.mean(dim=0))
+    assert error(own) < 0.98 * error(wrong)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (f"{CONFIG}.enc_alignment_coef=0", f"{CONFIG}.enc_uniformity_coef=0"),
+        ("task.env.pdControl=False",),
+    ],
+)
+def test_skills_without_an_encoder_of_clips_or_drives(make_agent, caplog, words):
+    """No clip shows a latent that the encoder has not learned from clips."""
+    caplog.set_level(logging.INFO)
+    agent = make_agent(*ASE_WARM, *words)
     agent.max_epochs = 1
     agent.train()
     assert "no warm start" in caplog.text

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import TrackingDemo
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
@@ -393,20 +394,22 @@ class HumanoidAMP(HumanoidAMPBase):
         steps = torch.arange(self.env_cfg.num_amp_obs_steps, device=self.device)
         return self._reference_features(motion_ids, times, steps).flatten(1).to(self.rl_device)
 
-    def fetch_tracking_demo(self, num_samples: int) -> tuple[Tensor, Tensor] | None:
+    def fetch_tracking_demo(self, num_samples: int) -> TrackingDemo | None:
         """Sample moments of the clips, and actions that go on with them.
 
         A drive with target q + kd / kp * v has no force at position q and velocity v. The targets
         are of the next control step, so that the drives lead.
 
+        To be called before a reset of all environments, whose states it may replace.
+
         Args:
             num_samples: n, any number.
 
         Returns:
-            Observations (n, O) and actions (n, A), within +-1, on rl_device; None if the policy
-            observes what clips do not show, or acts by torques.
+            Tensors on rl_device; None if the policy observes what clips do not show, or acts by
+            torques.
         """
-        if not (self.observes_states and self.env_cfg.pd_control):
+        if not self.env_cfg.pd_control:
             return None
         lib, dt_s = self._motion_lib, self.control_dt_s
         motion_ids = lib.sample_motions(num_samples)
@@ -414,7 +417,9 @@ class HumanoidAMP(HumanoidAMPBase):
         later = -torch.tensor([0.0, 1.0, 3.0], device=self.device)
         states = self._reference_states(motion_ids, times, later)
         root, dof_pos, dof_vel, key_pos = (part[:num_samples] for part in states)
-        obs = self._observe_states((root, dof_pos, dof_vel, key_pos))
+        obs = self._observe_clip((root, dof_pos, dof_vel, key_pos))
+        if obs is None:
+            return None
         if self.goal.num_task_obs > 0:
             goal = self.goal.observe_clip(self._roots_ahead_of(motion_ids, times))
             if goal is None:
@@ -425,12 +430,12 @@ class HumanoidAMP(HumanoidAMPBase):
         change = torch.remainder(far - near + torch.pi, 2 * torch.pi) - torch.pi
         targets = near + self._leads_s() * change / (2 * dt_s)
         actions = ((targets - self._action_offset) / self._action_scale).clamp(-1.0, 1.0)
-        return obs.to(self.rl_device), actions.to(self.rl_device)
+        amp_obs = self._windows_at(motion_ids, times)
+        return TrackingDemo(obs.to(self.rl_device), actions.to(self.rl_device), amp_obs)
 
-    @property
-    def observes_states(self) -> bool:
-        """Whether the policy observes `_observe_states` and the goal, nothing else."""
-        return True
+    def _observe_clip(self, states: CharacterState) -> Tensor | None:
+        """Return what is observed of characters in states of clips; None: clips do not show it."""
+        return self._observe_states(states)
 
     def _leads_s(self) -> Tensor:
         """Return kd / kp (D,) s of the drives."""

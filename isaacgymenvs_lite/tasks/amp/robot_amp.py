@@ -25,6 +25,7 @@ from isaacgymenvs_lite.tasks.amp.deployable_observations import (
     noise_widths,
 )
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.humanoid_model import set_actuators
 from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
@@ -218,10 +219,9 @@ class RobotAMP(HumanoidAMP):
         frame = compute_frame(root_states, dof_pos, dof_vel, self._start_dof_pos, last_action)
         return frame if self._noise_widths is None else add_noise(frame, self._noise_widths)
 
-    @property
-    def observes_states(self) -> bool:
-        """False of what a robot measures."""
-        return self._frames is None
+    def _observe_clip(self, states: CharacterState) -> Tensor | None:
+        """None of what a robot measures: clips do not show its earlier actions."""
+        return super()._observe_clip(states) if self._frames is None else None
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         """As the base, or the frames of the last control steps, newest first."""

@@ -97,11 +97,6 @@ class HumanoidASE(HumanoidAMP):
 
     # --- step --------------------------------------------------------------------------------
 
-    @property
-    def observes_states(self) -> bool:
-        """False: all bodies are observed."""
-        return False
-
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         sim = self.simulation
         bodies = [sim.body_pos, sim.body_rot, sim.body_lin_vel, sim.body_ang_vel]
@@ -111,6 +106,16 @@ class HumanoidASE(HumanoidAMP):
         return compute_all_body_observations(
             pos, rot, lin_vel, ang_vel, self.env_cfg.local_root_obs, self.env_cfg.root_height_obs
         )
+
+    def _observe_clip(self, states: CharacterState) -> Tensor | None:
+        """Return observations of all bodies; the simulation computes their motion."""
+        root_states, dof_pos, dof_vel, _ = states
+        observations = []
+        for rows in torch.arange(len(root_states), device=self.device).split(self.num_envs):
+            env_ids = torch.arange(len(rows), device=self.device)
+            self.simulation.write_state(env_ids, root_states[rows], dof_pos[rows], dof_vel[rows])
+            observations.append(self._observe_character(env_ids))
+        return torch.cat(observations)
 
     def _amp_features(self, state: CharacterState) -> Tensor:
         features = super()._amp_features(state)

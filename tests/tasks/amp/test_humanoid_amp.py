@@ -569,7 +569,8 @@ def test_the_shown_actions_follow_the_clip(make_task) -> None:
     task = make_task("task=HumanoidAMP", "task.env.motion_file=walk", num_envs=64)
     task.reset()
     torch.manual_seed(0)
-    obs, actions = task.fetch_tracking_demo(64)
+    demo = task.fetch_tracking_demo(64)
+    obs, actions = demo.obs, demo.actions
     assert obs.shape == (64, task.num_obs)
     assert float(actions.abs().max()) <= 1.0
     lib, dt_s = task.motion_lib, task.control_dt_s
@@ -589,11 +590,13 @@ def test_the_shown_actions_follow_the_clip(make_task) -> None:
     assert shown < 0.7 * held < none
     task.simulation.write_state(torch.arange(64), root, zero.dof_pos, zero.dof_vel)
     torch.testing.assert_close(task.compute_obs(), obs, atol=2e-3, rtol=0)
+    # The newest step of the AMP observation is of the same moment.
+    torch.testing.assert_close(demo.amp_obs[:, : obs.shape[1]], obs)
 
 
 def test_the_shown_observations_have_the_command_that_the_clip_follows(make_task) -> None:
     words = ("task=RobotAMPVelocity", "task.env.motion_file=g1_walk")
-    obs, _ = make_task(*words).fetch_tracking_demo(50)
+    obs = make_task(*words).fetch_tracking_demo(50).obs
     assert float(obs[:, -3].mean()) == pytest.approx(0.97, abs=0.1)  # m/s, the clip's speed
     assert float(obs[:, -2:].mean(dim=0).abs().max()) < 0.1
 
@@ -602,4 +605,3 @@ def test_measurements_and_torques_have_no_shown_actions(make_task) -> None:
     deployable = make_task("task=RobotAMP", "task.env.observations=deployable")
     assert deployable.fetch_tracking_demo(3) is None
     assert make_task("task=HumanoidAMP", "task.env.pdControl=False").fetch_tracking_demo(3) is None
-    assert make_task("task=HumanoidASE").fetch_tracking_demo(3) is None

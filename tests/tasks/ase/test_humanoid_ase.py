@@ -202,3 +202,28 @@ def test_the_drives_of_humanoid_amp_stay_isaacgymenvs(make_humanoid, make_ase) -
     amp = make_humanoid(1).simulation.model
     assert amp.actuator("abdomen_x").gainprm[0] == 600.0
     assert amp.joint("abdomen").armature[0] == pytest.approx(0.025)
+
+
+def test_the_shown_observations_are_of_the_clips_states(make_task) -> None:
+    """The simulation computes them in parts: more moments than environments."""
+    task = make_task("task=HumanoidASE", "task.env.motion_file=walk", num_envs=4)
+    torch.manual_seed(0)
+    demo = task.fetch_tracking_demo(10)
+    torch.manual_seed(0)  # the same moments once more
+    lib = task.motion_lib
+    motion_ids = lib.sample_motions(10)
+    times = lib.sample_time(motion_ids, truncate_time=3 * task.control_dt_s)
+    state = lib.get_motion_state(motion_ids, times)
+    root = torch.cat((state.root_pos, state.root_rot, state.root_vel, state.root_ang_vel), dim=-1)
+    task.reset()
+    ids = torch.arange(4)
+    task.simulation.write_state(ids, root[6:], state.dof_pos[6:], state.dof_vel[6:])
+    torch.testing.assert_close(demo.obs[6:], task.compute_obs())
+    assert demo.amp_obs.shape == (10, task.num_amp_obs)
+    assert demo.actions.shape == (10, 28)
+    assert float(demo.actions.abs().max()) <= 1.0
+
+
+def test_goals_have_no_shown_actions(make_task) -> None:
+    """A clip does not show the goal that it serves."""
+    assert make_task("task=HumanoidHeading", num_envs=4).fetch_tracking_demo(3) is None
