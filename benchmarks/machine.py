@@ -12,8 +12,9 @@ from isaacgymenvs_lite.installation import cpu_name
 
 
 def describe_machine() -> str:
-    """Return processor, cores, and the versions that matter."""
+    """Return processor, cores, the GPU if there is one, and the versions that matter."""
+    gpu = f" {torch.cuda.get_device_name()}," if torch.cuda.is_available() else ""
     return (
-        f"{cpu_name()}, {os.cpu_count()} cores, Python {platform.python_version()},"
+        f"{cpu_name()}, {os.cpu_count()} cores,{gpu} Python {platform.python_version()},"
         f" torch {torch.__version__}, mujoco {mujoco.__version__}"
     )
