@@ -28,6 +28,10 @@ from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 # Fewer rows than this are not worth another thread.
 _MIN_ROWS = 128
+# What another slice costs, as products of rows and parameters. The interpreter's lock lets the
+# slices' many small operations run one after the other only: s slices take a / s + b * s, which is
+# least for the square root of a / b.
+_PRODUCTS_OF_A_SLICE = 300_000_000
 # Slices under `torch_deterministic=True`: rows of each, and how many at most. Smaller ones cost
 # more (each casts the weights and has gradients of its own), larger ones leave threads idle.
 _FIXED_ROWS = 1024
@@ -46,7 +50,7 @@ LossFunction = Callable[[dict[str, Tensor]], tuple[Tensor, dict[str, Tensor]]]
 
 
 def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) -> NetworkExecutor:
-    """Put a `ParallelNetwork` with as many threads as torch has into an rl_games model.
+    """Put a `ParallelNetwork` with at most as many threads as torch has into an rl_games model.
 
     Args:
         model: its `a2c_network` is replaced.
@@ -60,7 +64,10 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
         ConfigError: mixed_precision is none of True, False, "auto".
     """
     bfloat16 = resolve_mixed_precision(mixed_precision, device)
-    network = ParallelNetwork(model.a2c_network, device, bfloat16, torch.get_num_threads())
+    parameters = sum(parameter.numel() for parameter in model.a2c_network.parameters())
+    network = ParallelNetwork(
+        model.a2c_network, device, bfloat16, torch.get_num_threads(), parameters
+    )
     model.a2c_network = network
     return network.executor
 
@@ -77,7 +84,8 @@ class ParallelNetwork(nn.Module):
         network: to evaluate. With layers that mix rows (`_UNSLICED_LAYERS`) nothing is sliced.
         device: where it is. Off the CPU nothing is sliced.
         bfloat16: compute under autocast to bfloat16; results are float32 in any case.
-        num_threads: on a CPU; at least 1.
+        num_threads: on a CPU, at most; at least 1.
+        row_products: as `NetworkExecutor`.
 
     Attributes:
         serial: the network itself, computed by the calling thread in the parameters' precision.
@@ -93,6 +101,7 @@ class ParallelNetwork(nn.Module):
         device: str | torch.device,
         bfloat16: bool = False,
         num_threads: int = 1,
+        row_products: int | None = None,
     ) -> None:
         super().__init__()
         layers = list(network.modules())
@@ -101,7 +110,7 @@ class ParallelNetwork(nn.Module):
         vars(self).update(
             {name: vars(network)[name] for name in _MODULE_STATE},
             serial=network,
-            executor=NetworkExecutor(device, bfloat16, num_threads, can_slice),
+            executor=NetworkExecutor(device, bfloat16, num_threads, can_slice, row_products),
             _is_recurrent=any(isinstance(layer, nn.RNNBase) for layer in layers),
         )
 
@@ -170,8 +179,10 @@ class NetworkExecutor:
     Args:
         device: where the networks are. Off the CPU nothing is sliced.
         bfloat16: compute under autocast to bfloat16; results are float32 in any case.
-        num_threads: on a CPU; at least 1.
+        num_threads: on a CPU, at most; at least 1.
         can_slice: whether rows are independent of each other in all functions.
+        row_products: products of a row, about as many as the networks have parameters; None: so
+            many that every thread is worth it.
     """
 
     def __init__(
@@ -180,18 +191,20 @@ class NetworkExecutor:
         bfloat16: bool = False,
         num_threads: int = 1,
         can_slice: bool = True,
+        row_products: int | None = None,
     ) -> None:
         self._device_type = torch.device(device).type
         self._can_slice = can_slice and self._device_type == "cpu"
         self.bfloat16 = bfloat16
         self.num_threads = num_threads if self._can_slice else 1
+        self._row_products = row_products
         self._others: ThreadPoolExecutor | None = None
         self._within = threading.local()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has threads of its own, and a file none."""
-        arguments = (self._device_type, self.bfloat16, self.num_threads, self._can_slice)
-        return NetworkExecutor, arguments
+        settings = (self.bfloat16, self.num_threads, self._can_slice, self._row_products)
+        return NetworkExecutor, (self._device_type, *settings)
 
     def run(self, module: nn.Module, function: RowFunction, *rows: Tensor) -> tuple[Tensor, ...]:
         """Return `function(*rows)` in float32, differentiable (once) by parameters and rows.
@@ -278,7 +291,10 @@ class NetworkExecutor:
             return 1
         if torch.are_deterministic_algorithms_enabled():
             return max(1, min(_MOST_FIXED_SLICES, num_rows // _FIXED_ROWS))
-        return max(1, min(self.num_threads, num_rows // _MIN_ROWS))
+        most = min(self.num_threads, num_rows // _MIN_ROWS)
+        if self._row_products is not None:
+            most = min(most, math.isqrt(num_rows * self._row_products // _PRODUCTS_OF_A_SLICE))
+        return max(1, most)
 
     def _pool(self) -> ThreadPoolExecutor:
         """The threads beside the caller's own, made when first needed."""

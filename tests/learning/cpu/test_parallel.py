@@ -194,6 +194,36 @@ def test_a_few_rows_stay_together(net):
     assert net.seen == [100]
 
 
+@pytest.mark.parametrize(
+    ("num_rows", "slices"),
+    [(512, 1), (2048, 2), (8192, 4), (32_768, 8), (2**19, 16)],  # the root of rows / 500, cut off
+)
+def test_slices_are_few_enough_to_pay(net, num_rows, slices):
+    executor = NetworkExecutor("cpu", num_threads=16, row_products=600_000)
+    seen: list[int] = []
+
+    def keep(rows: Tensor) -> tuple[Tensor, ...]:
+        seen.append(len(rows))
+        return (rows,)
+
+    with torch.no_grad():
+        executor.run(net, keep, torch.zeros(num_rows, 1))
+    assert seen == [num_rows // slices] * slices
+
+
+def test_a_small_network_is_computed_whole(net):
+    """16 slices of 128 rows took several times as long as all rows at once."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(16)
+    try:
+        model = Model(net)
+        parallelize(model, "cpu", False)
+        model.a2c_network({"obs": random(16 * ROWS, 6)})
+    finally:
+        torch.set_num_threads(before)
+    assert net.seen == [16 * ROWS]
+
+
 @pytest.mark.parametrize("layer", [nn.Dropout(0.5), nn.BatchNorm1d(6)])
 def test_layers_that_mix_rows_or_draw_numbers_are_not_sliced(layer):
     net = Net(layer)
@@ -241,7 +271,7 @@ def test_torch_keeps_its_number_of_threads(net):
     try:
         model = Model(net)
         assert parallelize(model, "cpu", False).num_threads == 2
-        model.a2c_network({"obs": random(ROWS, 6)})
+        ParallelNetwork(net, "cpu", num_threads=2)({"obs": random(ROWS, 6)})
         assert net.seen == [ROWS // 2] * 2
         assert torch.get_num_threads() == 2
     finally:
