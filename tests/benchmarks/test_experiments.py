@@ -37,7 +37,8 @@ def test_every_experiment_composes(name, walk_clip):
 
 def test_every_variant_composes(walk_clip):
     for variant in VARIANTS:
-        base = "skills" if variant in ("mismatched_demos", "diversity") else "walk"
+        of_skills = ("mismatched_demos", "matched_demos", "diversity")
+        base = "skills" if variant in of_skills else "walk"
         compose_experiment(f"{base}+{variant}", walk_clip)
 
 
