@@ -228,6 +228,7 @@ class AMPAgent(StyleRewards, CommonAgent):
         if demo is None or not self.model.a2c_network.separate:
             log.info("no warm start: the clips do not show all that the policy receives")
             return
+        log.info("warm start: %d steps on the clips", self._amp.warm_start_steps)
         normalizer = self.model.running_mean_std if self.normalize_input else None
         steps, noise = self._amp.warm_start_steps, self._amp.warm_start_noise
         latents = self._tracking_latents(demo)
