@@ -117,7 +117,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             raise ConfigError(
                 "train.params.config.disc_mismatched_demos: only a discriminator that receives"
                 " latents can find a wrong one; set train.params.network.disc.conditional=True, or"
-                " leave it out"
+                " this to 0"
             )
         self._needs_pairs = self._amp.encodes_clips or self._disc_is_conditional
         if self._needs_pairs and is_overridden(self, AMPAgent._fetch_amp_obs_demo):
