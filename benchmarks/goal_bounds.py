@@ -1,11 +1,11 @@
-"""What a goal pays at most to a point that walks ahead: no legs, no balance, no inertia.
+"""What a goal pays to a point that walks ahead at a constant speed, without legs and inertia.
 
     python -m benchmarks.goal_bounds [--speeds 1.3 1.6 2.8] [--turns 90 180 inf]
 
-The point goes where it faces, at a constant speed in m/s, and turns towards its goal by a number of
-degrees/s. While it has to turn by more than 60 degrees it stays where it is; at a `location` it
-stops. The rewards and the times of the goals are those of the tasks. A character that only walks
-ahead cannot earn more than a point as fast as itself; one that walks sideways and backwards can.
+The point moves where it faces. Of `heading` it faces where going and facing together earn most, of
+`location` the point on the ground, where it stops. If it turns at once (inf), no character earns
+more that only walks ahead at this speed. With a number of degrees/s it rests until it has to turn
+by less than 60 degrees: an estimate, no bound. Rewards and times are those of the tasks.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from torch import Tensor
 
 from isaacgymenvs_lite.tasks.goals.heading import HeadingSettings, compute_heading_reward
 from isaacgymenvs_lite.tasks.goals.location import LocationSettings, compute_location_reward
+from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis
 
 _POINTS, _STEPS, _DT_S = 4096, 300, 1.0 / 30.0
-_STAYS_RAD = math.pi / 3
+_RESTS_RAD = math.pi / 3
 _ARRIVED_M = 0.3
+_DIRECTIONS = 90
 
 
 def main() -> None:
@@ -35,49 +37,53 @@ def main() -> None:
     torch.manual_seed(1)
     head = " | ".join(f"{turn:g} degrees/s" for turn in args.turns)
     print(f"| goal | m/s | {head} |\n|---|---|{'---|' * len(args.turns)}")
-    for name in BOUNDS:
+    for name, mean_reward in (("heading", heading_reward), ("location", location_reward)):
         for speed in args.speeds:
-            row = (f"{BOUNDS[name](speed, turn):.3f}" for turn in args.turns)
+            row = (f"{mean_reward(speed, turn):.3f}" for turn in args.turns)
             print(f"| `{name}` | {speed:g} | {' | '.join(row)} |")
 
 
-def heading_bound(speed: float, turn: float) -> float:
-    """Return the mean reward of `heading`, which also wants another facing, for the point."""
+def heading_reward(speed: float, turn: float) -> float:
+    """Return the mean reward of `heading`, at `speed` m/s and turning by `turn` degrees/s."""
     cfg = HeadingSettings()
     to_go, to_face = torch.zeros(_POINTS, 2), torch.zeros(_POINTS, 2)
     wanted = torch.empty(_POINTS).uniform_(cfg.tar_speed_min, cfg.tar_speed_max)
-
-    def draw(changes: Tensor, pos: Tensor) -> Tensor:
-        for directions in (to_go, to_face):
-            angles = 2 * math.pi * torch.rand(len(changes))
-            directions[changes] = torch.stack((angles.cos(), angles.sin()), dim=-1)
-        return pos + 1e3 * to_go
+    best = torch.zeros(_POINTS)
 
     def reward(pos: Tensor, before: Tensor, rot: Tensor, aim: Tensor) -> Tensor:
         return compute_heading_reward(pos, before, rot, to_go, wanted, to_face, _DT_S)
 
+    def draw(changes: Tensor, pos: Tensor) -> Tensor:
+        for directions in (to_go, to_face):
+            angles = 2 * math.pi * torch.rand(len(changes))
+            directions[changes] = _unit(angles)[:, :2]
+        earned = []
+        angles = torch.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
+        for angle in angles:
+            way = angle.expand(_POINTS)
+            earned.append(reward(pos + speed * _DT_S * _unit(way), pos, _rotation(way), pos))
+        best[changes] = angles[torch.stack(earned).argmax(dim=0)][changes]
+        return pos + 1e3 * _unit(best)
+
     steps = (cfg.change_steps_min, cfg.change_steps_max)
     return _mean_reward(speed, turn, steps, draw, reward)
 
 
-def location_bound(speed: float, turn: float) -> float:
-    """Return the mean reward of `location` for the point."""
+def location_reward(speed: float, turn: float) -> float:
+    """Return the mean reward of `location`, at `speed` m/s and turning by `turn` degrees/s."""
     cfg = LocationSettings()
-    points = torch.zeros(_POINTS, 2)
+    points = torch.zeros(_POINTS, 3)
+
+    def reward(pos: Tensor, before: Tensor, rot: Tensor, aim: Tensor) -> Tensor:
+        return compute_location_reward(pos, before, rot, aim[:, :2], cfg.tar_speed, _DT_S)
 
     def draw(changes: Tensor, pos: Tensor) -> Tensor:
         offsets = torch.empty(len(changes), 2).uniform_(-cfg.tar_dist_max, cfg.tar_dist_max)
-        points[changes] = pos[changes] + offsets
+        points[changes, :2] = pos[changes, :2] + offsets
         return points
-
-    def reward(pos: Tensor, before: Tensor, rot: Tensor, aim: Tensor) -> Tensor:
-        return compute_location_reward(pos, before, rot, aim, cfg.tar_speed, _DT_S)
 
     steps = (cfg.change_steps_min, cfg.change_steps_max)
     return _mean_reward(speed, turn, steps, draw, reward)
-
-
-BOUNDS = {"heading": heading_bound, "location": location_bound}
 
 
 def _mean_reward(
@@ -93,11 +99,12 @@ def _mean_reward(
         speed: m/s.
         turn: degrees/s.
         change_steps: as the goal's keys: least number of steps, and above the largest one.
-        draw: rows (k,) whose goals change, positions (n, 2) m -> the points (n, 2) to go to.
+        draw: rows (k,) whose goals change, positions (n, 3) m -> the points (n, 3) to go to.
         reward: positions (n, 3) m after and before the step, rotations (n, 4) xyzw, points.
     """
-    pos, heading = torch.zeros(_POINTS, 2), torch.zeros(_POINTS)
+    pos, heading = torch.zeros(_POINTS, 3), torch.zeros(_POINTS)
     change_at = torch.zeros(_POINTS, dtype=torch.int64)
+    most = math.radians(turn) * _DT_S
     total, aim = 0.0, pos
     for step in range(_STEPS):
         changes = (change_at <= step).nonzero().flatten()
@@ -107,19 +114,21 @@ def _mean_reward(
         offset = aim - pos
         error = torch.atan2(offset[:, 1], offset[:, 0]) - heading
         error = torch.remainder(error + math.pi, 2 * math.pi) - math.pi
-        most = math.radians(turn) * _DT_S
         heading = heading + error.clamp(-most, most)
-        goes = ((error.abs() - most) < _STAYS_RAD) & (offset.norm(dim=-1) > _ARRIVED_M)
-        facing = torch.stack((heading.cos(), heading.sin()), dim=-1)
-        before, pos = pos, pos + speed * _DT_S * goes[:, None] * facing
-        zeros = torch.zeros_like(heading)
-        rot = torch.stack((zeros, zeros, (heading / 2).sin(), (heading / 2).cos()), dim=-1)
-        total += float(reward(_lifted(pos), _lifted(before), rot, aim).mean())
+        moves = ((error.abs() - most) < _RESTS_RAD) & (offset.norm(dim=-1) > _ARRIVED_M)
+        before, pos = pos, pos + speed * _DT_S * moves[:, None] * _unit(heading)
+        total += float(reward(pos, before, _rotation(heading), aim).mean())
     return total / _STEPS
 
 
-def _lifted(pos: Tensor) -> Tensor:
-    return torch.cat((pos, torch.zeros(len(pos), 1)), dim=-1)
+def _unit(angles: Tensor) -> Tensor:
+    """Return unit vectors (n, 3) in the plane, of angles (n,) rad."""
+    return torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), dim=-1)
+
+
+def _rotation(angles: Tensor) -> Tensor:
+    """Return rotations (n, 4) xyzw about z by angles (n,) rad."""
+    return quat_from_angle_axis(angles, torch.tensor([0.0, 0.0, 1.0]).expand(len(angles), 3))
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ class ClipSkills:
 
     Attributes:
         num_moving: clips that go or turn, at 0.3 m/s or more.
-        num_followed: those of them from whose pace the character's differs by at most a half.
+        num_followed: those of them where the character's pace is off by at most half of the clip's.
         clips: by the clips' names.
     """
 

@@ -39,15 +39,10 @@ TINY_DISCRIMINATOR = (
     f"{CONFIG}.amp_replay_buffer_size=64",
 )
 
-TINY_AMP = (
-    *TINY_PPO,
-    *TINY_DISCRIMINATOR,
-    f"{CONFIG}.imitation_frequency=0",
-    f"{CONFIG}.warm_start_steps=0",
-)
-"""Of AMP, without measurements of the imitation and without a warm start."""
+TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR, f"{CONFIG}.imitation_frequency=0")
+"""Of AMP, without measurements of the imitation."""
 
-TINY_STYLE = ("train.params.network.style.units=[10,6]", f"{CONFIG}.warm_start_steps=0")
+TINY_STYLE = ("train.params.network.style.units=[10,6]",)
 """What ASE needs beside TINY_AMP."""
 
 TINY_LSTM = (
