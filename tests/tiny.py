@@ -42,7 +42,7 @@ TINY_DISCRIMINATOR = (
 TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR, f"{CONFIG}.imitation_frequency=0")
 """Of AMP, without measurements of the imitation."""
 
-TINY_STYLE = ("train.params.network.style.units=[10,6]",)
+TINY_STYLE = ("train.params.network.style.units=[10,6]", f"{CONFIG}.warm_start_steps=0")
 """What ASE needs beside TINY_AMP."""
 
 TINY_LSTM = (

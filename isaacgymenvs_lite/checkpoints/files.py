@@ -130,8 +130,8 @@ def _reason(error: OSError | FolderInUseError) -> str:
 
 
 def plain_numbers(value: Any) -> Any:
-    """Replace numpy scalars, which a safe loader refuses, by Python numbers."""
-    if isinstance(value, np.generic):
+    """Replace numpy scalars, which a safe loader refuses, by Python numbers, arrays by tensors."""
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return value.item()
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value)
@@ -168,6 +168,7 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
             " rl_games writes it"
         )
+    _unwrap_numbers(state)
     wrong = next(_wrong_entries(state), None)
     if wrong is not None:
         raise CheckpointError(f"checkpoint={path}: {wrong}; expected a file that train.py wrote")
@@ -177,6 +178,14 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
 
 def _has_model(state: dict[str, Any]) -> bool:
     return isinstance(state.get("model"), Mapping)
+
+
+def _unwrap_numbers(state: dict[str, Any]) -> None:
+    """Replace tensors of one number: SAC's best reward was one in the first versions' files."""
+    for key in _NUMBERS:
+        value = state.get(key)
+        if isinstance(value, torch.Tensor) and value.shape == ():
+            state[key] = value.item()
 
 
 def _wrong_entries(state: dict[str, Any]) -> Iterator[str]:

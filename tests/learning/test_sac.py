@@ -139,3 +139,23 @@ def test_what_is_saved_is_what_plays(trained, make_classic_runner, tmp_path: Pat
     player.run()
     assert player.result.num_episodes == 8
     assert player.result.steps > 1
+
+
+def test_the_best_policy_of_a_training_plays(make_classic_agent, make_classic_runner) -> None:
+    """rl_games' mean reward of SAC is an array without axes, its other agents' a number."""
+    agent = make_classic_agent(
+        *TINY_SAC,
+        *("max_iterations=4", "task.env.episodeLength=8"),
+        "train.params.config.save_best_after=1",
+    )
+    best, _ = agent.train()
+    file = Path(agent.nn_dir) / f"{agent.config['name']}.pth"
+    state = load_checkpoint(file)
+    assert type(state["last_mean_rewards"]) is float
+    assert state["last_mean_rewards"] == pytest.approx(float(best))
+    player = make_classic_runner(
+        *TINY_SAC, "+train.params.config.player.games_num=8", "task.env.episodeLength=8"
+    ).create_player()
+    player.restore(str(file))
+    player.run()
+    assert player.result.num_episodes == 8
