@@ -17,8 +17,8 @@ from torch import Tensor
 from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
 PHASES_PER_STEP = 2
-TRAVEL_S = 1.0
-"""Travel is compared over so much time."""
+COMPARED_S = 1.0
+"""Travel and tempo are compared over so much time."""
 # From half the tempo of the clip on; a phase that has stayed behind catches up.
 _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
@@ -50,7 +50,8 @@ class ClipPhases:
     A clip whose end is near its start repeats; after the end of another one nothing is measured.
 
     A character that rests in a pose of a walk is near the clip, but its root travels less than the
-    clip's; so travel can be compared, too.
+    clip's; so travel can be compared, too. One that takes steps of half the length, twice as many,
+    is near it and travels as far; so tempo can be compared.
 
     Args:
         clips: of each clip (S, P, 3) m, points of the body, relative to the root's place on the
@@ -58,16 +59,17 @@ class ClipPhases:
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
-        travels: of each clip (S, 2) m, how far the root moved in the `TRAVEL_S` before each of
+        travels: of each clip (S, 2) m, how far the root moved in the `COMPARED_S` before each of
             these moments, in its heading frame; nan is not compared. None: nothing is.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
+        max_tempo: how fast the clip may be shown, 1: as fast as it is; 0: anyhow.
 
     Attributes:
         far_m: as given.
     """
 
-    stored = ("_clip", "_phase", "_trail", "_num_followed")
+    stored = ("_clip", "_phase", "_trail", "_passed", "_num_followed")
 
     def __init__(
         self,
@@ -77,6 +79,7 @@ class ClipPhases:
         far_m: float,
         travels: Sequence[Tensor] | None = None,
         travel_share: float = 0.0,
+        max_tempo: float = 0.0,
     ) -> None:
         device = clips[0].device
         self.far_m = far_m
@@ -92,9 +95,12 @@ class ClipPhases:
         self._phase = torch.full((num_envs,), _NONE, device=device)
         self._travels = None if travels is None else torch.cat(list(travels))
         self._travel_share = travel_share
-        # Where the roots were in the control steps of the last TRAVEL_S, (T + 1, N, 2) m.
-        num_places = 0 if travels is None else round(TRAVEL_S / dt_s) + 1
-        self._trail = torch.zeros(num_places, num_envs, 2, device=device)
+        # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
+        # how many phases each of these steps moved on, (T, N).
+        steps = round(COMPARED_S / dt_s)
+        self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
+        self._passed = self._clip.new_zeros(steps if max_tempo > 0.0 else 0, num_envs)
+        self._max_passed = max_tempo * PHASES_PER_STEP * steps
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
@@ -126,13 +132,17 @@ class ClipPhases:
         rows = self._firsts[self._clip].unsqueeze(1) + phases.clamp(max=lengths - 1)
         away_m = distance_up_to_heading_m(points.unsqueeze(1), self._points[rows])
         nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
+        self._num_followed += 1
+        if len(self._passed) > 0:
+            passed = self._advances[nearest.squeeze(1)]
+            self._passed.copy_(torch.cat((self._passed[1:], passed[None])))
         away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
         is_over = (self._phase == _NONE) | (phase >= lengths.squeeze(1))
         self._phase.copy_(torch.where(is_over, _NONE, phase))
         return torch.where(is_over, 0.0, away_m)
 
     def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: who moved otherwise than the clip in the last `TRAVEL_S`.
+        """Return (N,) bool: who moved otherwise than the clip in the last `COMPARED_S`.
 
         To be called once in a control step, after `advance`. Who is followed for less time is not
         compared.
@@ -144,9 +154,18 @@ class ClipPhases:
         if self._travels is None:
             return torch.zeros_like(self._phase, dtype=torch.bool)
         self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
-        self._num_followed += 1
         travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
         expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
         allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self.far_m)
         is_off = (travel - expected).norm(dim=-1) > allowed_m
         return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
+
+    def is_too_fast(self) -> Tensor:
+        """Return (N,) bool: who showed more of its clip in the last `COMPARED_S` than it may.
+
+        To be called after `advance`. Who is followed for less time is not compared.
+        """
+        if len(self._passed) == 0:
+            return torch.zeros_like(self._phase, dtype=torch.bool)
+        is_fast = self._passed.sum(dim=0) > self._max_passed
+        return is_fast & (self._phase != _NONE) & (self._num_followed >= len(self._passed))
