@@ -13,7 +13,7 @@ import math
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,8 +58,14 @@ MIN_STUCK_MEASUREMENTS = 6
 # 0.16 to 0.24, one that still learned to move and seldom fell 0.4 and more.
 STANDING_SHOWN = 0.3
 LAST_MEASUREMENTS = 3
+# Keys of task.env that keep an episode to its clip, and the values to propose.
+CLIP_LIMITS = {"clipDeviation": 0.34, "clipMaxTempo": 1.3}
 # Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
+
+# Walks in quick, short steps, which show all of their clip, had 1.55 to 1.9; slow clips that are
+# learned well 1.0 to 1.4.
+HASTY_TEMPO = 1.5
 
 # Policies that learned to walk had episodes of more than a tenth of the limit after 2 M frames, and
 # one that learned to jump of more than a third after 5 M; both kept getting longer until then.
@@ -78,6 +84,7 @@ class Measurement:
         no_fall_share: share of the episodes without a fall, 0 to 1.
         clip_spread_m: of `imitation.clip_spread_m`; about 0 where a clip does not move.
         motion_shown: see `ImitationResult`.
+        tempo: see `ImitationResult`.
         fall_moment: see `ImitationResult`.
     """
 
@@ -86,6 +93,7 @@ class Measurement:
     no_fall_share: float
     clip_spread_m: float
     motion_shown: float = math.nan
+    tempo: float = math.nan
     fall_moment: FallMoment | None = None
 
 
@@ -182,20 +190,23 @@ class Diagnostics:
     Args:
         config: `train.params.config`, for the values that a warning proposes.
         max_episode_steps: the task's time limit in control steps.
-        keeps_to_clip: whether the task ends episodes that stay behind their clip.
+        clip_limits: those of `CLIP_LIMITS` that the task has set.
 
     Attributes:
         history: what the rules read.
         implausible: what is implausible in the clips, for users; '' if nothing is known.
-        keeps_to_clip: as given.
+        clip_limits: as given.
     """
 
     def __init__(
-        self, config: Mapping[str, Any], max_episode_steps: int, keeps_to_clip: bool = False
+        self,
+        config: Mapping[str, Any],
+        max_episode_steps: int,
+        clip_limits: Collection[str] = (),
     ) -> None:
         self._config = config
         self._max_episode_steps = max_episode_steps
-        self.keeps_to_clip = keeps_to_clip
+        self.clip_limits = clip_limits
         self.implausible = ""
         self.history = RunHistory(WINDOW_FRAMES, WINDOW_EPOCHS)
         self._warned_s: dict[str, float] = {}
@@ -204,6 +215,7 @@ class Diagnostics:
             "no reward": self._no_reward,
             "discriminator fooled": self._discriminator_fooled,
             "standing still": self._standing_still,
+            "in a hurry": self._in_a_hurry,
             "falls": self._falls,
             "no improvement": self._no_improvement,
         }
@@ -283,15 +295,34 @@ class Diagnostics:
         if self._fall_rate() > NEARLY_ALL_FALL:
             return None
         cut = "cut parts without motion out of the clips"
-        if not self.keeps_to_clip:
+        if "clipDeviation" not in self.clip_limits:
             cut = (
-                "set task.env.clipDeviation=0.34, which ends episodes that stay behind their clip"
+                f"set task.env.clipDeviation={CLIP_LIMITS['clipDeviation']:g}, which ends episodes"
+                " that stay behind their clip"
                 f" (with one clip in task.env.motion_file), or {cut}"
             )
         return (
             f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
             f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
             f" {cut}{self._clips_are_odd()}"
+        )
+
+    def _in_a_hurry(self) -> str | None:
+        last = self.history.measured()[-LAST_MEASUREMENTS:]
+        if len(last) < LAST_MEASUREMENTS or not all(_is_hasty(one) for one in last):
+            return None
+        missing = [
+            f"task.env.{key}={CLIP_LIMITS[key]:g}"
+            for key in CLIP_LIMITS
+            if key not in self.clip_limits
+        ]
+        if not missing:
+            return None
+        return (
+            f"the policy is in a hurry: in the last {len(last)} measurements it was faster than its"
+            f" clip, now {last[-1].tempo:.2f} times, as if in quick, short steps; set"
+            f" {' and '.join(missing)}, which ends such episodes in training (with one clip in"
+            " task.env.motion_file)"
         )
 
     def _falls(self) -> str | None:
@@ -393,6 +424,14 @@ def _is_still(measurement: Measurement) -> bool:
     )
 
 
+def _is_hasty(measurement: Measurement) -> bool:
+    return (
+        measurement.tempo > HASTY_TEMPO
+        and measurement.no_fall_share > MOSTLY_FALLS
+        and measurement.clip_spread_m > MIN_CLIP_SPREAD_M
+    )
+
+
 def _good_m(measurement: Measurement) -> float:
     """Return the pose error in m that is good enough; larger where the clip moves more."""
     wide_m = GOOD_SHARE_OF_SPREAD * measurement.clip_spread_m
@@ -413,7 +452,7 @@ class DiagnosticsObserver(AlgoObserver):
         metrics: the epochs' metrics.
         imitation: the measured pose error, if any.
         max_episode_steps: the task's time limit in control steps.
-        keeps_to_clip: whether the task ends episodes that stay behind their clip.
+        clip_limits: those of `CLIP_LIMITS` that the task has set.
 
     Attributes:
         diagnostics: the rules; set once there is an agent.
@@ -426,19 +465,19 @@ class DiagnosticsObserver(AlgoObserver):
         metrics: MetricsObserver,
         imitation: ImitationObserver | None,
         max_episode_steps: int,
-        keeps_to_clip: bool = False,
+        clip_limits: Collection[str] = (),
     ) -> None:
         super().__init__()
         self._metrics = metrics
         self._imitation = imitation
         self._max_episode_steps = max_episode_steps
-        self._keeps_to_clip = keeps_to_clip
+        self._clip_limits = clip_limits
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
         limit = self._max_episode_steps
-        self.diagnostics = Diagnostics(algo.config, limit, self._keeps_to_clip)
+        self.diagnostics = Diagnostics(algo.config, limit, self._clip_limits)
         self._measured_at: int | None = None
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
@@ -466,6 +505,7 @@ class DiagnosticsObserver(AlgoObserver):
                     no_fall_share=result.no_fall_share,
                     clip_spread_m=observer.clip_spread_m,
                     motion_shown=result.motion_shown,
+                    tempo=result.tempo,
                     fall_moment=result.fall_moment,
                 )
             )

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
+from isaacgymenvs_lite.run.diagnostics import CLIP_LIMITS, DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.imitation import ImitationObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
@@ -101,8 +101,8 @@ class TrainingObservers(MultiObserver):
             observers.append(self._wandb)
         if imitation is not None:
             observers.append(imitation)
-        keeps_to_clip = bool(cfg.task.env.get("clipDeviation"))
-        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps, keeps_to_clip)
+        clip_limits = [key for key in CLIP_LIMITS if cfg.task.env.get(key)]
+        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes
             observers = []

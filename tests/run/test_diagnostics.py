@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -115,10 +115,10 @@ def warnings_of(
     config: dict[str, Any] | None = None,
     first_frame: int = 0,
     implausible: str = "",
-    keeps_to_clip: bool = False,
+    clip_limits: Collection[str] = (),
 ) -> list[tuple[int, str]]:
     """[(frame, warning)] of a run; a measurement every 50 epochs."""
-    diagnostics = Diagnostics(CONFIG if config is None else config, 300, keeps_to_clip)
+    diagnostics = Diagnostics(CONFIG if config is None else config, 300, clip_limits)
     diagnostics.implausible = implausible
     warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
@@ -273,7 +273,7 @@ def test_a_policy_that_stands_still():
 
 
 def test_a_key_that_is_set_is_not_proposed():
-    warning = warnings_of(walking, STILL, keeps_to_clip=True)[0][1]
+    warning = warnings_of(walking, STILL, clip_limits=["clipDeviation"])[0][1]
     assert warning.endswith("12% of the clips' motion; cut parts without motion out of the clips")
 
 
@@ -281,7 +281,9 @@ def test_a_training_that_ends_its_episodes_is_not_standing():
     """As the roll in its first 3 M frames: nothing that it does is a fall, but it stays behind."""
     rolling = {**walking(0), "falls": 1.0}
     shown = measuring(0.3, motion_shown=0.0, no_fall_share=1.0)
-    assert warnings_of(lambda _: rolling, shown, frames=5_000_000, keeps_to_clip=True) == []
+    assert (
+        warnings_of(lambda _: rolling, shown, frames=5_000_000, clip_limits=["clipDeviation"]) == []
+    )
 
 
 def test_a_policy_of_a_clip_that_stands_still():
@@ -294,6 +296,36 @@ def test_a_policy_that_falls_does_not_stand():
 
 def test_a_policy_that_moves_does_not_stand():
     assert warnings_of(walking, measuring(0.04, motion_shown=0.8)) == []
+
+
+# --- in a hurry -------------------------------------------------------------------------------
+
+HASTY = measuring(0.022, motion_shown=1.0, tempo=1.76)
+
+
+@pytest.mark.parametrize(
+    ("limits", "proposed"),
+    [
+        ([], "set task.env.clipDeviation=0.34 and task.env.clipMaxTempo=1.3,"),
+        (["clipDeviation"], "set task.env.clipMaxTempo=1.3,"),
+    ],
+)
+def test_a_policy_that_takes_quick_steps(limits, proposed):
+    """As the walk of 14.6 M frames, all of which is shown."""
+    warning = warnings_of(walking, HASTY, clip_limits=limits)[0][1]
+    assert warning.startswith("the policy is in a hurry")
+    assert "now 1.76 times" in warning
+    assert proposed in warning
+
+
+def test_a_limit_that_is_set_is_not_proposed():
+    assert warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipMaxTempo"]) == []
+
+
+@pytest.mark.parametrize("other", [{"tempo": 1.4}, {"no_fall_share": 0.1}])
+def test_a_policy_that_is_a_little_fast_or_falls_is_in_no_hurry(other):
+    values = {"motion_shown": 1.0, "tempo": 1.76, **other}
+    assert warnings_of(walking, measuring(0.022, **values)) == []
 
 
 # --- falls ------------------------------------------------------------------------------------
@@ -532,8 +564,8 @@ def test_each_measurement_is_passed_on_once(observer, epoch_metrics, imitation, 
     imitation.last_frame = 4000
     end_epoch(epoch_metrics, observer, 4, 4000)
     assert observer.diagnostics.history.measurements == [
-        Measurement(2000, 0.123, 0.9, 0.1, 0.87),
-        Measurement(4000, 0.123, 0.9, 0.1, 0.87),
+        Measurement(2000, 0.123, 0.9, 0.1, 0.87, 1.02),
+        Measurement(4000, 0.123, 0.9, 0.1, 0.87, 1.02),
     ]
 
 

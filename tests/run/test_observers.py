@@ -57,16 +57,16 @@ def test_calls_reach_all_observers_in_order():
 
 
 @pytest.mark.parametrize(
-    ("words", "keeps"),
+    ("words", "limits"),
     [
-        (["task=HumanoidAMP", "task.env.clipDeviation=0.34"], True),
-        (["task=HumanoidAMP", "task.env.clipDeviation=0"], False),
-        (["task=Ant"], False),
+        (["task=HumanoidAMP"], ["clipDeviation", "clipMaxTempo"]),
+        (["task=HumanoidAMP", "task.env.clipDeviation=0"], ["clipMaxTempo"]),
+        (["task=Ant"], []),
     ],
 )
-def test_the_advice_depends_on_whether_episodes_keep_to_their_clip(words, keeps):
+def test_the_advice_depends_on_whether_episodes_keep_to_their_clip(words, limits):
     cfg = compose([*words, "rl_device=cpu"])
     observers = TrainingObservers(cfg, check_config(cfg), "run", None, 300, StopRequest())
     (advice,) = (one for one in observers.observers if isinstance(one, DiagnosticsObserver))
     advice.after_init(types.SimpleNamespace(config={}))
-    assert advice.diagnostics.keeps_to_clip is keeps
+    assert advice.diagnostics.clip_limits == limits
