@@ -61,7 +61,7 @@ class HumanoidAMPConfig(TaskConfig):
     """This project's: with `clip_deviation`, such an episode also ends where the travel of its last
     second is off by more than this share of the clip's; 0: it may be any."""
     clip_max_tempo: float = setting(0.0, key="clipMaxTempo", minimum=0)
-    """This project's: with `clip_deviation`, such an episode also ends where its last second shows
+    """This project's: with `clip_deviation`, such an episode also ends where its last 3 s show
     the clip faster than this, 1: its own tempo; 0: it may be any. Quick, short steps are easier to
     balance than long ones, and look like the clip in any two control steps."""
     ground_clips: bool = setting(False, key="groundClips")
