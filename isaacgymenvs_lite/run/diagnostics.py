@@ -59,7 +59,7 @@ MIN_STUCK_MEASUREMENTS = 6
 STANDING_SHOWN = 0.3
 LAST_MEASUREMENTS = 3
 # Keys of task.env that keep an episode to its clip, and the values to propose.
-CLIP_LIMITS = {"clipDeviation": 0.34, "clipMaxTempo": 1.3}
+CLIP_LIMITS = {"clipDeviation": 0.34, "clipTempo": 0.3}
 # Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
 

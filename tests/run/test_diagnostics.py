@@ -306,8 +306,8 @@ HASTY = measuring(0.022, motion_shown=1.0, tempo=1.76)
 @pytest.mark.parametrize(
     ("limits", "proposed"),
     [
-        ([], "set task.env.clipDeviation=0.34 and task.env.clipMaxTempo=1.3,"),
-        (["clipDeviation"], "set task.env.clipMaxTempo=1.3,"),
+        ([], "set task.env.clipDeviation=0.34 and task.env.clipTempo=0.3,"),
+        (["clipDeviation"], "set task.env.clipTempo=0.3,"),
     ],
 )
 def test_a_policy_that_takes_quick_steps(limits, proposed):
@@ -319,7 +319,7 @@ def test_a_policy_that_takes_quick_steps(limits, proposed):
 
 
 def test_a_limit_that_is_set_is_not_proposed():
-    assert warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipMaxTempo"]) == []
+    assert warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipTempo"]) == []
 
 
 @pytest.mark.parametrize("other", [{"tempo": 1.4}, {"no_fall_share": 0.1}])

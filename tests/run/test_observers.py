@@ -59,8 +59,8 @@ def test_calls_reach_all_observers_in_order():
 @pytest.mark.parametrize(
     ("words", "limits"),
     [
-        (["task=HumanoidAMP"], ["clipDeviation", "clipMaxTempo"]),
-        (["task=HumanoidAMP", "task.env.clipDeviation=0"], ["clipMaxTempo"]),
+        (["task=HumanoidAMP"], ["clipDeviation", "clipTempo"]),
+        (["task=HumanoidAMP", "task.env.clipDeviation=0"], ["clipTempo"]),
         (["task=Ant"], []),
     ],
 )

@@ -17,10 +17,8 @@ from torch import Tensor
 from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
 PHASES_PER_STEP = 2
-TRAVEL_S = 1.0
-"""Travel is compared over so much time."""
-TEMPO_S = 3.0
-"""And tempo: over a second, under exploration noise, episodes at a good tempo end, too."""
+COMPARED_S = 1.0
+"""Travel and tempo are compared over so much time."""
 # From half the tempo of the clip on; a phase that has stayed behind catches up.
 _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
@@ -61,11 +59,11 @@ class ClipPhases:
         num_envs: N.
         dt_s: control step.
         far_m: what is far. The end of a clip that repeats is nearer to its start.
-        travels: of each clip (S, 2) m, how far the root moved in the `TRAVEL_S` before each of
+        travels: of each clip (S, 2) m, how far the root moved in the `COMPARED_S` before each of
             these moments, in its heading frame; nan is not compared. None: nothing is.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
-        max_tempo: how fast the clip may be shown, 1: as fast as it is; 0: anyhow.
+        tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
 
     Attributes:
         far_m: as given.
@@ -81,7 +79,7 @@ class ClipPhases:
         far_m: float,
         travels: Sequence[Tensor] | None = None,
         travel_share: float = 0.0,
-        max_tempo: float = 0.0,
+        tempo_share: float = 0.0,
     ) -> None:
         device = clips[0].device
         self.far_m = far_m
@@ -97,13 +95,12 @@ class ClipPhases:
         self._phase = torch.full((num_envs,), _NONE, device=device)
         self._travels = None if travels is None else torch.cat(list(travels))
         self._travel_share = travel_share
-        # Where the roots were in the control steps of the last TRAVEL_S, (T + 1, N, 2) m.
-        num_places = 0 if travels is None else round(TRAVEL_S / dt_s) + 1
-        self._trail = torch.zeros(num_places, num_envs, 2, device=device)
-        # By how many phases each control step of the last TEMPO_S moved on, (T, N).
-        num_steps = round(TEMPO_S / dt_s) if max_tempo > 0.0 else 0
-        self._passed = self._clip.new_zeros(num_steps, num_envs)
-        self._max_passed = max_tempo * PHASES_PER_STEP * num_steps
+        # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
+        # how many phases each of these steps moved on, (T, N).
+        steps = round(COMPARED_S / dt_s)
+        self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
+        self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
+        self._max_tempo = 1.0 + tempo_share
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
@@ -145,7 +142,7 @@ class ClipPhases:
         return torch.where(is_over, 0.0, away_m)
 
     def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: who moved otherwise than the clip in the last `TRAVEL_S`.
+        """Return (N,) bool: who moved otherwise than the clip in the last `COMPARED_S`.
 
         To be called once in a control step, after `advance`. Who is followed for less time is not
         compared.
@@ -163,12 +160,14 @@ class ClipPhases:
         is_off = (travel - expected).norm(dim=-1) > allowed_m
         return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
-    def is_too_fast(self) -> Tensor:
-        """Return (N,) bool: who showed more of its clip in the last `TEMPO_S` than it may.
+    def is_off_tempo(self) -> Tensor:
+        """Return (N,) bool: who showed too much of its clip in the last `COMPARED_S`, or too little.
 
         To be called after `advance`. Who is followed for less time is not compared.
         """
-        if len(self._passed) == 0:
+        steps = len(self._passed)
+        if steps == 0:
             return torch.zeros_like(self._phase, dtype=torch.bool)
-        is_fast = self._passed.sum(dim=0) > self._max_passed
-        return is_fast & (self._phase != _NONE) & (self._num_followed >= len(self._passed))
+        tempo = self._passed.sum(dim=0) / (PHASES_PER_STEP * steps)
+        is_off = (tempo > self._max_tempo) | (tempo < 1.0 / self._max_tempo)
+        return is_off & (self._phase != _NONE) & (self._num_followed >= steps)

@@ -17,7 +17,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
-from isaacgymenvs_lite.tasks.amp.clip_phases import PHASES_PER_STEP, TRAVEL_S, ClipPhases
+from isaacgymenvs_lite.tasks.amp.clip_phases import COMPARED_S, PHASES_PER_STEP, ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -189,11 +189,11 @@ class HumanoidAMP(HumanoidAMPBase):
             ids = torch.full((len(times_s),), motion_id, device=self.device)
             state = self._reference_states(ids, times_s, ids.new_zeros(1))
             clips.append(_points(state))
-            before = self._reference_states(ids, times_s - TRAVEL_S, ids.new_zeros(1))
+            before = self._reference_states(ids, times_s - COMPARED_S, ids.new_zeros(1))
             travel_w = state[0][:, :2] - before[0][:, :2]
             travel = xy_in_heading_frame(state[0][:, 3:7], travel_w)
             # Before its start a clip would go on backwards at the speed of its first frame.
-            travels.append(travel.masked_fill((times_s < TRAVEL_S)[:, None], torch.nan))
+            travels.append(travel.masked_fill((times_s < COMPARED_S)[:, None], torch.nan))
         far_m = self.env_cfg.clip_deviation * float(self.default_pose()[0][2])
         share = self.env_cfg.clip_travel
         return ClipPhases(
@@ -203,7 +203,7 @@ class HumanoidAMP(HumanoidAMPBase):
             far_m,
             travels if share > 0.0 else None,
             share,
-            self.env_cfg.clip_max_tempo,
+            self.env_cfg.clip_tempo,
         )
 
     @property
@@ -319,7 +319,7 @@ class HumanoidAMP(HumanoidAMPBase):
             away_m = self._phases.advance(_points(state))
             fallen = fallen | (away_m > self._phases.far_m)
             fallen = fallen | self._phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
-            fallen = fallen | self._phases.is_too_fast()
+            fallen = fallen | self._phases.is_off_tempo()
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
