@@ -161,7 +161,7 @@ class ClipPhases:
         return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
     def is_off_tempo(self) -> Tensor:
-        """Return (N,) bool: who showed too much of its clip in the last `COMPARED_S`, or too little.
+        """Return (N,) bool: who showed too much or too little of its clip in `COMPARED_S`.
 
         To be called after `advance`. Who is followed for less time is not compared.
         """
