@@ -34,6 +34,7 @@ from isaacgymenvs_lite.utils.optional_packages import import_package
 _PANELS = {
     "episode_length": "episode length in training (steps)",
     "pose_error_m": "pose error (m)",
+    "tempo": "tempo (the clip's: 1)",
     "style_reward": "style reward per step",
 }
 # Columns of the course of a run: scalar -> title, format.
