@@ -190,7 +190,7 @@ class Diagnostics:
     Args:
         config: `train.params.config`, for the values that a warning proposes.
         max_episode_steps: the task's time limit in control steps.
-        clip_limits: those of `CLIP_LIMITS` that the task has set.
+        clip_limits: the keys of `CLIP_LIMITS` that the task sets.
 
     Attributes:
         history: what the rules read.
@@ -287,9 +287,24 @@ class Diagnostics:
             f" {self._turn(self._disc_rate, 2.0)} or {self._turn('amp_minibatch_size', 2.0)}"
         )
 
-    def _standing_still(self) -> str | None:
+    def _newest_of_faulty(self, is_faulty: Callable[[Measurement], bool]) -> Measurement | None:
+        """Return the newest measurement if the last ones are of a faulty policy that stays up.
+
+        A clip that hardly moves shows no such fault.
+        """
         last = self.history.measured()[-LAST_MEASUREMENTS:]
-        if len(last) < LAST_MEASUREMENTS or not all(_is_still(one) for one in last):
+        faulty = [
+            one
+            for one in last
+            if one.no_fall_share > MOSTLY_FALLS
+            and one.clip_spread_m > MIN_CLIP_SPREAD_M
+            and is_faulty(one)
+        ]
+        return last[-1] if len(faulty) == LAST_MEASUREMENTS else None
+
+    def _standing_still(self) -> str | None:
+        newest = self._newest_of_faulty(_is_still)
+        if newest is None:
             return None
         # A training that still ends its episodes: on a clip of the ground only the distance does.
         if self._fall_rate() > NEARLY_ALL_FALL:
@@ -302,14 +317,14 @@ class Diagnostics:
                 f" (with one clip in task.env.motion_file), or {cut}"
             )
         return (
-            f"the policy stands still: in the last {len(last)} measurements its episodes seldom"
-            f" ended in a fall, but they show {last[-1].motion_shown:.0%} of the clips' motion;"
+            f"the policy stands still: in the last {LAST_MEASUREMENTS} measurements its episodes"
+            f" seldom ended in a fall, but they show {newest.motion_shown:.0%} of the clips' motion;"
             f" {cut}{self._clips_are_odd()}"
         )
 
     def _in_a_hurry(self) -> str | None:
-        last = self.history.measured()[-LAST_MEASUREMENTS:]
-        if len(last) < LAST_MEASUREMENTS or not all(_is_hasty(one) for one in last):
+        newest = self._newest_of_faulty(_is_hasty)
+        if newest is None:
             return None
         missing = [
             f"task.env.{key}={CLIP_LIMITS[key]:g}"
@@ -319,8 +334,8 @@ class Diagnostics:
         if not missing:
             return None
         return (
-            f"the policy is in a hurry: in the last {len(last)} measurements it was faster than its"
-            f" clip, now {last[-1].tempo:.2f} times, as if in quick, short steps; set"
+            f"the policy is in a hurry: in the last {LAST_MEASUREMENTS} measurements it was faster"
+            f" than its clip, now {newest.tempo:.2f} times, as if in quick, short steps; set"
             f" {' and '.join(missing)}, which ends such episodes in training (with one clip in"
             " task.env.motion_file)"
         )
@@ -417,19 +432,11 @@ class Diagnostics:
 
 
 def _is_still(measurement: Measurement) -> bool:
-    return (
-        measurement.motion_shown < STANDING_SHOWN
-        and measurement.no_fall_share > MOSTLY_FALLS
-        and measurement.clip_spread_m > MIN_CLIP_SPREAD_M
-    )
+    return measurement.motion_shown < STANDING_SHOWN
 
 
 def _is_hasty(measurement: Measurement) -> bool:
-    return (
-        measurement.tempo > HASTY_TEMPO
-        and measurement.no_fall_share > MOSTLY_FALLS
-        and measurement.clip_spread_m > MIN_CLIP_SPREAD_M
-    )
+    return measurement.tempo > HASTY_TEMPO
 
 
 def _good_m(measurement: Measurement) -> float:
@@ -452,7 +459,7 @@ class DiagnosticsObserver(AlgoObserver):
         metrics: the epochs' metrics.
         imitation: the measured pose error, if any.
         max_episode_steps: the task's time limit in control steps.
-        clip_limits: those of `CLIP_LIMITS` that the task has set.
+        clip_limits: the keys of `CLIP_LIMITS` that the task sets.
 
     Attributes:
         diagnostics: the rules; set once there is an agent.
