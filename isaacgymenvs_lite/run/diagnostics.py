@@ -288,7 +288,7 @@ class Diagnostics:
         )
 
     def _newest_of_faulty(self, is_faulty: Callable[[Measurement], bool]) -> Measurement | None:
-        """Return the newest measurement if the last ones are of a faulty policy that stays up.
+        """Return the newest measurement if the last are of a faulty policy that stays up.
 
         A clip that hardly moves shows no such fault.
         """
