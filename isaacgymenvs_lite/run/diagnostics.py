@@ -318,8 +318,8 @@ class Diagnostics:
             )
         return (
             f"the policy stands still: in the last {LAST_MEASUREMENTS} measurements its episodes"
-            f" seldom ended in a fall, but they show {newest.motion_shown:.0%} of the clips' motion;"
-            f" {cut}{self._clips_are_odd()}"
+            f" seldom ended in a fall, but they show {newest.motion_shown:.0%} of the clips'"
+            f" motion; {cut}{self._clips_are_odd()}"
         )
 
     def _in_a_hurry(self) -> str | None:
