@@ -22,6 +22,7 @@ from typing import Any
 from benchmarks.curves import figure_for
 from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.experiments import Experiment, find_experiment, override
+from benchmarks.learned import allowed_error, is_learned
 from benchmarks.learning_curve import LearningCurve
 from benchmarks.records import Record, read_records
 from benchmarks.saved_curves import find_saved_curves
@@ -36,24 +37,7 @@ from isaacgymenvs_lite.motion.loader import (
 NAME = "clips"
 """Of the experiment, and of the folder of its records in benchmarks/results."""
 DEFAULT_CLIPS = ("deepmimic", "shipped")
-# Pose errors (m) of the AMP paper; of other clips this one is good.
-PAPER_M = {
-    "deepmimic_walk": 0.030,
-    "deepmimic_run": 0.075,
-    "deepmimic_jump": 0.083,
-    "deepmimic_cartwheel": 0.067,
-    "deepmimic_backflip": 0.150,
-    "deepmimic_roll": 0.072,
-    "deepmimic_spinkick": 0.058,
-}
-GOOD_M = 0.06
-GOOD_NO_FALL = 0.9
-# Standing shows a tenth of the motion of a clip that moves, and half the tempo about a half. A leap
-# whose flight is no fall in the clip cannot be shown in full.
-GOOD_SHOWN = 0.5
-GOOD_TEMPO = (0.6, 1.5)
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
-_IN_A_ROW = 2
 _COLUMNS = 5
 
 
@@ -117,34 +101,6 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
     ]
 
 
-def is_learned(record: Record) -> bool:
-    """Return whether a policy moves as its clip does, and does not fall."""
-    error_m, shown, tempo = record.pose_error_m, record.motion_shown, record.tempo
-    if error_m is None or shown is None or tempo is None:
-        return False
-    return _is_good(record.experiment, error_m, record.no_fall_share, shown, tempo)
-
-
-def has_learned(label: str, curve: LearningCurve) -> bool:
-    """Return whether a training measured, the last two times, that its clip is learned."""
-    names = ("pose_error_m", "no_fall_share", "motion_shown", "tempo")
-    newest = [curve[name].values[-_IN_A_ROW:] for name in names]
-    if any(len(values) < _IN_A_ROW for values in newest):
-        return False
-    return all(_is_good(label, *measured) for measured in zip(*newest, strict=True))
-
-
-def _is_good(
-    label: str, pose_error_m: float, no_fall_share: float, shown: float, tempo: float
-) -> bool:
-    return (
-        pose_error_m <= PAPER_M.get(label, GOOD_M)
-        and no_fall_share >= GOOD_NO_FALL
-        and shown >= GOOD_SHOWN
-        and GOOD_TEMPO[0] <= tempo <= GOOD_TEMPO[1]
-    )
-
-
 def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
     """Return the table of clips for docs/, and a line that counts those that are learned."""
     lines = [
@@ -153,7 +109,8 @@ def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
         "|---" * 9 + "|",
     ]
     for label in labels:
-        most_m = f"{PAPER_M[label]:.3f}, paper" if label in PAPER_M else f"{GOOD_M:.2f}"
+        allowed_m, is_papers = allowed_error(label)
+        most_m = f"{allowed_m:.3f}, paper" if is_papers else f"{allowed_m:.2f}"
         record = records.get(label)
         if record is None:
             lines.append(f"| {label} | | | | {most_m} | | | | not trained yet |")
@@ -211,8 +168,7 @@ def _draw_clip(panel: Any, label: str, curve: LearningCurve, learned: bool) -> N
     shown, error = curve["motion_shown"], curve["pose_error_m"]
     panel.plot(shown.frames * 1e-6, shown.values, color="C0", label="motion shown")
     panel.plot(error.frames * 1e-6, error.values * 5.0, color="C3", label="pose error, 0.2 m = 1")
-    good = 5.0 * PAPER_M.get(label, GOOD_M)
-    panel.axhline(good, color="C3", linestyle=":", linewidth=1.0)
+    panel.axhline(5.0 * allowed_error(label)[0], color="C3", linestyle=":", linewidth=1.0)
     panel.set_ylim(0.0, 1.05)
     panel.set_title(label + (" (learned)" if learned else ""), fontsize=8)
     panel.tick_params(labelsize=7)

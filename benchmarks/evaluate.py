@@ -18,6 +18,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.learned import first_learned
 from benchmarks.learning_curve import read_learning_curve
 from benchmarks.protocol import SEED, evaluate_checkpoint
 from benchmarks.records import (
@@ -58,6 +59,7 @@ def measure(
     state = load_checkpoint(checkpoint)
     curve = read_learning_curve(run.folder / "summaries")
     frames_to, minutes_to = curve["episode_length"].first_reach(GOOD_EPISODE_STEPS) or (None, None)
+    learned_frames, learned_minutes = first_learned(run.experiment, curve) or (None, None)
     starts = run.starts()
     last = starts[-1] if starts else None
     frames = int(state.get("frame", 0))
@@ -71,6 +73,8 @@ def measure(
         minutes=curve.minutes_at(frames) if curve.minutes else None,
         minutes_to_280=minutes_to,
         frames_to_280=frames_to,
+        minutes_to_learned=learned_minutes,
+        frames_to_learned=learned_frames,
         pose_error_m=plain(outcome.imitation.pose_error_m),
         no_fall_share=outcome.imitation.no_fall_share,
         tempo=plain(outcome.imitation.tempo),

@@ -25,16 +25,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from benchmarks.clips import (
-    DEFAULT_CLIPS,
-    clip_experiments,
-    has_learned,
-    is_learned,
-    newest_records,
-)
+from benchmarks.clips import DEFAULT_CLIPS, clip_experiments, newest_records
 from benchmarks.clips import NAME as CLIPS
 from benchmarks.evaluate import RESULTS_DIR, keep, measure, print_medians
 from benchmarks.experiments import find_experiment, needs_motion_file
+from benchmarks.learned import has_learned, is_learned
 from benchmarks.records import Record
 from benchmarks.returns import measure_and_keep
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run

@@ -26,6 +26,9 @@ class Record:
         minutes: trained when the checkpoint was written, see `LearningCurve`.
         minutes_to_280: until the mean episode length in training first was at least 280.
         frames_to_280: the same in frames.
+        minutes_to_learned: until the training measured twice in a row that the clip is learned, see
+            `benchmarks.learned`.
+        frames_to_learned: the same in frames.
         no_fall_share: 0 to 1.
         motion_shown: share of the clips' motion, 0 to 1, see `evaluation.motion_coverage`.
         speed_m_s: of the root along the ground.
@@ -59,6 +62,8 @@ class Record:
     cores: int | None
     settings: list[str] | None
     motion_shown: float | None = None
+    minutes_to_learned: float | None = None
+    frames_to_learned: float | None = None
     goal_errors: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -68,6 +73,7 @@ class Record:
 # What a median is taken of.
 _MEDIANS = ("frames", "minutes", "pose_error_m", "no_fall_share", "tempo", "motion_shown")
 _MEDIANS += ("speed_m_s", "clip_speed_m_s", "mean_episode_steps", "minutes_to_280", "frames_to_280")
+_MEDIANS += ("minutes_to_learned", "frames_to_learned")
 
 
 def medians(records: Sequence[Record]) -> dict[str, Any]:
@@ -95,10 +101,6 @@ def _error_names(records: Iterable[Record]) -> list[str]:
 
 def numbers_line(n: dict[str, Any]) -> str:
     """Return the numbers of a record or of medians on one line."""
-    reached = "never reached"
-    if n["minutes_to_280"] is not None:
-        after = f"{n['minutes_to_280']:.1f} min, {n['frames_to_280'] / 1e6:.2f} M frames"
-        reached = f"after {after}"
     errors = "".join(f" {name} {_number(e, '.3f')}," for name, e in n["goal_errors"].items())
     return (
         f"{n['frames'] / 1e6:.2f} M frames, {_number(n['minutes'], '.1f')} min;"
@@ -108,8 +110,14 @@ def numbers_line(n: dict[str, Any]) -> str:
         f" motion shown {_number(n['motion_shown'], '.2f')},"
         f" speed {_number(n['speed_m_s'], '.2f')} m/s (clip {n['clip_speed_m_s']:.2f}),"
         f"{errors} episode {n['mean_episode_steps']:.0f} steps;"
-        f" {GOOD_EPISODE_STEPS} steps in training {reached}"
+        f" learned {_reached(n, 'learned')}, {GOOD_EPISODE_STEPS} steps in training"
+        f" {_reached(n, '280')}"
     )
+
+
+def _reached(n: dict[str, Any], what: str) -> str:
+    minutes, frames = n[f"minutes_to_{what}"], n[f"frames_to_{what}"]
+    return "never" if minutes is None else f"after {minutes:.1f} min, {frames / 1e6:.2f} M frames"
 
 
 def _number(value: float | None, form: str) -> str:
@@ -135,6 +143,8 @@ def markdown_table(records: Sequence[Record]) -> str:
         ("motion shown", "motion_shown", 1, ".2f"),
         ("speed (m/s)", "speed_m_s", 1, ".2f"),
         ("the clip's", "clip_speed_m_s", 1, ".2f"),
+        ("minutes until learned", "minutes_to_learned", 1, ".1f"),
+        ("frames until learned (M)", "frames_to_learned", 1e-6, ".2f"),
         (f"minutes to {GOOD_EPISODE_STEPS} steps", "minutes_to_280", 1, ".1f"),
         (f"frames to {GOOD_EPISODE_STEPS} steps (M)", "frames_to_280", 1e-6, ".2f"),
     ]

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks import clips, learning
-from benchmarks.learning_curve import LearningCurve, read_learning_curve
+from benchmarks.learning_curve import read_learning_curve
 from benchmarks.records import write_records
 from benchmarks.runs import Run
 from benchmarks.saved_curves import save_curve
 from benchmarks.training import Plan
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.report.scalars import Series
-from tests.benchmarks.test_records import RECORD
+from tests.benchmarks.test_learned import GOOD, curve_of, of
 from tests.packages import needs
-
-
-def of(label: str, **changes):
-    good = {"pose_error_m": 0.05, "no_fall_share": 1.0, "motion_shown": 0.9, "tempo": 1.2}
-    return replace(RECORD, experiment=label, run=f"{label}_seed1", **{**good, **changes})
 
 
 def test_the_shipped_clips_without_data_sets():
@@ -61,59 +53,6 @@ def test_all_clips_get_the_same_settings():
     assert not any("disc_" in setting or "contactBodies" in setting for setting in first.settings)
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, True),
-        ({"pose_error_m": 0.061}, False),
-        ({"pose_error_m": None}, False),
-        ({"no_fall_share": 0.8}, False),
-        ({"motion_shown": 0.3}, False),  # it stands
-        ({"motion_shown": None}, False),
-        ({"tempo": 0.5}, False),  # in slow motion
-        ({"tempo": 1.6}, False),
-    ],
-)
-def test_learned(changes, expected):
-    assert clips.is_learned(of("dance", **changes)) is expected
-
-
-def curve_of(**measured: list[float]) -> LearningCurve:
-    """Return the curve of a training that measured its policy, nothing else."""
-    return LearningCurve(
-        {
-            name: Series(
-                np.linspace(0.0, 100.0, len(v)), np.linspace(0.0, 1.0, len(v)), np.array(v)
-            )
-            for name, v in measured.items()
-        }
-    )
-
-
-GOOD = {
-    "pose_error_m": [0.2, 0.06, 0.05],
-    "no_fall_share": [0.0, 0.9, 1.0],
-    "tempo": [0.3, 0.9, 1.1],
-}
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, True),
-        ({"pose_error_m": [0.05, 0.061, 0.05]}, False),  # once only
-        ({"no_fall_share": [1.0, 1.0, 0.8]}, False),
-        ({"motion_shown": [0.9, 0.9, 0.1]}, False),  # it stands again
-        ({"tempo": [1.0, 1.0, 0.5]}, False),
-        ({"pose_error_m": [0.05], "no_fall_share": [1.0], "motion_shown": [0.9]}, False),
-        ({"pose_error_m": [], "no_fall_share": [], "motion_shown": []}, False),
-    ],
-)
-def test_a_training_is_over_when_the_clip_is_learned_twice_in_a_row(changes, expected):
-    curve = curve_of(**{**GOOD, "motion_shown": [0.1, 0.8, 0.9], **changes})
-    assert clips.has_learned("dance", curve) is expected
-
-
 def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
     write_records([of("walk"), of("run", motion_shown=0.2)], tmp_path / "results" / "clips")
     words = ["clips", "--clips", "walk", "run", "--until-learned", "--resume"]
@@ -141,11 +80,6 @@ def test_a_clip_whose_time_is_over_still_gets_its_record(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
     learning.main()
     assert kept == ["run"]
-
-
-def test_the_paper_counts_where_it_has_a_number():
-    assert clips.is_learned(of("deepmimic_backflip", pose_error_m=0.14))
-    assert not clips.is_learned(of("deepmimic_walk", pose_error_m=0.04))
 
 
 def test_table_and_picture(tmp_path, monkeypatch, capsys, write_events):

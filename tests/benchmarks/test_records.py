@@ -25,6 +25,8 @@ RECORD = Record(
     minutes=3.0,
     minutes_to_280=2.0,
     frames_to_280=500_000.0,
+    minutes_to_learned=1.5,
+    frames_to_learned=400_000.0,
     pose_error_m=0.03,
     no_fall_share=1.0,
     tempo=1.0,
@@ -65,11 +67,11 @@ def test_a_line_names_all_numbers():
     assert str(RECORD) == (
         "walk seed 1: 1.00 M frames, 3.0 min; pose error 0.0300 m, without a fall 1.00, tempo 1.00,"
         " motion shown 0.97, speed 1.50 m/s (clip 1.50), episode 299 steps;"
-        " 280 steps in training after 2.0 min, 0.50 M frames"
+        " learned after 1.5 min, 0.40 M frames, 280 steps in training after 2.0 min, 0.50 M frames"
     )
     lost = replace(RECORD, pose_error_m=None, minutes_to_280=None, frames_to_280=None)
     assert "pose error ? m" in numbers_line(medians([lost]))
-    assert "280 steps in training never reached" in numbers_line(medians([lost]))
+    assert "280 steps in training never" in numbers_line(medians([lost]))
 
 
 @pytest.mark.parametrize(
