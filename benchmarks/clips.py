@@ -6,9 +6,9 @@
 The first command trains one clip after the other, each with the same settings and for the same
 time, and writes a record after each; it goes on where it was stopped. `--until-learned` ends a
 clip's training before its time, when two measurements in a row are as good as the table asks. The
-second prints the table of all clips, those that are not done yet among them. Without `--clips` both
-take the 20 clips of DeepMimic in the package pybullet and the clips that ship. A folder means all
-clips in it.
+second prints the table of all clips, those that are not done yet among them; of several seeds,
+medians with the extremes behind them. Without `--clips` both take the 20 clips of DeepMimic in the
+package pybullet and the clips that ship. A folder means all clips in it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.experiments import Experiment, find_experiment, override
 from benchmarks.learned import allowed_error, is_learned
 from benchmarks.learning_curve import LearningCurve
-from benchmarks.records import Record, read_records
+from benchmarks.records import Record, read_records, spread_cell
 from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, clips_in_package
@@ -101,7 +101,7 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
     ]
 
 
-def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
+def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str:
     """Return the table of clips for docs/, and a line that counts those that are learned."""
     lines = [
         "| clip | frames (M) | minutes | pose error (m) | at most | motion shown | without a fall"
@@ -111,23 +111,23 @@ def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
     for label in labels:
         allowed_m, is_papers = allowed_error(label)
         most_m = f"{allowed_m:.3f}, paper" if is_papers else f"{allowed_m:.2f}"
-        record = records.get(label)
-        if record is None:
+        seeds = records.get(label, [])
+        if not seeds:
             lines.append(f"| {label} | | | | {most_m} | | | | not trained yet |")
             continue
         cells = (
-            f"{record.frames / 1e6:.1f}",
-            "" if record.minutes is None else f"{record.minutes:.0f}",
-            "?" if record.pose_error_m is None else f"{record.pose_error_m:.3f}",
+            spread_cell([record.frames / 1e6 for record in seeds], ".1f"),
+            spread_cell([record.minutes for record in seeds], ".0f"),
+            spread_cell([record.pose_error_m for record in seeds], ".3f"),
             most_m,
-            "?" if record.motion_shown is None else f"{record.motion_shown:.2f}",
-            f"{record.no_fall_share:.2f}",
-            "?" if record.tempo is None else f"{record.tempo:.2f}",
-            "yes" if is_learned(record) else "no",
+            spread_cell([record.motion_shown for record in seeds], ".2f"),
+            spread_cell([record.no_fall_share for record in seeds], ".2f"),
+            spread_cell([record.tempo for record in seeds], ".2f"),
+            _learned_cell(seeds),
         )
         lines.append(f"| {label} | {' | '.join(cells)} |")
     done = [records[label] for label in labels if label in records]
-    learned = sum(is_learned(record) for record in done)
+    learned = sum(all(map(is_learned, seeds)) for seeds in done)
     lines += [
         "",
         f"{learned} of {len(done)} clips are learned, {len(labels) - len(done)} not done.",
@@ -135,17 +135,27 @@ def table(labels: Sequence[str], records: Mapping[str, Record]) -> str:
     return "\n".join(lines)
 
 
-def newest_records(labels: Sequence[str], folder: Path) -> dict[str, Record]:
-    """Return the record with most frames of each clip that has one."""
+def _learned_cell(seeds: Sequence[Record]) -> str:
+    learned = sum(map(is_learned, seeds))
+    if 0 < learned < len(seeds):
+        return f"{learned} of {len(seeds)} seeds"
+    return "yes" if learned else "no"
+
+
+def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record]]:
+    """Return the record with most frames of each seed, by seed, of each clip that has one."""
     found = {}
     for label in labels:
         records = read_records(folder / f"{label}.jsonl")
-        if records:
-            found[label] = max(records, key=lambda record: record.frames)
+        newest = {record.seed: record for record in sorted(records, key=lambda r: r.frames)}
+        if newest:
+            found[label] = [newest[seed] for seed in sorted(newest)]
     return found
 
 
-def draw(labels: Sequence[str], records: Mapping[str, Record], folder: Path, out: Path) -> None:
+def draw(
+    labels: Sequence[str], records: Mapping[str, Sequence[Record]], folder: Path, out: Path
+) -> None:
     """Write a picture: for each clip its pose error and the motion shown over the training.
 
     Raises:
@@ -156,21 +166,25 @@ def draw(labels: Sequence[str], records: Mapping[str, Record], folder: Path, out
     figure = figure_for(out, (2.4 * _COLUMNS, 1.8 * rows))
     panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
     for panel, label in zip(panels, done, strict=False):
-        (curve, *_) = find_saved_curves(label, folder / CURVES)
-        _draw_clip(panel, label, curve, is_learned(records[label]))
-    panels[0].legend(fontsize=6)
+        curves = find_saved_curves(label, folder / CURVES)
+        _draw_clip(panel, label, curves, _learned_cell(records[label]))
+    handles, names = panels[0].get_legend_handles_labels()
+    panels[0].legend(handles[:2], names[:2], fontsize=6)
     for panel in panels[len(done) :]:
         panel.set_axis_off()
     figure.savefig(out)
 
 
-def _draw_clip(panel: Any, label: str, curve: LearningCurve, learned: bool) -> None:
-    shown, error = curve["motion_shown"], curve["pose_error_m"]
-    panel.plot(shown.frames * 1e-6, shown.values, color="C0", label="motion shown")
-    panel.plot(error.frames * 1e-6, error.values * 5.0, color="C3", label="pose error, 0.2 m = 1")
+def _draw_clip(panel: Any, label: str, curves: Sequence[LearningCurve], learned: str) -> None:
+    for curve in curves:
+        shown, error = curve["motion_shown"], curve["pose_error_m"]
+        panel.plot(shown.frames * 1e-6, shown.values, color="C0", label="motion shown")
+        errors = error.values * 5.0
+        panel.plot(error.frames * 1e-6, errors, color="C3", label="pose error, 0.2 m = 1")
     panel.axhline(5.0 * allowed_error(label)[0], color="C3", linestyle=":", linewidth=1.0)
     panel.set_ylim(0.0, 1.05)
-    panel.set_title(label + (" (learned)" if learned else ""), fontsize=8)
+    note = {"yes": " (learned)", "no": ""}.get(learned, f" ({learned})")
+    panel.set_title(label + note, fontsize=8)
     panel.tick_params(labelsize=7)
 
 

@@ -10,8 +10,8 @@ Each seed is one `train.py` process with a run folder of its own, `<experiment>_
 not by minutes. At the end of its minutes, and at Ctrl-C, a run saves and ends; `--resume` goes on
 with it, and minutes count together. When a run has ended, `benchmarks.evaluate`, of a classic task
 `benchmarks.returns`, plays its policy and writes benchmarks/results/<experiment>.jsonl. `clips` is
-one experiment for each clip, seed 1, in folders of their own; `benchmarks.clips` prints their
-table. docs/protocol.md has the rest.
+one experiment for each clip, with seed 1 unless `--seeds` names others, in folders of their own;
+`benchmarks.clips` prints their table. docs/protocol.md has the rest.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def main() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("what", nargs="+", help="experiments, and overrides for train.py")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--seeds", type=int, nargs="+", help="default: 1 2 3; of clips 1")
     parser.add_argument("--minutes", type=float, default=150.0, help="of each run, at most")
     parser.add_argument("--clips", nargs="+", help="of the experiment clips; see benchmarks.clips")
     parser.add_argument(
@@ -119,7 +119,7 @@ def _plans(args: argparse.Namespace) -> list[Plan]:
     experiments = [find_experiment(name, args.motion_file, extra) for name in names]
     return [
         plan(experiment, Run.of(args.runs_dir, experiment.name, seed), args.minutes, args.resume)
-        for seed in args.seeds
+        for seed in args.seeds or (1, 2, 3)
         for experiment in experiments
     ]
 
@@ -135,17 +135,20 @@ def _plans_of_clips(
     if len(names) > 1:
         raise ConfigError(f"{CLIPS} has folders of its own; give it alone, not {', '.join(names)}")
     experiments = clip_experiments(clips, extra)
-    done = newest_records([each.name for each in experiments], args.results_dir)
-    if args.until_learned:
-        learned = {name for name, record in done.items() if is_learned(record)}
-        experiments = [each for each in experiments if each.name not in learned]
-    plans = [
-        plan(each, Run.of(args.runs_dir, each.name, 1), args.minutes, args.resume)
-        for each in experiments
-    ]
-    if args.until_learned:
-        plans = [replace(job, is_over=partial(has_learned, job.run.experiment)) for job in plans]
-    return [job for job in plans if job.minutes > 0 or job.run.experiment not in done]
+    found = newest_records([each.name for each in experiments], args.results_dir)
+    done = {(record.experiment, record.seed): record for of in found.values() for record in of}
+    plans = []
+    for seed in args.seeds or (1,):
+        for each in experiments:
+            run, record = Run.of(args.runs_dir, each.name, seed), done.get((each.name, seed))
+            if args.until_learned and record is not None and is_learned(record):
+                continue
+            job = plan(each, run, args.minutes, args.resume)
+            if args.until_learned:
+                job = replace(job, is_over=partial(has_learned, each.name))
+            if job.minutes > 0 or record is None:
+                plans.append(job)
+    return plans
 
 
 def cpu_slots(parallel: int, cores_per_run: int | None = None) -> list[Sequence[int]]:

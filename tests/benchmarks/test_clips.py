@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -62,8 +63,22 @@ def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
     learning.main()
     (job,) = trained
-    assert job.run.experiment == "run"
+    assert (job.run.experiment, job.run.seed) == ("run", 1)
     assert job.is_over(curve_of(**GOOD, motion_shown=[0.1, 0.8, 0.9]))
+
+
+def test_clips_are_trained_with_other_seeds(tmp_path, monkeypatch):
+    write_records(
+        [of("walk"), replace(of("walk"), run="walk_seed2", seed=2)], tmp_path / "results" / "clips"
+    )
+    words = ["clips", "--clips", "walk", "run", "--until-learned", "--seeds", "2", "3"]
+    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
+    trained = []
+    monkeypatch.setattr(learning, "train_all", lambda todo, *_, **__: trained.extend(todo) or [])
+    monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
+    learning.main()
+    runs = [(job.run.experiment, job.run.seed) for job in trained]
+    assert runs == [("run", 2), ("walk", 3), ("run", 3)]
 
 
 def test_a_clip_whose_time_is_over_still_gets_its_record(tmp_path, monkeypatch):
@@ -89,12 +104,16 @@ def test_table_and_picture(tmp_path, monkeypatch, capsys, write_events):
         early = of(label, frames=10, motion_shown=0.0)
         write_records([early, of(label, motion_shown=shown)], tmp_path)
         save_curve(curve, tmp_path / "curves" / f"{label}_seed1.json")
+    second = replace(of("run", pose_error_m=0.04), run="run_seed2", seed=2)
+    write_records([second], tmp_path)
+    save_curve(curve, tmp_path / "curves" / "run_seed2.json")
     words = ["--clips", "walk", "run", "jump", "--results-dir", str(tmp_path)]
     monkeypatch.setattr("sys.argv", ["clips", *words])
     clips.main()
     text = capsys.readouterr().out
     assert "| walk | 1.0 | 3 | 0.050 | 0.06 | 0.90 | 1.00 | 1.20 | yes |" in text
-    assert "| run | 1.0 | 3 | 0.050 | 0.06 | 0.20 | 1.00 | 1.20 | no |" in text
+    of_both = "0.045 (0.040 to 0.050) | 0.06 | 0.55 (0.20 to 0.90) | 1.00 | 1.20 | 1 of 2 seeds |"
+    assert f"| run | 1.0 | 3 | {of_both}" in text
     assert "| jump | | | | 0.06 | | | | not trained yet |" in text
     assert "1 of 2 clips are learned, 1 not done." in text
     pytest.importorskip("matplotlib")
