@@ -67,6 +67,10 @@ MIN_CLIP_SPREAD_M = 0.02
 # learned well 1.0 to 1.4.
 HASTY_TEMPO = 1.5
 
+# As a multiple of the best pose error: good trainings had at most 1.25 in three measurements in a
+# row, a walk that was lost by and by 2.1.
+WORSE_POSE_ERROR = 1.5
+
 # Policies that learned to walk had episodes of more than a tenth of the limit after 2 M frames, and
 # one that learned to jump of more than a third after 5 M; both kept getting longer until then.
 FALL_FRAMES = 6_000_000
@@ -216,6 +220,7 @@ class Diagnostics:
             "discriminator fooled": self._discriminator_fooled,
             "standing still": self._standing_still,
             "in a hurry": self._in_a_hurry,
+            "gets worse": self._gets_worse,
             "falls": self._falls,
             "no improvement": self._no_improvement,
         }
@@ -338,6 +343,26 @@ class Diagnostics:
             f" than its clip, now {newest.tempo:.2f} times, as if in quick, short steps; set"
             f" {' and '.join(missing)}, which ends such episodes in training (with one clip in"
             " task.env.motion_file)"
+        )
+
+    def _gets_worse(self) -> str | None:
+        measured = self.history.measured()
+        earlier, last = measured[:-LAST_MEASUREMENTS], measured[-LAST_MEASUREMENTS:]
+        good = [one for one in earlier if one.no_fall_share > MOSTLY_FALLS and not _is_still(one)]
+        best = min(good, key=lambda one: one.pose_error_m, default=None)
+        if best is None:
+            return None
+        least_m = min(one.pose_error_m for one in last)
+        if least_m < WORSE_POSE_ERROR * best.pose_error_m:
+            return None
+        rate = self._turn("learning_rate", 0.5)
+        if self._config.get("lr_schedule") == "constant":
+            rate = f"train.params.config.lr_schedule=linear, or {rate}"
+        return (
+            f"the policy gets worse: its pose error was {best.pose_error_m:.3f} m after"
+            f" {_millions(best.frame)} frames, and at least {least_m:.3f} m in the last"
+            f" {LAST_MEASUREMENTS} measurements; go on from a checkpoint of then with smaller"
+            f" steps: {rate}"
         )
 
     def _falls(self) -> str | None:
