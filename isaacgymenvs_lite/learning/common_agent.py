@@ -798,6 +798,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         """
         with own_rates_kept(self.optimizer):
             super().set_full_state_weights(weights, set_epoch)
+        if self.linear_lr:  # else the next epoch would have the rate of the first one
+            self._schedule_learning_rate(torch.zeros(()))
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
 

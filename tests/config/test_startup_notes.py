@@ -60,10 +60,10 @@ def test_sizes_that_the_cpu_made_smaller():
         "defaults for learning on a CPU (on a GPU): "
         "numEnvs 512 (4096), mlp.units 512-256 (1024-512), disc.units 512-256 (1024-512), "
         "save_frequency 100 (50), minibatch_size 2048 (32768), mini_epochs 3 (6), "
-        "learning_rate 0.0002 (5e-05), amp_replay_buffer_size 200000 (1000000), "
-        "amp_replay_keep_prob 0.1 (0.01), amp_batch_size 256 (512), "
-        "amp_minibatch_size 256 (4096), disc_grad_penalty_final 0.2 (null), "
-        "amp_input_memory 1000000 (null)"
+        "learning_rate 0.0002 (5e-05), lr_schedule linear (constant), "
+        "amp_replay_buffer_size 200000 (1000000), amp_replay_keep_prob 0.1 (0.01), "
+        "amp_batch_size 256 (512), amp_minibatch_size 256 (4096), "
+        "disc_grad_penalty_final 0.2 (null), amp_input_memory 1000000 (null)"
     )
     assert cpu_defaults_note(compose(["rl_device=cuda:0"])) is None
 
@@ -114,7 +114,7 @@ def test_startup_notes(override, expected):
 
 def test_the_list_of_cpu_defaults_is_for_those_who_ask():
     notes = startup_notes(compose(["rl_device=cpu"]), "check it")
-    assert notes == ["13 defaults are for learning on a CPU, listed by: check it"]
+    assert notes == ["14 defaults are for learning on a CPU, listed by: check it"]
 
 
 def test_notes_change_nothing():

@@ -164,6 +164,16 @@ def test_a_resumed_training_takes_the_same_gradient_step(trained, make_agent, tm
     assert same(snapshot(agent.model), snapshot(trained.model))
 
 
+def test_a_learning_rate_that_comes_down_goes_on_where_it_was(trained, make_agent, tmp_path):
+    """It is 1e-6 at the end; of four epochs half way from the first, 5e-5."""
+    assert trained.last_lr == pytest.approx(1e-6)
+    agent = make_agent("max_iterations=4")
+    agent.restore(saved_at(trained, tmp_path))
+    own, of_discriminator = (group["lr"] for group in agent.optimizer.param_groups)
+    assert agent.last_lr == own == pytest.approx(1e-6 + (5e-5 - 1e-6) / 2)
+    assert of_discriminator == 5e-5
+
+
 def test_resuming_goes_on_counting(trained, make_agent, tmp_path):
     checkpoint = saved_at(trained, tmp_path)
     agent = make_agent("max_iterations=4")
