@@ -382,7 +382,8 @@ def test_a_task_without_reference_motions_is_refused(make_runner):
 
 
 def test_the_discriminator_has_a_learning_rate_that_no_schedule_changes(make_agent, tmp_path):
-    agent = start(make_agent(f"{CONFIG}.disc_learning_rate=1e-4"))
+    constant = f"{CONFIG}.lr_schedule=constant"
+    agent = start(make_agent(f"{CONFIG}.disc_learning_rate=1e-4", constant))
     disc = {id(p) for p in agent.model.a2c_network.disc_parameters()}
     first, second = agent.optimizer.param_groups
     assert {id(p) for p in second["params"]} == disc

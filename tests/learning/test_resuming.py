@@ -24,6 +24,8 @@ from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_S
 from tests.tiny import train_in as train
 
 SHORT_EPISODES = "task.env.episodeLength=6"
+# A linear schedule, some agents' default, depends on how many epochs a run has in all.
+CONSTANT_RATE = f"{CONFIG}.lr_schedule=constant"
 AGENTS = {
     "ppo": ("task=Ant", *TINY_PPO, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
     "ppo_randomized": ("task=Ant", *TINY_PPO, SHORT_EPISODES, "task.task.randomize=True"),
@@ -31,19 +33,15 @@ AGENTS = {
     "amp": ("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, f"{CONFIG}.lr_schedule=adaptive"),
     "amp_adaptive": (
         *("task=HumanoidAMP", *TINY_AMP, SHORT_EPISODES, "task.env.adaptiveStarts=0.5"),
-        *("task.env.demoMotionShare=0.5", f"{CONFIG}.disc_grad_penalty_final=0.2"),
+        *("task.env.demoMotionShare=0.5", f"{CONFIG}.disc_grad_penalty_final=0.2", CONSTANT_RATE),
     ),
     "robot_amp": (
         *("task=RobotAMP", *TINY_AMP, SHORT_EPISODES, "task.task.randomize=True"),
         *("task.env.observations=deployable", "task.env.historySteps=2"),
         *("task.env.observationNoise.dof_vel=1.5", "task.env.actionDelay=[0,2]"),
-        *("task.env.pushRobots=True", "task.env.pushInterval_s=0.1"),
+        *("task.env.pushRobots=True", "task.env.pushInterval_s=0.1", CONSTANT_RATE),
     ),
-    # Its own schedule, linear, depends on how many epochs a run has in all.
-    "gen_amp": (
-        *("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES),
-        f"{CONFIG}.lr_schedule=constant",
-    ),
+    "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT_EPISODES, CONSTANT_RATE),
     "lstm": (*TINY_LSTM, *ONE_THREAD, f"{CONFIG}.seq_length=4"),
     "sac": (*TINY_SAC, *ONE_THREAD, SHORT_EPISODES),
 }
