@@ -799,7 +799,11 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         with own_rates_kept(self.optimizer):
             super().set_full_state_weights(weights, set_epoch)
         if self.linear_lr:  # else the next epoch would have the rate of the first one
-            self._schedule_learning_rate(torch.zeros(()))
+            self.last_lr, self.entropy_coef = self.scheduler.update(
+                self.last_lr, self.entropy_coef, self.epoch_num, 0, 0.0
+            )
+            # `update_lr` would wait for the other processes, which may not restore anything.
+            self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
 
