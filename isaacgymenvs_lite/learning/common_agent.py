@@ -644,11 +644,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def _schedule_learning_rate(self, kl: Tensor) -> None:
         # Only the adaptive schedule looks at the KL, and reading it waits for the device.
-        kl_value = current_group().mean(kl).item() if self.is_adaptive_lr else 0.0
-        self.last_lr, self.entropy_coef = self.scheduler.update(
-            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl_value
-        )
+        self._advance_schedule(current_group().mean(kl).item() if self.is_adaptive_lr else 0.0)
         self.update_lr(self.last_lr)
+
+    def _advance_schedule(self, kl: float) -> None:
+        """Compute the rate of the next epoch; `update_lr` sets it, in all processes together."""
+        self.last_lr, self.entropy_coef = self.scheduler.update(
+            self.last_lr, self.entropy_coef, self.epoch_num, 0, kl
+        )
 
     # --- loss ------------------------------------------------------------------------------
     # Several threads call these at the same time, each with a slice of the minibatch: they must
@@ -799,9 +802,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         with own_rates_kept(self.optimizer):
             super().set_full_state_weights(weights, set_epoch)
         if self.linear_lr:  # else the next epoch would have the rate of the first one
-            self.last_lr, self.entropy_coef = self.scheduler.update(
-                self.last_lr, self.entropy_coef, self.epoch_num, 0, 0.0
-            )
+            self._advance_schedule(kl=0.0)
             # `update_lr` would wait for the other processes, which may not restore anything.
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
