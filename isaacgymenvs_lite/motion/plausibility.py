@@ -123,6 +123,12 @@ def _down_in_geom(geom_quat: FloatArray, body_rot: FloatArray) -> FloatArray:
     return np.stack(rotate_components((-x, -y, -z, w), in_body), axis=-1)
 
 
+def is_in_air(clip: MotionClip, skeleton: Skeleton) -> bool:
+    """Return whether the lowest points of a clip are above the ground; False without a model."""
+    poses = _Poses.of(clip, skeleton)
+    return poses is not None and poses.ground_m > _HIGH_M
+
+
 def put_on_ground(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
     """Return the clip, raised or lowered as a whole, so that its lowest points are on the ground.
 

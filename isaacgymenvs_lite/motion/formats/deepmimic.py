@@ -26,6 +26,7 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MAX_PLACE_M, MAX_POSES, MIN_FPS, MotionClip
 from isaacgymenvs_lite.motion.formats.files import read_json, reading, written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.motion.plausibility import is_in_air, put_on_ground
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
 
@@ -73,7 +74,8 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
     """Make a clip from the content of a DeepMimic file.
 
     Frames of unequal duration are resampled to equal ones. If a foot goes below the ground the
-    whole clip is lifted by a constant, so that the lowest corner of a foot just touches it.
+    whole clip is lifted by a constant, so that the lowest corner of a foot just touches it. If that
+    leaves the whole body above the ground, the clip is put on it, see `plausibility.put_on_ground`.
     Velocities are differences, smoothed as in poselib's files.
 
     Raises:
@@ -100,16 +102,21 @@ def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
         local[:, skeleton.body_names.index(body), 1] = np.sin(half)
         local[:, skeleton.body_names.index(body), 3] = np.cos(half)
     fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
-    root = _lifted(skeleton, local, root, name)
-    return MotionClip.from_poses(
+    lifted = _lifted(skeleton, local, root, name)
+    clip = MotionClip.from_poses(
         name,
         fps,
         skeleton.body_names,
         skeleton.parent_indices,
         skeleton.local_translation,
         local,
-        root,
+        lifted,
     )
+    if lifted is root or not is_in_air(clip, skeleton):
+        return clip
+    # A toe that a crawl drags through the ground has lifted the hands and knees off it.
+    _log.info("%s: put on the ground instead, lifted it was above", name)
+    return put_on_ground(clip, skeleton)
 
 
 def _rows(data: dict[str, Any], name: str) -> FloatArray:

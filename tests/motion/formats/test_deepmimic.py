@@ -99,6 +99,16 @@ def test_clip_below_the_ground_is_lifted_by_a_constant(humanoid: Skeleton, caplo
     assert "walk: lifted by 0.081 m" in caplog.text
 
 
+def test_a_foot_that_goes_through_the_ground_does_not_lift_the_rest_into_the_air(
+    humanoid: Skeleton,
+) -> None:
+    heights = np.full(60, SOLE_DEPTH_M)
+    heights[30] -= 0.08  # less than a 20th of the frames
+    data = {"Frames": [frame(height=height) for height in heights]}
+    clip = deepmimic.clip_from_deepmimic(data, humanoid, "crawl")
+    np.testing.assert_allclose(clip.root_translation[:, 2], heights, atol=1e-6)
+
+
 def test_unequal_durations_are_resampled(humanoid: Skeleton, caplog) -> None:
     times_s = [0.0, 0.1, 0.2, 0.4, 0.5]
     rows = [frame(x=t) for t in times_s]
