@@ -24,6 +24,12 @@ _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
 # Where poses are alike, at rest, the phase keeps the clip's own tempo.
 _OFF_TEMPO = 0.02
+# A policy that falls after a second learns to stay up first, at any tempo from half to double; the
+# limit of tempo is narrow once the mean episode lasts the second of these times.
+_EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
+_WIDEST_TEMPO = 2.0
+# Over how many episodes of each environment their duration is averaged, about.
+_AVERAGED_EPISODES = 4
 _NONE = -1
 _TINY = 1e-9
 
@@ -64,12 +70,21 @@ class ClipPhases:
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
+            While episodes are short the limit is wider, see `max_tempo`.
 
     Attributes:
         far_m: as given.
     """
 
-    stored = ("_clip", "_phase", "_trail", "_passed", "_num_followed")
+    stored = (
+        "_clip",
+        "_phase",
+        "_trail",
+        "_passed",
+        "_num_followed",
+        "_mean_steps",
+        "_longest_mean",
+    )
 
     def __init__(
         self,
@@ -101,13 +116,26 @@ class ClipPhases:
         self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
+        self._eased_steps = [round(time_s / dt_s) for time_s in _EASED_S]
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        # Of the episodes that have ended, and the longest that it has been.
+        self._mean_steps = torch.zeros((), device=device)
+        self._longest_mean = torch.zeros((), device=device)
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
+        self._average_durations(self._num_followed[env_ids])
         self._num_followed[env_ids] = 0
+
+    def _average_durations(self, steps: Tensor) -> None:
+        """Take episodes (n,) of so many steps into the mean; those of 0 steps are none."""
+        ended = steps[steps > 0].float()
+        if len(ended) > 0:
+            weight = min(1.0, len(ended) / (_AVERAGED_EPISODES * len(self._phase)))
+            self._mean_steps.lerp_(ended.mean(), weight)
+            torch.maximum(self._longest_mean, self._mean_steps, out=self._longest_mean)
 
     def stop(self, env_ids: Tensor) -> None:
         """Follow environments (n,) no more."""
@@ -132,7 +160,7 @@ class ClipPhases:
         rows = self._firsts[self._clip].unsqueeze(1) + phases.clamp(max=lengths - 1)
         away_m = distance_up_to_heading_m(points.unsqueeze(1), self._points[rows])
         nearest = (away_m + self._costs_m).argmin(dim=1, keepdim=True)
-        self._num_followed += 1
+        self._num_followed += self._phase != _NONE
         if len(self._passed) > 0:
             passed = self._advances[nearest.squeeze(1)]
             self._passed.copy_(torch.cat((self._passed[1:], passed[None])))
@@ -169,5 +197,17 @@ class ClipPhases:
         if steps == 0:
             return torch.zeros_like(self._phase, dtype=torch.bool)
         tempo = self._passed.sum(dim=0) / (PHASES_PER_STEP * steps)
-        is_off = (tempo > self._max_tempo) | (tempo < 1.0 / self._max_tempo)
+        limit = self.max_tempo()
+        is_off = (tempo > limit) | (tempo < 1.0 / limit)
         return is_off & (self._phase != _NONE) & (self._num_followed >= steps)
+
+    def max_tempo(self) -> float:
+        """Return how many times as fast, or as slow, as its clip an episode may be now.
+
+        It narrows from 2, while the mean episode lasts a second, to 1 + `tempo_share`, once it has
+        lasted three; it never widens again.
+        """
+        first, last = self._eased_steps
+        left = (last - self._longest_mean.item()) / (last - first)
+        eased = max(0.0, _WIDEST_TEMPO - self._max_tempo) * min(1.0, max(0.0, left))
+        return self._max_tempo + eased

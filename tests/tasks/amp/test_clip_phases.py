@@ -211,10 +211,26 @@ def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
     assert phases.travels_otherwise(at_rest, facing).tolist() == [False, False]
 
 
+def limited_tempo(num_envs: int = 1, share: float = 0.3, episodes_s: float = 5.0) -> ClipPhases:
+    """Phases with a limit of tempo, after many episodes of that length; the next ones begin."""
+    phases = ClipPhases([clip()], num_envs, DT_S, far_m=0.3, tempo_share=share)
+    for _ in range(12):
+        start_all(phases)
+        for time_s in times(round(episodes_s / DT_S)):
+            phases.advance(body(time_s[None]).expand(num_envs, -1, -1))
+    start_all(phases)
+    return phases
+
+
+def start_all(phases: ClipPhases) -> None:
+    num_envs = len(phases.is_off_tempo())
+    zeros = torch.zeros(num_envs)
+    phases.start(torch.arange(num_envs), zeros.long(), zeros)
+
+
 def is_off_tempo(tempo: float, share: float = 0.3) -> list[bool]:
     """Whether an episode at a tempo of its own is too fast or too slow, step by step."""
-    phases = ClipPhases([clip()], 1, DT_S, far_m=0.3, tempo_share=share)
-    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
+    phases = limited_tempo(share=share)
     found = []
     for time_s in times(3 * STEPS, tempo):
         phases.advance(body(time_s[None]))
@@ -232,9 +248,44 @@ def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit(tempo: float, expected
     assert not any(is_off_tempo(tempo, share=0.0))
 
 
+@pytest.mark.parametrize(
+    ("episodes_s", "expected"),
+    # Of a second or less: 2. From there to three seconds it narrows evenly.
+    [(0.2, 2.0), (1.0, 2.0), (2.0, 1.65), (3.0, 1.3), (9.0, 1.3)],
+)
+def test_the_limit_of_tempo_is_wide_while_episodes_are_short(
+    episodes_s: float, expected: float
+) -> None:
+    # The mean of twelve such episodes is 0.97 of their length.
+    phases = limited_tempo(episodes_s=episodes_s / (1.0 - 0.75**12))
+    assert phases.max_tempo() == pytest.approx(expected, abs=0.02)  # whole steps: 1 of 50
+
+
+def test_the_limit_of_tempo_never_widens_again() -> None:
+    phases = limited_tempo(episodes_s=5.0)
+    for _ in range(20):
+        phases.advance(body(times(1)))
+        start_all(phases)
+    assert phases.max_tempo() == pytest.approx(1.3)
+
+
+def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
+    phases = ClipPhases([clip()], 1, DT_S, far_m=0.3, tempo_share=0.3)
+    for _ in range(12):
+        start_all(phases)
+        phases.stop(torch.tensor([0]))
+        for time_s in times(5 * STEPS):
+            phases.advance(body(time_s[None]))
+    start_all(phases)
+    assert phases.max_tempo() == 2.0
+
+
+def test_a_limit_that_is_wider_is_not_narrowed_for_short_episodes() -> None:
+    assert limited_tempo(share=1.5, episodes_s=0.2).max_tempo() == 2.5
+
+
 def test_who_is_followed_no_more_may_have_any_tempo() -> None:
-    phases = ClipPhases([clip()], 2, DT_S, far_m=0.3, tempo_share=0.3)
-    phases.start(torch.arange(2), torch.zeros(2, dtype=torch.int64), torch.zeros(2))
+    phases = limited_tempo(num_envs=2)
     for time_s in times(STEPS, 1.6):
         phases.advance(body(time_s[None]).expand(2, -1, -1))
     assert phases.is_off_tempo().tolist() == [True, True]
