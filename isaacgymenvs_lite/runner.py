@@ -639,7 +639,12 @@ def _imitation_observer(
         )
     if frequency == 0 or not hasattr(task, "motion_lib"):
         return None
-    return ImitationObserver(make_task, frequency, _IMITATION_EPISODES)
+
+    def make_quietly(num_envs: int) -> VecTask:
+        with _quiet(__package__):  # the training's task has logged what its clips are like
+            return make_task(num_envs)
+
+    return ImitationObserver(make_quietly, frequency, _IMITATION_EPISODES)
 
 
 # --- the end of a run ---------------------------------------------------------------------------

@@ -167,6 +167,14 @@ def test_the_configuration_of_a_run_can_be_used_again(trained_run, walk_clip, in
     assert (second / "nn" / "HumanoidAMP.pth").is_file()
 
 
+def test_what_a_task_takes_of_its_files_is_logged_once(in_tmp, caplog):
+    caplog.set_level(logging.INFO)
+    words = ("max_iterations=1", f"{CONFIG}.imitation_frequency=1", "task.env.episodeLength=4")
+    run(compose(["task=RobotAMP", *TINY_AMP, *words]))
+    assert caplog.text.count("joints in order: ") == 1
+    assert "pose error" in caplog.text  # measured in a second task
+
+
 def test_nothing_is_printed_on_standard_output(in_tmp, walk_clip, capsys):
     run(tiny(walk_clip, "max_iterations=1"))
     assert capsys.readouterr().out == ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import math
 from dataclasses import dataclass, field
@@ -98,7 +97,8 @@ class RobotAMP(HumanoidAMP):
         self._robot = load_robot(path, self.env_cfg, "task.env")
         self._spec = self._robot.spec
         scale = f"actionScale: {self._action_scale_rad():.3g} rad"
-        _log_once((*self._robot.describe(), scale))
+        for line in (*self._robot.describe(), scale):
+            log.info("%s", line)
         friction = self.env_cfg.plane.dynamic_friction
         model = compile_spec(self._spec, path, self.sim_cfg, friction, self.change_spec)
         set_actuators(model, self.env_cfg)
@@ -303,10 +303,3 @@ class RobotAMPVelocity(RobotAMP):
             arrays = (clip.root_translation, clip.local_rotation[:, 0], *velocities)
             parts.append(torch.cat([torch.from_numpy(a).float() for a in arrays], dim=-1))
         return torch.cat(parts)
-
-
-@functools.lru_cache(maxsize=1)
-def _log_once(lines: tuple[str, ...]) -> None:
-    """Log what was taken of a robot; a training makes its task again to measure the pose error."""
-    for line in lines:
-        log.info("%s", line)

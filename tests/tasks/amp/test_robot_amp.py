@@ -17,7 +17,6 @@ from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
-from isaacgymenvs_lite.tasks.amp import robot_amp
 from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
 from isaacgymenvs_lite.tasks.goals.strike import Strike
 
@@ -79,13 +78,10 @@ def make_walker(walker, clip):
 
 def test_what_the_file_lacks_is_found_and_logged(make_walker, caplog):
     caplog.set_level(logging.INFO)
-    robot_amp._log_once.cache_clear()
     task = make_walker()
     assert (task.num_actions, task.num_obs) == (8, 1 + 6 + 3 + 3 + 8 + 8 + 3 * 2)
     assert task.key_body_names() == task.contact_body_names() == ("left_foot", "right_foot")
     assert f"joints in order: {', '.join(JOINTS)}" in caplog.text
-    assert caplog.text.count("added a floor") == 1
-    make_walker()  # as the measurement of the pose error does
     assert caplog.text.count("added a floor") == 1
 
 
