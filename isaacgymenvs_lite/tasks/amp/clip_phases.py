@@ -24,10 +24,11 @@ _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
 # Where poses are alike, at rest, the phase keeps the clip's own tempo.
 _OFF_TEMPO = 0.02
-# A policy that falls after a second learns to stay up first, at any tempo from half to double; the
-# limit of tempo is narrow once the mean episode lasts the second of these times.
+# A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
+# and first steps are slow before they are right. The limit is narrow once the mean episode has
+# lasted the second of these times. Quick steps must not begin: a walk does not come back from them.
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
-_WIDEST_TEMPO = 2.0
+_SLOWEST_TEMPO = 0.5
 # Over how many episodes of each environment their duration is averaged, about.
 _AVERAGED_EPISODES = 4
 _NONE = -1
@@ -70,7 +71,7 @@ class ClipPhases:
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
-            While episodes are short the limit is wider, see `max_tempo`.
+            While episodes are short they may be slower, see `min_tempo`.
 
     Attributes:
         far_m: as given.
@@ -197,17 +198,16 @@ class ClipPhases:
         if steps == 0:
             return torch.zeros_like(self._phase, dtype=torch.bool)
         tempo = self._passed.sum(dim=0) / (PHASES_PER_STEP * steps)
-        limit = self.max_tempo()
-        is_off = (tempo > limit) | (tempo < 1.0 / limit)
+        is_off = (tempo > self._max_tempo) | (tempo < self.min_tempo())
         return is_off & (self._phase != _NONE) & (self._num_followed >= steps)
 
-    def max_tempo(self) -> float:
-        """Return how many times as fast, or as slow, as its clip an episode may be now.
+    def min_tempo(self) -> float:
+        """Return the share of its clip's tempo that an episode must have now.
 
-        It narrows from 2, while the mean episode lasts a second, to 1 + `tempo_share`, once it has
-        lasted three; it never widens again.
+        It rises from a half, while the mean episode lasts a second, to 1 / (1 + `tempo_share`),
+        once it has lasted three; it never falls again.
         """
         first, last = self._eased_steps
-        left = (last - self._longest_mean.item()) / (last - first)
-        eased = max(0.0, _WIDEST_TEMPO - self._max_tempo) * min(1.0, max(0.0, left))
-        return self._max_tempo + eased
+        left = min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))
+        least = 1.0 / self._max_tempo
+        return least - max(0.0, least - _SLOWEST_TEMPO) * left

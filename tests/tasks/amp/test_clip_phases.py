@@ -228,9 +228,9 @@ def start_all(phases: ClipPhases) -> None:
     phases.start(torch.arange(num_envs), zeros.long(), zeros)
 
 
-def is_off_tempo(tempo: float, share: float = 0.3) -> list[bool]:
+def is_off_tempo(tempo: float, share: float = 0.3, episodes_s: float = 5.0) -> list[bool]:
     """Whether an episode at a tempo of its own is too fast or too slow, step by step."""
-    phases = limited_tempo(share=share)
+    phases = limited_tempo(share=share, episodes_s=episodes_s)
     found = []
     for time_s in times(3 * STEPS, tempo):
         phases.advance(body(time_s[None]))
@@ -250,15 +250,20 @@ def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit(tempo: float, expected
 
 @pytest.mark.parametrize(
     ("episodes_s", "expected"),
-    # Of a second or less: 2. From there to three seconds it narrows evenly.
-    [(0.2, 2.0), (1.0, 2.0), (2.0, 1.65), (3.0, 1.3), (9.0, 1.3)],
+    # Of a second or less: a half. From there to three seconds it rises evenly to 1 / 1.3.
+    [(0.2, 0.5), (1.0, 0.5), (2.0, 0.635), (3.0, 0.769), (9.0, 0.769)],
 )
-def test_the_limit_of_tempo_is_wide_while_episodes_are_short(
+def test_who_shows_half_of_the_tempo_may_do_so_while_episodes_are_short(
     episodes_s: float, expected: float
 ) -> None:
     # The mean of twelve such episodes is 0.97 of their length.
     phases = limited_tempo(episodes_s=episodes_s / (1.0 - 0.75**12))
-    assert phases.max_tempo() == pytest.approx(expected, abs=0.02)  # whole steps: 1 of 50
+    assert phases.min_tempo() == pytest.approx(expected, abs=0.01)  # whole steps: 1 of 50
+
+
+@pytest.mark.parametrize(("tempo", "expected"), [(0.6, False), (1.2, False), (1.4, True)])
+def test_quick_episodes_end_from_the_start_on(tempo: float, expected: bool) -> None:
+    assert any(is_off_tempo(tempo, episodes_s=0.5)) is expected
 
 
 def test_the_limit_of_tempo_never_widens_again() -> None:
@@ -266,7 +271,7 @@ def test_the_limit_of_tempo_never_widens_again() -> None:
     for _ in range(20):
         phases.advance(body(times(1)))
         start_all(phases)
-    assert phases.max_tempo() == pytest.approx(1.3)
+    assert phases.min_tempo() == pytest.approx(1 / 1.3)
 
 
 def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
@@ -277,11 +282,11 @@ def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
         for time_s in times(5 * STEPS):
             phases.advance(body(time_s[None]))
     start_all(phases)
-    assert phases.max_tempo() == 2.0
+    assert phases.min_tempo() == 0.5
 
 
 def test_a_limit_that_is_wider_is_not_narrowed_for_short_episodes() -> None:
-    assert limited_tempo(share=1.5, episodes_s=0.2).max_tempo() == 2.5
+    assert limited_tempo(share=1.5, episodes_s=0.2).min_tempo() == 0.4
 
 
 def test_who_is_followed_no_more_may_have_any_tempo() -> None:
