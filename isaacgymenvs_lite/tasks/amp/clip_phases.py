@@ -24,10 +24,11 @@ _ADVANCES = range(1, 9)
 # How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
 # Where poses are alike, at rest, the phase keeps the clip's own tempo.
 _OFF_TEMPO = 0.02
-# A policy that falls after a second learns to stay up first, at half the tempo or twice: kicks and
-# first steps are slow before they are right. The limits are narrow once the mean episode has lasted
-# the second of these times. Later quick steps begin, and a walk may not come back from them.
-_EASED_S = (COMPARED_S, 2.0 * COMPARED_S)
+# A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
+# and first steps are slow before they are right. The limit is narrow once the mean episode has
+# lasted the second of these times. Quick steps must not begin: a walk does not come back from them
+# (docs/results.md, "Tempo").
+_EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
 _SLOWEST_TEMPO = 0.5
 # Over how many episodes of each environment their duration is averaged, about.
 _AVERAGED_EPISODES = 4
@@ -71,7 +72,7 @@ class ClipPhases:
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
-            While episodes are short it may be more, see `min_tempo`.
+            While episodes are short they may be slower, see `min_tempo`.
 
     Attributes:
         far_m: as given.
@@ -116,7 +117,7 @@ class ClipPhases:
         steps = round(COMPARED_S / dt_s)
         self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
-        self._min_tempo = 1.0 / (1.0 + tempo_share)
+        self._max_tempo = 1.0 + tempo_share
         self._eased_steps = [round(time_s / dt_s) for time_s in _EASED_S]
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
         # Of the episodes that have ended, and the longest that it has been.
@@ -198,16 +199,16 @@ class ClipPhases:
         if steps == 0:
             return torch.zeros_like(self._phase, dtype=torch.bool)
         tempo = self._passed.sum(dim=0) / (PHASES_PER_STEP * steps)
-        least = self.min_tempo()
-        is_off = (tempo < least) | (tempo > 1.0 / least)
+        is_off = (tempo > self._max_tempo) | (tempo < self.min_tempo())
         return is_off & (self._phase != _NONE) & (self._num_followed >= steps)
 
     def min_tempo(self) -> float:
-        """Return the share of its clip's tempo that an episode must have now; at most its inverse.
+        """Return the share of its clip's tempo that an episode must have now.
 
         It rises from a half, while the mean episode lasts a second, to 1 / (1 + `tempo_share`),
-        once it has lasted two; it never falls again.
+        once it has lasted three; it never falls again.
         """
         first, last = self._eased_steps
         left = min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))
-        return self._min_tempo - max(0.0, self._min_tempo - _SLOWEST_TEMPO) * left
+        least = 1.0 / self._max_tempo
+        return least - max(0.0, least - _SLOWEST_TEMPO) * left
