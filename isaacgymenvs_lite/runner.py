@@ -641,7 +641,7 @@ def _imitation_observer(
         return None
 
     def make_quietly(num_envs: int) -> VecTask:
-        with _quiet(__package__):  # the training's task has logged what its clips are like
+        with _quiet("isaacgymenvs_lite"):  # the training's task has logged what its clips are like
             return make_task(num_envs)
 
     return ImitationObserver(make_quietly, frequency, _IMITATION_EPISODES)
