@@ -641,7 +641,8 @@ def _imitation_observer(
         return None
 
     def make_quietly(num_envs: int) -> VecTask:
-        with _quiet("isaacgymenvs_lite"):  # the training's task has logged what its clips are like
+        # The training's own task has logged what its files contain.
+        with _quiet("isaacgymenvs_lite"):
             return make_task(num_envs)
 
     return ImitationObserver(make_quietly, frequency, _IMITATION_EPISODES)

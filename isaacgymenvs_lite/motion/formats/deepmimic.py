@@ -115,7 +115,7 @@ def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
     if lifted is root or not is_in_air(clip, skeleton):
         return clip
     # A toe that a crawl drags through the ground has lifted the hands and knees off it.
-    _log.info("%s: put on the ground instead, lifted it was above", name)
+    _log.info("%s: put on the ground instead; lifted, all of it was in the air", name)
     return put_on_ground(clip, skeleton)
 
 

@@ -26,8 +26,8 @@ _ADVANCES = range(1, 9)
 _OFF_TEMPO = 0.02
 # A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
 # and first steps are slow before they are right. The limit is narrow once the mean episode has
-# lasted the second of these times. Quick steps must not begin: a walk does not come back from them
-# (docs/results.md, "Tempo").
+# lasted the second of these times. Haste is never allowed: a walk that began quick steps did not
+# come back from them (docs/results.md, "Tempo").
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
 _SLOWEST_TEMPO = 0.5
 # Over how many episodes of each environment their duration is averaged, about.
@@ -132,7 +132,7 @@ class ClipPhases:
         self._num_followed[env_ids] = 0
 
     def _average_durations(self, steps: Tensor) -> None:
-        """Take episodes (n,) of so many steps into the mean; those of 0 steps are none."""
+        """Update the mean duration with episodes that ended after `steps` (n,); 0: none ended."""
         ended = steps[steps > 0].float()
         if len(ended) > 0:
             weight = min(1.0, len(ended) / (_AVERAGED_EPISODES * len(self._phase)))
@@ -203,10 +203,11 @@ class ClipPhases:
         return is_off & (self._phase != _NONE) & (self._num_followed >= steps)
 
     def min_tempo(self) -> float:
-        """Return the share of its clip's tempo that an episode must have now.
+        """Return the least tempo that an episode may have now, as a share of its clip's.
 
         It rises from a half, while the mean episode lasts a second, to 1 / (1 + `tempo_share`),
-        once it has lasted three; it never falls again.
+        once it has lasted three; it never falls again. Of a clip that does not repeat, an episode
+        lasts until the clip's end, so that with a short one the least tempo stays low.
         """
         first, last = self._eased_steps
         left = min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))

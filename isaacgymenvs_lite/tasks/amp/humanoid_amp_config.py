@@ -63,7 +63,7 @@ class HumanoidAMPConfig(TaskConfig):
     clip_tempo: float = setting(0.0, key="clipTempo", minimum=0)
     """This project's: with `clip_deviation`, such an episode also ends where its last second shows
     the clip faster by more than this share, or as much slower; 0: at any tempo. Without a limit
-    walks become quick, short steps (docs/results.md, "Tempo"). Half of its tempo is
+    walks become quick, short steps (docs/results.md, "Tempo"). Half of the clip's is
     enough at first, until the mean episode has lasted three seconds."""
     ground_clips: bool = setting(False, key="groundClips")
     """This project's: raise or lower each clip so that its lowest points are on the ground."""

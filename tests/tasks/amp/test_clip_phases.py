@@ -253,7 +253,7 @@ def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit(tempo: float, expected
     # Of a second or less: a half. From there to three seconds it rises evenly to 1 / 1.3.
     [(0.2, 0.5), (1.0, 0.5), (2.0, 0.635), (3.0, 0.769), (9.0, 0.769)],
 )
-def test_who_shows_half_of_the_tempo_may_do_so_while_episodes_are_short(
+def test_half_of_the_tempo_is_enough_while_episodes_are_short(
     episodes_s: float, expected: float
 ) -> None:
     # The mean of twelve such episodes is 0.97 of their length.
