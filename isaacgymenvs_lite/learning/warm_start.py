@@ -75,7 +75,7 @@ def descend(
         num_steps: at least 1.
     """
     learned = list(parameters)
-    adam = torch.optim.Adam(learned, lr=_FIRST_RATE)
+    adam = torch.optim.Adam(learned, lr=_FIRST_RATE, fused=True)
     rates = torch.optim.lr_scheduler.LinearLR(adam, 1.0, _LAST_RATE / _FIRST_RATE, num_steps)
     value = torch.zeros(())
     for _ in range(num_steps):
