@@ -23,8 +23,9 @@ from isaacgymenvs_lite.tasks.goals import GOALS, Goal
 
 # The file with ASE's drives; `amp_humanoid.xml` has IsaacGymEnvs'.
 _ASSET_OF_DRIVES = "mjcf/amp_humanoid_sword_shield.xml"
+HEAD = "head"
 # These bodies count as fallen below larger heights (m).
-_HIGH_BODIES = {"head": 0.3}
+_HIGH_BODIES = {HEAD: 0.3}
 _HIGH_BODIES_WITH_SHIELD = {"left_lower_arm": 0.32}
 
 

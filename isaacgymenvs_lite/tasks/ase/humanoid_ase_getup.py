@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE
+from isaacgymenvs_lite.tasks.ase.humanoid_ase import HEAD, HumanoidASE
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_config import GetupConfig
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import Done
@@ -22,8 +22,9 @@ class HumanoidASEGetup(HumanoidASE):
 
     After some falls the next episode goes on from where the character lies, and some others start
     from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
-    Without a goal the reward of the task is the root's height over its height in standing, at most
-    1; ASE's, a constant 1, says nothing about getting up.
+    Without a goal the reward of the task is the mean of the heights of root and head, each over its
+    height in standing and at most 1: the root alone would be lifted with the hands on the ground.
+    ASE's, a constant 1, says nothing about getting up.
 
     Attributes:
         fallen_root_states: (N, 13) of characters that lie on the ground at rest.
@@ -55,6 +56,7 @@ class HumanoidASEGetup(HumanoidASE):
         n, sim = self.num_envs, self.simulation
         env_ids = torch.arange(n, device=self.device)
         self._write_default_pose(env_ids)
+        self._standing_m = self._heights_m()[0]
         root_states = sim.root_states.clone()
         root_states[:, 3:7] = torch.nn.functional.normalize(torch.randn(n, 4, device=self.device))
         sim.write_state(env_ids, root_states, sim.dof_pos.clone(), sim.dof_vel.clone())
@@ -76,8 +78,13 @@ class HumanoidASEGetup(HumanoidASE):
         """Return how far the character is up, 0 to 1; with a goal the goal's reward."""
         if self.goal.num_obs > 0:
             return super().compute_reward_terms()
-        standing_m = self.default_pose()[0][2]
-        return {"upright": (self.simulation.root_states[:, 2] / standing_m).clamp(0.0, 1.0)}
+        return {"upright": (self._heights_m() / self._standing_m).clamp(0.0, 1.0).mean(dim=1)}
+
+    def _heights_m(self) -> Tensor:
+        """Return the heights (N, 2) m of root and head; of a humanoid without a head (N, 1)."""
+        sim = self.simulation
+        head = [sim.body_names.index(HEAD)] if HEAD in sim.body_names else []
+        return torch.cat((sim.root_states[:, 2:3], sim.body_pos[:, head, 2]), dim=1)
 
     def compute_failures(self) -> Tensor:
         """As the base, but characters that have time left to get up do not fail."""
