@@ -208,11 +208,16 @@ class GoalReached:
 
 def fixed_settings(kind: str) -> dict[str, Any]:
     """Return what differs from the protocol of imitation, for a kind of measurement."""
-    own = {"num_envs": EPISODES, "task.env.numEnvs": EPISODES, "task.env.stateInit": "Default"}
+    own = {
+        "num_envs": EPISODES,
+        "task.env.numEnvs": EPISODES,
+        "task.env.stateInit": "Default",
+        "task.env.fallInitProb": 0.0,
+        "task.env.recoveryEpisodeProb": 0.0,
+    }
     if kind == "getup":
         own |= {
             "task.env.fallInitProb": 1.0,
-            "task.env.recoveryEpisodeProb": 0.0,
             "task.env.recoverySteps": round(GETUP_S * CONTROL_STEPS_PER_S),
             "task.env.episodeLength": 2 * round(GETUP_S * CONTROL_STEPS_PER_S),
         }

@@ -151,6 +151,8 @@ def test_getting_up(runs, tmp_path, capsys) -> None:
 
     lying = play_checkpoint(checkpoint, start_heights, hierarchy.fixed_settings("getup"), SEED)
     assert lying.max() < 0.6  # m; standing 0.89
+    standing = play_checkpoint(checkpoint, start_heights, hierarchy.fixed_settings("skills"), SEED)
+    assert standing.min() > 0.8
     found = measured(runs, tmp_path, "getup", "getup", "task.env.episodeLength=95")
     assert found["got_up_share"] == 0.0  # nobody gets up by chance
     assert "getup seed 1: got up within 3 s" in capsys.readouterr().out
