@@ -22,8 +22,9 @@ class HumanoidASEGetup(HumanoidASE):
 
     After some falls the next episode goes on from where the character lies, and some others start
     from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
-    Without a goal the reward of the task is the mean of the heights of root and head, each over its
-    height in standing and at most 1: the root alone would be lifted with the hands on the ground.
+    Without a goal the reward of the task says how near root and head are to their heights in
+    standing: 1 there, 0 on the ground and at twice the height, the mean of both. The root alone would
+    be lifted with the hands on the ground, and a character that is paid for more height leaps.
     ASE's, a constant 1, says nothing about getting up.
 
     Attributes:
@@ -78,7 +79,8 @@ class HumanoidASEGetup(HumanoidASE):
         """Return how far the character is up, 0 to 1; with a goal the goal's reward."""
         if self.goal.num_obs > 0:
             return super().compute_reward_terms()
-        return {"upright": (self._heights_m() / self._standing_m).clamp(0.0, 1.0).mean(dim=1)}
+        off = (self._heights_m() / self._standing_m - 1.0).abs()
+        return {"upright": (1.0 - off).clamp(min=0.0).mean(dim=1)}
 
     def _heights_m(self) -> Tensor:
         """Return the heights (N, 2) m of root and head; of a humanoid without a head (N, 1)."""

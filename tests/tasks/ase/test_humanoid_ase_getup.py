@@ -287,15 +287,28 @@ def test_the_reward_is_how_far_the_character_is_up(make) -> None:
     task = make(8, fall=1.0)
     task.reset_done()
     _, rewards, _, _ = task.step(torch.zeros(8, task.num_actions))
-    root = (_heights(task) / NORMAL_HEIGHT_M).clamp(max=1.0)
     head_m = task.simulation.body_pos[:, task.simulation.body_names.index("head"), 2]
-    head = (head_m / STANDING_HEAD_M).clamp(max=1.0)
-    torch.testing.assert_close(rewards, (root + head) / 2, atol=1e-4, rtol=0)
+    # Nobody who lies is higher than one who stands.
+    up = (_heights(task) / NORMAL_HEIGHT_M + head_m / STANDING_HEAD_M) / 2
+    torch.testing.assert_close(rewards, up, atol=1e-4, rtol=0)
     assert rewards.max() < LYING_M / NORMAL_HEIGHT_M
     standing = make(2, fall=0.0)
     _all_start_anew(standing)
     _, rewards, _, _ = standing.step(torch.zeros(2, standing.num_actions))
     assert rewards.min() > 0.95
+
+
+def test_a_leap_is_paid_less_than_standing(make) -> None:
+    task = make(2)
+    _all_start_anew(task)
+    root_states = task.simulation.root_states.clone()
+    root_states[0, 2] += 0.5
+    env_ids, still = torch.arange(2), torch.zeros_like(task.simulation.dof_pos)
+    task.simulation.write_state(env_ids, root_states, still, still)
+    leaps, stands = task.compute_reward_terms()["upright"].tolist()
+    assert stands == pytest.approx(1.0, abs=1e-4)
+    expected = 1 - 0.5 * (0.5 / NORMAL_HEIGHT_M + 0.5 / STANDING_HEAD_M)
+    assert leaps == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_goal_has_its_own_reward(make) -> None:
