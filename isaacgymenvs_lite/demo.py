@@ -201,6 +201,8 @@ def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
     if "stateInit" in env:  # it has reference motions
         env.stateInit = "Default" if _has_skills(cfg) else "Random"
         env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
+    if "fallInitProb" in env:  # it gets up
+        env.fallInitProb, env.recoveryEpisodeProb = 1.0, 0.0
     return cfg, num_steps
 
 

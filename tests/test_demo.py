@@ -6,6 +6,7 @@ import io
 import logging
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,14 +107,24 @@ def test_the_same_policy_performs_the_same_again():
     assert [track.shape for track in first.tracks] == [(6, 43)] * 2
 
 
-@pytest.mark.usefixtures("policies", "gl", "small_panels")
-def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch, caplog):
-    monkeypatch.chdir(tmp_path)
-    style = "train.params.network.style.units=[8]"
-    run(compose(["task=HumanoidASE", "task.env.motion_file=stand", style, *TINY]))
-    (checkpoint,) = tmp_path.glob("runs/*/nn/HumanoidASE.pth")
-    pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")
-    monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+@pytest.fixture
+def pack_skills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Return `pack_skills(task)`, which trains skills for an epoch and ships them as `skills`."""
+
+    def pack(task: str) -> None:
+        monkeypatch.chdir(tmp_path)
+        style = "train.params.network.style.units=[8]"
+        run(compose([f"task={task}", "task.env.motion_file=stand", style, *TINY]))
+        (checkpoint,) = tmp_path.glob(f"runs/*/nn/{task}.pth")
+        pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")
+        monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
+
+    return pack
+
+
+@pytest.mark.usefixtures("gl", "small_panels")
+def test_skills_are_shown_in_several_environments(pack_skills, tmp_path):
+    pack_skills("HumanoidASE")
     performance = demo.perform("skills", 0.3)
     assert [track.shape for track in performance.tracks] == [(9, 43)] * 3
     first, second, _ = performance.tracks
@@ -124,6 +135,12 @@ def test_skills_are_shown_in_several_environments(assets, tmp_path, monkeypatch,
     path = demo.save_performance(performance, tmp_path / "skills.webp")
     with PIL.Image.open(path) as image:
         assert image.size == (3 * 48, 64)
+
+
+def test_getting_up_is_shown_from_the_ground(pack_skills):
+    pack_skills("HumanoidASEGetup")
+    for track in demo.perform("skills", 0.1).tracks:
+        assert track[0, 2] < 0.6  # m; the root of who stands is at 0.89
 
 
 class Terminal(io.StringIO):

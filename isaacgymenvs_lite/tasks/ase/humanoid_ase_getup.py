@@ -23,8 +23,8 @@ class HumanoidASEGetup(HumanoidASE):
     After some falls the next episode goes on from where the character lies, and some others start
     from a fallen pose. For `recoverySteps` control steps neither falls nor the time limit end them.
     Without a goal the reward of the task says how near root and head are to their heights in
-    standing: 1 there, 0 on the ground and at twice the height, the mean of both. The root alone would
-    be lifted with the hands on the ground, and a character that is paid for more height leaps.
+    standing: the mean of both, 1 there, 0 on the ground and at twice the height. The root alone is
+    lifted with the hands on the ground, and a character that is paid for more height leaps.
     ASE's, a constant 1, says nothing about getting up.
 
     Attributes:
