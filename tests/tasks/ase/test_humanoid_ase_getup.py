@@ -290,7 +290,7 @@ def test_the_reward_is_how_far_the_character_is_up(make) -> None:
     head_m = task.simulation.body_pos[:, task.simulation.body_names.index("head"), 2]
     # Nobody who lies is higher than one who stands.
     up = (_heights(task) / NORMAL_HEIGHT_M + head_m / STANDING_HEAD_M) / 2
-    torch.testing.assert_close(rewards, up, atol=1e-4, rtol=0)
+    torch.testing.assert_close(rewards, up, atol=ATOL, rtol=0)
     assert rewards.max() < LYING_M / NORMAL_HEIGHT_M
     standing = make(2, fall=0.0)
     _all_start_anew(standing)
@@ -306,9 +306,9 @@ def test_a_leap_is_paid_less_than_standing(make) -> None:
     env_ids, still = torch.arange(2), torch.zeros_like(task.simulation.dof_pos)
     task.simulation.write_state(env_ids, root_states, still, still)
     leaps, stands = task.compute_reward_terms()["upright"].tolist()
-    assert stands == pytest.approx(1.0, abs=1e-4)
+    assert stands == pytest.approx(1.0, abs=ATOL)
     expected = 1 - 0.5 * (0.5 / NORMAL_HEIGHT_M + 0.5 / STANDING_HEAD_M)
-    assert leaps == pytest.approx(expected, abs=1e-4)
+    assert leaps == pytest.approx(expected, abs=ATOL)
 
 
 def test_a_goal_has_its_own_reward(make) -> None:
