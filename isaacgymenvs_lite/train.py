@@ -112,7 +112,7 @@ def _run_hydra() -> None:
         _run_job(resumed_tree(sys.argv[1:]), command)
         return
     _check_options(sys.argv[1:])
-    sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy that is played
+    sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"

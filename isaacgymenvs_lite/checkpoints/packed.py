@@ -45,7 +45,8 @@ log = logging.getLogger(__name__)
 MAX_BYTES = 5 * 2**20
 """Largest packed policy, because the shipped ones are in the repository."""
 
-_INFO_KEY = "policy"
+POLICY_KEY = "policy"
+"""Entry of a packed policy that no other checkpoint has: its `PolicyInfo`."""
 # Entries of a checkpoint that a player reads.
 _PLAYED = ("model", "amp_input_mean_std", "env_state")
 _CONFIG = "train.params.config"
@@ -125,7 +126,7 @@ def read_policy_info(path: Path) -> PolicyInfo:
     Raises:
         CheckpointError: it cannot be read or is no packed policy.
     """
-    info = load_checkpoint(path).get(_INFO_KEY)
+    info = load_checkpoint(path).get(POLICY_KEY)
     names = {field.name for field in dataclasses.fields(PolicyInfo)}
     if not isinstance(info, Mapping) or set(info) != names:
         raise CheckpointError(
@@ -158,10 +159,10 @@ def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) ->
         CheckpointError: its settings contradict each other.
     """
     params = copy.deepcopy(dict(params))
-    if _INFO_KEY not in state:
+    if POLICY_KEY not in state:
         return params
     own: dict[str, Any] = {"network": {}, "config": dict(params["config"])}
-    for path, value in state[_INFO_KEY]["settings"].items():
+    for path, value in state[POLICY_KEY]["settings"].items():
         *sections, key = path.split(".")
         if sections[:2] == ["train", "params"] and sections[2:3] in (["network"], ["config"]):
             place = own
@@ -215,7 +216,7 @@ def pack_policy(
         settings=settings,
         training=_training_record(tree["train"]["params"]["config"]),
     )
-    packed[_INFO_KEY] = dataclasses.asdict(info)
+    packed[POLICY_KEY] = dataclasses.asdict(info)
     path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
     _write(path, packed)
     log.info("%s: %s, %.2f MiB", path, info, path.stat().st_size / 2**20)

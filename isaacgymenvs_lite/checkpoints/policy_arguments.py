@@ -1,4 +1,4 @@
-"""Completes command lines that play a shipped policy, `checkpoint=<name>`, by its settings."""
+"""Completes command lines with a shipped policy, `checkpoint=<name>`, by its settings."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ log = logging.getLogger(__name__)
 
 
 def playing_overrides(name: str) -> list[str]:
-    """Return the overrides that a shipped policy needs to be played, for `config.compose`.
+    """Return the overrides that a shipped policy needs to act, for `config.compose`.
 
-    These are the settings that must be as in the training: no `checkpoint`, devices or sizes.
+    These are the settings that must be as in its training: no `checkpoint`, devices or sizes.
 
     Raises:
         KeyError: no such policy.
@@ -32,10 +32,10 @@ def playing_overrides(name: str) -> list[str]:
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return a command line with the settings of the shipped policy that it plays.
+    """Return a command line with the settings of the shipped policy that it plays or trains on.
 
-    They are inserted before the typed words, which override them. A command line that plays no
-    shipped policy is returned as it is.
+    They are inserted before the typed words, which override them. A command line without a shipped
+    policy is returned as it is.
 
     Args:
         arguments: as `sys.argv[1:]`: `test=True checkpoint=walk num_envs=4`.
@@ -46,8 +46,7 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     arguments = list(arguments)
     typed = dict(word.split("=", 1) for word in arguments if "=" in word)
     name = typed.get("checkpoint", "")
-    plays = typed.get("test", "").lower() in ("true", "1", "yes", "on")
-    if not plays or name not in shipped_policies():
+    if name not in shipped_policies():
         return arguments
     settings = playing_overrides(name)
     if "task" in typed:

@@ -7,6 +7,7 @@ episode has ended.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,12 +20,15 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
+from isaacgymenvs_lite.checkpoints.packed import POLICY_KEY
 from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, NotFiniteError
 from isaacgymenvs_lite.learning.data_parallel import DataParallel
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.resuming import Resuming
+
+log = logging.getLogger(__name__)
 
 # Rows of a rollout -> their name in messages; each may be the cause of the next.
 _ROLLOUT = {
@@ -71,13 +75,26 @@ class Safeguards(Resuming):
             raise
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load a checkpoint, once all of it fits.
+        """Load a checkpoint, once all of it fits; with a packed policy a new training begins.
 
         Raises:
             CheckpointError: it cannot be used; the agent is unchanged then.
         """
+        if POLICY_KEY in weights:
+            weights = self._at_first_epoch(weights)
         fitted = Fitting(self._source).parts(weights, self._parts())
         super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
+
+    def _at_first_epoch(self, policy: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a packed policy with optimisers and counts as a new training has them."""
+        log.info("%s: a new training begins with the networks of this policy", self._source)
+        parts = self._parts()
+        optimizers = {
+            key: {**optimizer.state_dict(), "state": {}}
+            for key, optimizer in parts.optimizers.items()
+        }
+        scalers = {key: scaler.state_dict() for key, scaler in parts.scalers.items()}
+        return {**policy, **optimizers, **scalers, "epoch": 0, "frame": 0}
 
     def train(self) -> Any:
         """Train as rl_games.

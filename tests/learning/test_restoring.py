@@ -219,6 +219,32 @@ def test_every_part_is_compared(kind, make, tmp_path):
             agent.restore(str(path))
 
 
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "sac"])  # not packed
+def test_a_packed_policy_begins_a_training(kind, make, tmp_path):
+    """Its networks replace the agent's; optimiser, counts and best reward are as at first."""
+    agent = make(kind, "max_iterations=2")
+    agent.train()
+    agent.save(str(tmp_path / "full"))
+    full = checkpoints.load_checkpoint(tmp_path / "full.pth")
+    parts = agent._parts()
+    packed = {key: full[key] for key in (*parts.modules, "llc") if key in full}
+    packed["policy"] = {"settings": {}}
+    torch.save(packed, tmp_path / "packed.pth")
+    agent.restore(str(tmp_path / "packed.pth"))
+    assert (agent.epoch_num, agent.frame) == (0, 0)
+    assert not agent.optimizer.state
+    agent.train()
+    assert agent.epoch_num == 2
+
+    other = make(kind, "seed=11")
+    other.restore(str(tmp_path / "packed.pth"))
+    found = other.get_full_state_weights()
+    for key in parts.modules:
+        assert same(dict(flat("", found[key])), dict(flat("", full[key]))), key
+    rate = other.optimizer.param_groups[0]["lr"]
+    assert rate == make(kind).optimizer.param_groups[0]["lr"]
+
+
 def test_what_other_versions_of_torch_write_is_taken_over(make, tmp_path):
     """Steps were plain numbers before torch 1.12, and groups had fewer switches."""
     agent = make("amp")
