@@ -22,7 +22,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
+from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments, inherited_settings
 from isaacgymenvs_lite.config.compose import checked_program, make_loader
 from isaacgymenvs_lite.config.hydra_bridge import (
     CONFIG_NAME,
@@ -112,7 +112,8 @@ def _run_hydra() -> None:
         _run_job(resumed_tree(sys.argv[1:]), command)
         return
     _check_options(sys.argv[1:])
-    sys.argv[1:] = complete_arguments(sys.argv[1:])  # of a shipped policy
+    command = command.after(inherited_settings(sys.argv[1:]))
+    sys.argv[1:] = complete_arguments(sys.argv[1:])
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"

@@ -41,10 +41,10 @@ class TypedCommand:
         return cls(_program(), tuple(sys.argv[1:]))
 
     def after(self, first: Sequence[str]) -> TypedCommand:
-        """Return the command as if a resumed run had started with it: `first`, and what was added.
+        """Return the command that says all about a run: `first`, and what was added.
 
         Args:
-            first: the settings that the run was started with.
+            first: the settings that a resumed run was started with, or that it has from a policy.
         """
         added = [word for word in self.words if _key(word) != "resume"]
         return dataclasses.replace(self, words=(*first, *added))

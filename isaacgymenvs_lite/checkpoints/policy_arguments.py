@@ -6,10 +6,18 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.hydra_bridge import quoted
+from isaacgymenvs_lite.schema import leaves, select
 
 log = logging.getLogger(__name__)
+
+_NETWORK = "train.params.network"
+# Words on which the values of files depend; with a comma they are a sweep's.
+_FILE_KEYS = ("task", "train", "rl_device")
 
 
 def playing_overrides(name: str) -> list[str]:
@@ -28,7 +36,7 @@ def playing_overrides(name: str) -> list[str]:
     log.info("%s: %s", name, info)
     settings = [f"++{path}={as_override(value)}" for path, value in info.settings.items()]
     # The whole network is packed: keys that it lacks must not come from today's train file.
-    return [f"task={info.task}", "~train.params.network", *settings]
+    return [f"task={info.task}", f"~{_NETWORK}", *settings]
 
 
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
@@ -44,7 +52,7 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
         CheckpointError: the policy's file is damaged.
     """
     arguments = list(arguments)
-    typed = dict(word.split("=", 1) for word in arguments if "=" in word)
+    typed = _settings(arguments)
     name = typed.get("checkpoint", "")
     if name not in shipped_policies():
         return arguments
@@ -54,6 +62,46 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
     # Beside the others, because Hydra's parser expects all overrides in one piece.
     place = next(i for i, word in enumerate(arguments) if "=" in word)
     return [*arguments[:place], *settings, *arguments[place:]]
+
+
+def inherited_settings(arguments: Sequence[str]) -> list[str]:
+    """Return what the next command lines about a run need, which began with a shipped policy.
+
+    These are the policy's settings that the files of task and training do not have, as overrides:
+    the run's checkpoints are played as any run's are, by the files and by what was typed.
+
+    Args:
+        arguments: as for `complete_arguments`.
+
+    Raises:
+        CheckpointError: the policy's file is damaged.
+        ConfigError: no such task or train file.
+    """
+    # imports torch, which other command lines do without
+    from isaacgymenvs_lite.checkpoints.packed import read_policy_info
+
+    typed = _settings(arguments)
+    policy = shipped_policies().get(typed.get("checkpoint", ""))
+    if policy is None:
+        return []
+    info = read_policy_info(policy)
+    typed = {key: typed[key] for key in _FILE_KEYS if key in typed and "," not in typed[key]}
+    chosen = {"task": info.task, **typed}
+    tree = compose([f"{key}={value}" for key, value in chosen.items()])
+    files = OmegaConf.to_container(tree, resolve=True)
+    settings, in_network = info.settings, f"{_NETWORK}."
+    network = leaves(select(files, _NETWORK), _NETWORK)
+    is_another = any(value is not None and path not in settings for path, value in network)
+    words = [f"~{_NETWORK}"] if is_another else []
+    for path, value in settings.items():
+        if select(files, path) != value or (is_another and path.startswith(in_network)):
+            words.append(f"++{path}={as_override(value)}")
+    return words
+
+
+def _settings(arguments: Sequence[str]) -> dict[str, str]:
+    """Return the words of a command line that set a key."""
+    return dict(word.split("=", 1) for word in arguments if "=" in word)
 
 
 def as_override(value: Any) -> str:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import logging
+import shlex
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,10 +11,15 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, resolve_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import pack_policy
-from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
+from isaacgymenvs_lite.checkpoints.policy_arguments import (
+    as_override,
+    complete_arguments,
+    inherited_settings,
+)
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.typed_command import TypedCommand
 from tests.tiny import CONFIG, TINY_AMP
 
 
@@ -21,6 +28,10 @@ def tiny(full_checkpoint, shipped_dir) -> str:
     """The name of a shipped policy with networks of [16, 8]."""
     pack_policy(full_checkpoint, "tiny")
     return "tiny"
+
+
+def resolved(section: Any) -> Any:
+    return OmegaConf.to_container(section, resolve=True)
 
 
 def test_a_policy_brings_its_settings_along(tiny):
@@ -79,6 +90,40 @@ def test_a_policy_is_played_by_its_name(tiny, tmp_path, monkeypatch, caplog):
     (line,) = [message for message in caplog.messages if message.startswith("played ")]
     assert "pose error" in line
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_run_that_began_with_a_policy_is_played_as_it(tiny):
+    """By the words that its training prints: what today's files have need not be repeated."""
+    typed = ["checkpoint=tiny", "task.env.motion_file=run.npz", "num_envs=16"]
+    words = inherited_settings(typed)
+    keys = {word.partition("=")[0] for word in words}
+    assert "++task.env.localRootObs" in keys  # differ from the files
+    assert "++train.params.network.mlp.units" in keys
+    assert "++task.env.controlFrequencyInv" not in keys
+    command = TypedCommand(("train.py",), tuple(typed)).after(words)
+    hint = shlex.split(command.play("HumanoidAMP", Path("x.pth")))
+    cfg = compose([word for word in hint[1:] if not word.startswith("checkpoint=")])
+    trained = compose(complete_arguments(typed))
+    for section in ("task.env", "train.params.network"):
+        expected, found = (OmegaConf.select(tree, section) for tree in (trained, cfg))
+        assert resolved(found) == resolved(expected), section
+
+
+def test_a_network_that_the_files_have_not_is_repeated_whole(edited_run, shipped_dir):
+    """A key of the file's network that the policy lacks is removed first."""
+    pack_policy(edited_run("d2rl: false", "dense: false"), "other")
+    words = inherited_settings(["checkpoint=other", "task=HumanoidAMP", "rl_device=cpu"])
+    assert words[0] == "~train.params.network"
+    assert "++train.params.network.name='amp'" in words
+
+
+@pytest.mark.parametrize("typed", [["checkpoint=last"], ["test=True"], ["checkpoint=/a/tiny.pth"]])
+def test_other_runs_inherit_nothing(typed, tiny):
+    assert inherited_settings(typed) == []
+
+
+def test_a_sweep_over_tasks_is_not_composed(tiny):
+    inherited_settings(["-m", "checkpoint=tiny", "task=HumanoidAMP,HumanoidASE", "seed=1,2"])
 
 
 def test_a_training_begins_with_a_policy(tiny, shipped_dir, tmp_path, monkeypatch, caplog):
