@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,8 @@ from isaacgymenvs_lite.schema import leaves, select
 
 log = logging.getLogger(__name__)
 
+_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
+_NO_TEXT = ("true", "false", "null", "nan", "inf")
 _NETWORK = "train.params.network"
 # Words on which the values of files depend; with a comma they are a sweep's.
 _FILE_KEYS = ("task", "train", "rl_device")
@@ -105,11 +108,12 @@ def _settings(arguments: Sequence[str]) -> dict[str, str]:
 
 
 def as_override(value: Any) -> str:
-    """Return a value as Hydra's grammar writes it; text is quoted."""
+    """Return a value as Hydra's grammar writes it; text that may be no plain word is quoted."""
     if value is None:
         return "null"
     if isinstance(value, str):
-        return quoted(value)
+        is_word = _WORD.fullmatch(value) and value.lower() not in _NO_TEXT
+        return value if is_word else quoted(value)
     if isinstance(value, (list, tuple)):
         return f"[{','.join(as_override(entry) for entry in value)}]"
     if isinstance(value, dict):

@@ -80,14 +80,16 @@ class Safeguards(Resuming):
         Raises:
             CheckpointError: it cannot be used; the agent is unchanged then.
         """
-        if POLICY_KEY in weights:
+        is_policy = POLICY_KEY in weights
+        if is_policy:
             weights = self._at_first_epoch(weights)
         fitted = Fitting(self._source).parts(weights, self._parts())
         super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
+        if is_policy:
+            log.info("%s: a new training begins with the networks of this policy", self._source)
 
     def _at_first_epoch(self, policy: Mapping[str, Any]) -> dict[str, Any]:
         """Return a packed policy with optimisers and counts as a new training has them."""
-        log.info("%s: a new training begins with the networks of this policy", self._source)
         parts = self._parts()
         optimizers = {
             key: {**optimizer.state_dict(), "state": {}}

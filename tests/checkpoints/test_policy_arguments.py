@@ -114,7 +114,7 @@ def test_a_network_that_the_files_have_not_is_repeated_whole(edited_run, shipped
     pack_policy(edited_run("d2rl: false", "dense: false"), "other")
     words = inherited_settings(["checkpoint=other", "task=HumanoidAMP", "rl_device=cpu"])
     assert words[0] == "~train.params.network"
-    assert "++train.params.network.name='amp'" in words
+    assert "++train.params.network.name=amp" in words
 
 
 @pytest.mark.parametrize("typed", [["checkpoint=last"], ["test=True"], ["checkpoint=/a/tiny.pth"]])
@@ -164,6 +164,19 @@ def test_a_wrong_name_lists_the_policies(tiny, tmp_path):
     [
         *(None, True, False, 3, -2.5, 1e-06),
         *("walk.npz", "", "None", "true", "3", "it's", "it\\'s", "a,b", "a b", "%{x}", "c:\\d"),
+        *(
+            "relu",
+            "walk.npz",
+            "on",
+            "no",
+            "NaN",
+            "inf",
+            "Null",
+            "e5",
+            "_1",
+            "1_0",
+            "deepmimic:walk",
+        ),
         *([1, 2], [], ["a", "b c"], [0.0, 0.0, -9.81], {}, {"name": "default"}),
     ],
     ids=repr,
