@@ -131,6 +131,7 @@ def test_a_training_begins_with_a_policy(tiny, shipped_dir, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     typed = [
         *("checkpoint=tiny", "task.env.motion_file=run.npz", *TINY_AMP),
+        f"{CONFIG}.warm_start_steps=5",  # which a policy does not need
         *("num_threads=1", "rl_device=cpu", f"{CONFIG}.learning_rate=1e-9", "seed=3"),
     ]
     with caplog.at_level(logging.INFO):
