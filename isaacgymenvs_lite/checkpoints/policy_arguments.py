@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.hydra_bridge import quoted
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import leaves, select
 
 log = logging.getLogger(__name__)
@@ -71,26 +72,29 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     """Return what the next command lines about a run need, which began with a shipped policy.
 
     These are the policy's settings that the files of task and training do not have, as overrides:
-    the run's checkpoints are played as any run's are, by the files and by what was typed.
+    the run's checkpoints are played as any run's are, by the files and by what was typed. With
+    files from folders of the user's own, these are all of its settings.
 
     Args:
         arguments: as for `complete_arguments`.
 
     Raises:
         CheckpointError: the policy's file is damaged.
-        ConfigError: no such task or train file.
     """
     # imports torch, which other command lines do without
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 
     typed = _settings(arguments)
-    policy = shipped_policies().get(typed.get("checkpoint", ""))
-    if policy is None:
+    name = typed.get("checkpoint", "")
+    if name not in shipped_policies():
         return []
-    info = read_policy_info(policy)
+    info = read_policy_info(shipped_policies()[name])
     typed = {key: typed[key] for key in _FILE_KEYS if key in typed and "," not in typed[key]}
     chosen = {"task": info.task, **typed}
-    tree = compose([f"{key}={value}" for key, value in chosen.items()])
+    try:
+        tree = compose([f"{key}={value}" for key, value in chosen.items()])
+    except ConfigError:  # in a folder of the user's own, or nowhere, which the training reports
+        return playing_overrides(name)[1:]
     files = OmegaConf.to_container(tree, resolve=True)
     settings, in_network = info.settings, f"{_NETWORK}."
     network = leaves(select(files, _NETWORK), _NETWORK)

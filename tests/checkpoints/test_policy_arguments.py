@@ -15,6 +15,7 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import (
     as_override,
     complete_arguments,
     inherited_settings,
+    playing_overrides,
 )
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
@@ -122,8 +123,14 @@ def test_other_runs_inherit_nothing(typed, tiny):
     assert inherited_settings(typed) == []
 
 
-def test_a_sweep_over_tasks_is_not_composed(tiny):
-    inherited_settings(["-m", "checkpoint=tiny", "task=HumanoidAMP,HumanoidASE", "seed=1,2"])
+def test_files_of_a_folder_of_ones_own_need_all_settings(tiny):
+    words = inherited_settings(["--config-dir", "mine", "checkpoint=tiny", "task=Mine"])
+    assert words == playing_overrides(tiny)[1:]
+
+
+def test_a_sweep_over_tasks_is_compared_with_the_policys_own(tiny):
+    sweep = ["-m", "checkpoint=tiny", "task=HumanoidAMP,HumanoidASE", "seed=1,2"]
+    assert inherited_settings(sweep) == inherited_settings(["checkpoint=tiny"])
 
 
 def test_a_training_begins_with_a_policy(tiny, shipped_dir, tmp_path, monkeypatch, caplog):
