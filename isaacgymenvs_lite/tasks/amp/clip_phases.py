@@ -25,7 +25,7 @@ _ADVANCES = range(1, 9)
 # Where poses are alike, at rest, the phase keeps the clip's own tempo.
 _OFF_TEMPO = 0.02
 # A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
-# and first steps are slow before they are right. The limit is narrow once the mean episode has
+# and first steps are slow before they are right. The limits are narrow once the mean episode has
 # lasted the second of these times. Haste is never allowed: a walk that began quick steps did not
 # come back from them (docs/results.md, "Tempo").
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
@@ -66,16 +66,15 @@ class ClipPhases:
             ground, `PHASES_PER_STEP` times in a control step from time 0 on.
         num_envs: N.
         dt_s: control step.
-        far_m: what is far. The end of a clip that repeats is nearer to its start.
+        far_m: what is far while episodes are short, see `limit_m`. The end of a clip that repeats
+            is nearer to its start.
         travels: of each clip (S, 2) m, how far the root moved in the `COMPARED_S` before each of
             these moments, in its heading frame; nan is not compared. None: nothing is.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
             `far_m`.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
             While episodes are short they may be slower, see `min_tempo`.
-
-    Attributes:
-        far_m: as given.
+        final_far_m: what is far once episodes are long; None: `far_m`.
     """
 
     stored = (
@@ -97,9 +96,11 @@ class ClipPhases:
         travels: Sequence[Tensor] | None = None,
         travel_share: float = 0.0,
         tempo_share: float = 0.0,
+        final_far_m: float | None = None,
     ) -> None:
         device = clips[0].device
-        self.far_m = far_m
+        self._far_m = far_m
+        self._final_far_m = far_m if final_far_m is None else final_far_m
         self._points = torch.cat(list(clips))
         self._lengths = torch.tensor([len(clip) for clip in clips], device=device)
         self._firsts = self._lengths.cumsum(0) - self._lengths
@@ -186,7 +187,7 @@ class ClipPhases:
         self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
         travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
         expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
-        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self.far_m)
+        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self._far_m)
         is_off = (travel - expected).norm(dim=-1) > allowed_m
         return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
@@ -205,11 +206,23 @@ class ClipPhases:
     def min_tempo(self) -> float:
         """Return the least tempo that an episode may have now, as a share of its clip's.
 
-        It rises from a half, while the mean episode lasts a second, to 1 / (1 + `tempo_share`),
-        once it has lasted three; it never falls again. Of a clip that does not repeat, an episode
-        lasts until the clip's end, so that with a short one the least tempo stays low.
+        It rises from a half to 1 / (1 + `tempo_share`) as episodes get longer, see `_eased`.
+        """
+        least = 1.0 / self._max_tempo
+        return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased()
+
+    def limit_m(self) -> float:
+        """Return how far from its clip an episode may be now.
+
+        It comes down from `far_m` to `final_far_m` as episodes get longer, see `_eased`.
+        """
+        return self._final_far_m + (self._far_m - self._final_far_m) * self._eased()
+
+    def _eased(self) -> float:
+        """Return how much of the wide limits is left: 1 while the mean episode lasts a second.
+
+        Nothing is left once it has lasted three, and what has gone does not come back. Of a clip
+        that does not repeat, an episode lasts until the clip's end: with a short one, limits stay.
         """
         first, last = self._eased_steps
-        left = min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))
-        least = 1.0 / self._max_tempo
-        return least - max(0.0, least - _SLOWEST_TEMPO) * left
+        return min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))

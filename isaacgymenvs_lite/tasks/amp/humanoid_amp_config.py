@@ -57,6 +57,9 @@ class HumanoidAMPConfig(TaskConfig):
     """This project's: with one clip, an episode that starts in it ends as a fall when the character
     is farther from it than this, as a share of the root's height in standing; 0: it does not. A
     policy that leaves a leap out and stands is then no better than one that falls."""
+    clip_deviation_final: float = setting(0.0, key="clipDeviationFinal", minimum=0)
+    """This project's: `clip_deviation` comes down to this while the mean training episode gets from
+    one second to three; 0: it does not."""
     clip_travel: float = setting(0.0, key="clipTravel", minimum=0, maximum=1)
     """This project's: with `clip_deviation`, such an episode also ends where the travel of its last
     second is off by more than this share of the clip's; 0: it may be any."""
