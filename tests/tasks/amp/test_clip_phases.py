@@ -211,9 +211,16 @@ def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
     assert phases.travels_otherwise(at_rest, facing).tolist() == [False, False]
 
 
-def limited_tempo(num_envs: int = 1, share: float = 0.3, episodes_s: float = 5.0) -> ClipPhases:
-    """Phases with a limit of tempo, after many episodes of that length; the next ones begin."""
-    phases = ClipPhases([clip()], num_envs, DT_S, far_m=0.3, tempo_share=share)
+def limited_phases(
+    num_envs: int = 1,
+    share: float = 0.3,
+    episodes_s: float = 5.0,
+    final_far_m: float | None = None,
+) -> ClipPhases:
+    """Phases with limits, after many episodes of that length; the next ones begin."""
+    phases = ClipPhases(
+        [clip()], num_envs, DT_S, far_m=0.3, tempo_share=share, final_far_m=final_far_m
+    )
     for _ in range(12):
         start_all(phases)
         for time_s in times(round(episodes_s / DT_S)):
@@ -230,7 +237,7 @@ def start_all(phases: ClipPhases) -> None:
 
 def is_off_tempo(tempo: float, share: float = 0.3, episodes_s: float = 5.0) -> list[bool]:
     """Whether an episode at a tempo of its own is too fast or too slow, step by step."""
-    phases = limited_tempo(share=share, episodes_s=episodes_s)
+    phases = limited_phases(share=share, episodes_s=episodes_s)
     found = []
     for time_s in times(3 * STEPS, tempo):
         phases.advance(body(time_s[None]))
@@ -257,8 +264,20 @@ def test_half_of_the_tempo_is_enough_while_episodes_are_short(
     episodes_s: float, expected: float
 ) -> None:
     # The mean of twelve such episodes is 0.97 of their length.
-    phases = limited_tempo(episodes_s=episodes_s / (1.0 - 0.75**12))
+    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12))
     assert phases.min_tempo() == pytest.approx(expected, abs=0.01)  # whole steps: 1 of 50
+
+
+@pytest.mark.parametrize(
+    ("episodes_s", "expected_m"),
+    [(0.2, 0.3), (1.0, 0.3), (2.0, 0.25), (3.0, 0.2), (9.0, 0.2)],
+)
+def test_an_episode_keeps_nearer_to_its_clip_once_episodes_are_long(
+    episodes_s: float, expected_m: float
+) -> None:
+    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12), final_far_m=0.2)
+    assert phases.limit_m() == pytest.approx(expected_m, abs=0.004)  # whole steps
+    assert limited_phases(episodes_s=episodes_s).limit_m() == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(("tempo", "expected"), [(0.6, False), (1.2, False), (1.4, True)])
@@ -267,7 +286,7 @@ def test_quick_episodes_end_from_the_start_on(tempo: float, expected: bool) -> N
 
 
 def test_the_limit_of_tempo_never_widens_again() -> None:
-    phases = limited_tempo(episodes_s=5.0)
+    phases = limited_phases(episodes_s=5.0)
     for _ in range(20):
         phases.advance(body(times(1)))
         start_all(phases)
@@ -286,11 +305,11 @@ def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
 
 
 def test_a_limit_that_is_wider_is_not_narrowed_for_short_episodes() -> None:
-    assert limited_tempo(share=1.5, episodes_s=0.2).min_tempo() == 0.4
+    assert limited_phases(share=1.5, episodes_s=0.2).min_tempo() == 0.4
 
 
 def test_who_is_followed_no_more_may_have_any_tempo() -> None:
-    phases = limited_tempo(num_envs=2)
+    phases = limited_phases(num_envs=2)
     for time_s in times(STEPS, 1.6):
         phases.advance(body(time_s[None]).expand(2, -1, -1))
     assert phases.is_off_tempo().tolist() == [True, True]

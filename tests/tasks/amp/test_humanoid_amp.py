@@ -246,6 +246,29 @@ def test_it_goes_on_where_straying_does_not_count(
     assert _zero_step(task)[2].tolist() == [0, 0]
 
 
+def test_the_limit_of_deviation_comes_down_with_long_episodes(make_humanoid) -> None:
+    """Half a metre too high is near enough at first, and too far after long episodes."""
+    torch.manual_seed(3)
+    task = make_humanoid(2, clipDeviation=0.8, clipDeviationFinal=0.3, stateInit="Start")
+    task.is_training = True
+    task.reset_done()
+    _raise_first(task)
+    assert _zero_step(task)[2].tolist() == [0, 0]
+    # As if the mean episode had lasted three seconds.
+    task._phases._longest_mean.fill_(3.0 / task.control_dt_s)
+    task.reset()
+    _raise_first(task)
+    assert _zero_step(task)[2].tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(("final", "expected"), [(0.0, 0.34), (0.2, 0.2), (0.5, 0.34)])
+def test_a_final_deviation_never_widens_the_limit(make_humanoid, final, expected) -> None:
+    task = make_humanoid(2, clipDeviation=0.34, clipDeviationFinal=final)
+    task._phases._longest_mean.fill_(1e9)
+    height_m = float(task.default_pose()[0][2])
+    assert task._phases.limit_m() == pytest.approx(expected * height_m)
+
+
 @pytest.mark.parametrize("motion_file", ["walk", "locomotion"])
 def test_only_episodes_that_are_to_keep_to_their_clips_end(make_humanoid, motion_file: str) -> None:
     """Of several clips, or of one that is left again."""
