@@ -69,11 +69,11 @@ def complete_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def inherited_settings(arguments: Sequence[str]) -> list[str]:
-    """Return what the next command lines about a run need, which began with a shipped policy.
+    """Return the settings that later command lines about a run need if a shipped policy began it.
 
-    These are the policy's settings that the files of task and training do not have, as overrides:
-    the run's checkpoints are played as any run's are, by the files and by what was typed. With
-    files from folders of the user's own, these are all of its settings.
+    The run's checkpoints are played as any run's are, by the files of task and training and by what
+    was typed. So these are the policy's settings that the files do not have, as overrides; all of
+    them where the files come from a folder of the user's own.
 
     Args:
         arguments: as for `complete_arguments`.

@@ -318,8 +318,23 @@ def test_a_policy_that_takes_quick_steps(limits, proposed):
     assert proposed in warning
 
 
-def test_a_limit_that_is_set_is_not_proposed():
-    assert warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipTempo"]) == []
+def test_where_both_limits_are_set_a_narrow_one_is_proposed():
+    """As turn_left1, which began with a walk: a tempo of 1.74 after 2.4 M frames."""
+    warning = warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipTempo"])[0][1]
+    assert "set task.env.clipDeviation=0.2, which ends such episodes sooner" in warning
+    assert "clipTempo" not in warning
+
+
+def test_quick_steps_that_no_pose_of_the_clip_fits():
+    """As on DeepMimic's walk: all of the clip's motion, at a tempo of 0.08."""
+    lost = measuring(0.056, motion_shown=0.95, tempo=0.08)
+    warning = warnings_of(walking, lost, clip_limits=["clipDeviation", "clipTempo"])[0][1]
+    assert warning.startswith("the policy is in a hurry")
+    assert "it had no pace of its clip, now 0.08 times" in warning
+
+
+def test_half_of_a_motion_at_half_its_tempo_is_no_hurry():
+    assert warnings_of(walking, measuring(0.022, motion_shown=0.5, tempo=0.3)) == []
 
 
 @pytest.mark.parametrize("other", [{"tempo": 1.4}, {"no_fall_share": 0.1}])
