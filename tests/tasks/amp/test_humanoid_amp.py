@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,6 +21,8 @@ from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.tasks.amp import humanoid_amp
+from isaacgymenvs_lite.tasks.amp.clip_phases import ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import (
     HumanoidAMP,
     build_amp_observations,
@@ -246,27 +249,33 @@ def test_it_goes_on_where_straying_does_not_count(
     assert _zero_step(task)[2].tolist() == [0, 0]
 
 
-def test_the_limit_of_deviation_comes_down_with_long_episodes(make_humanoid) -> None:
-    """Half a metre too high is near enough at first, and too far after long episodes."""
+def test_the_limit_of_deviation_is_the_one_of_now(make_humanoid, monkeypatch) -> None:
+    """Half a metre too high is near enough while episodes are short, and too far later."""
     torch.manual_seed(3)
-    task = make_humanoid(2, clipDeviation=0.8, clipDeviationFinal=0.3, stateInit="Start")
+    task = make_humanoid(2, clipDeviation=0.8, stateInit="Start")
     task.is_training = True
-    task.reset_done()
-    _raise_first(task)
-    assert _zero_step(task)[2].tolist() == [0, 0]
-    # As if the mean episode had lasted three seconds.
-    task._phases._longest_mean.fill_(3.0 / task.control_dt_s)
-    task.reset()
-    _raise_first(task)
-    assert _zero_step(task)[2].tolist() == [1, 0]
+    for limit_m, expected in ((None, [0, 0]), (0.25, [1, 0])):
+        if limit_m is not None:
+            monkeypatch.setattr(ClipPhases, "limit_m", lambda _, limit_m=limit_m: limit_m)
+        task.reset()
+        _raise_first(task)
+        assert _zero_step(task)[2].tolist() == expected
 
 
 @pytest.mark.parametrize(("final", "expected"), [(0.0, 0.34), (0.2, 0.2), (0.5, 0.34)])
-def test_a_final_deviation_never_widens_the_limit(make_humanoid, final, expected) -> None:
+def test_a_final_deviation_never_widens_the_limit(
+    make_humanoid, monkeypatch, final, expected
+) -> None:
+    made = []
+
+    def make(*args: Any) -> ClipPhases:
+        made.append(args)
+        return ClipPhases(*args)
+
+    monkeypatch.setattr(humanoid_amp, "ClipPhases", make)
     task = make_humanoid(2, clipDeviation=0.34, clipDeviationFinal=final)
-    task._phases._longest_mean.fill_(1e9)
-    height_m = float(task.default_pose()[0][2])
-    assert task._phases.limit_m() == pytest.approx(expected * height_m)
+    ((*_, final_far_m),) = made
+    assert final_far_m == pytest.approx(expected * float(task.default_pose()[0][2]))
 
 
 @pytest.mark.parametrize("motion_file", ["walk", "locomotion"])
