@@ -81,13 +81,13 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     Raises:
         CheckpointError: the policy's file is damaged.
     """
-    # imports torch, which other command lines do without
-    from isaacgymenvs_lite.checkpoints.packed import read_policy_info
-
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")
     if name not in shipped_policies():
         return []
+    # imports torch, which other command lines do without
+    from isaacgymenvs_lite.checkpoints.packed import read_policy_info
+
     info = read_policy_info(shipped_policies()[name])
     typed = {key: typed[key] for key in _FILE_KEYS if key in typed and "," not in typed[key]}
     chosen = {"task": info.task, **typed}
