@@ -343,7 +343,7 @@ class Diagnostics:
         ]
         end = "which ends such episodes in training (with one clip in task.env.motion_file)"
         if not missing:
-            missing = [f"task.env.clipDeviation={NARROW_DEVIATION:g}"]
+            missing = [f"a smaller task.env.clipDeviation, such as {NARROW_DEVIATION:g}"]
             end = "which ends such episodes sooner, or begin without a policy in checkpoint="
         seen = "it was faster than its clip" if newest.tempo > 1.0 else "it had no pace of its clip"
         return (

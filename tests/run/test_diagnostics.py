@@ -318,10 +318,10 @@ def test_a_policy_that_takes_quick_steps(limits, proposed):
     assert proposed in warning
 
 
-def test_where_both_limits_are_set_a_narrow_one_is_proposed():
+def test_where_both_limits_are_set_a_smaller_one_is_proposed():
     """As turn_left1, which began with a walk: a tempo of 1.74 after 2.4 M frames."""
     warning = warnings_of(walking, HASTY, clip_limits=["clipDeviation", "clipTempo"])[0][1]
-    assert "set task.env.clipDeviation=0.2, which ends such episodes sooner" in warning
+    assert "set a smaller task.env.clipDeviation, such as 0.2, which ends such" in warning
     assert "clipTempo" not in warning
 
 
