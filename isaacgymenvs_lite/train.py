@@ -14,6 +14,7 @@ import functools
 import logging
 import os
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -62,6 +63,9 @@ from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 log = logging.getLogger(__name__)
 
 EXIT_FAILED_JOBS = 1
+
+# How long another process of a data-parallel training has to report its mistake.
+_REPORT_S = 10.0
 
 
 def main() -> None:
@@ -226,7 +230,8 @@ def _fail(error: UserError) -> NoReturn:
 
         error = first_of_all(error)
     if isinstance(error, PeerMistakeError):
-        log.info("%s", error)  # the other process reports it
+        log.info("%s", error)
+        time.sleep(_REPORT_S)  # once this process ends, torchrun ends the one that reports it
     else:
         print(f"error: {error}", file=sys.stderr)
     sys.exit(EXIT_USER_ERROR)

@@ -122,7 +122,7 @@ def test_a_mistake_is_one_line_of_one_process(words, message, tmp_path):
 
 
 PROGRAM = """
-import os, sys
+import os, sys, time
 import isaacgymenvs_lite.learning.ppo as ppo
 import isaacgymenvs_lite.learning.resuming as resuming
 from isaacgymenvs_lite import train
@@ -131,6 +131,9 @@ from isaacgymenvs_lite.tasks.ant import Ant
 if os.environ["RANK"] == "1":
     if "settings" in sys.argv[1]:
         sys.argv.append("train.params.config.gamma=0.5")
+        # The message is late, as on a machine with other work; the other process must wait for it.
+        write = sys.stderr.write
+        sys.stderr.write = lambda text: (time.sleep(5 * ("error" in text)), write(text))[1]
     elif "writes" in sys.argv[1]:
         resuming.write_training_state = lambda *state: os._exit(0)
     elif "leaves" in sys.argv[1]:
