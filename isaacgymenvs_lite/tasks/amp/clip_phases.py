@@ -21,7 +21,7 @@ COMPARED_S = 1.0
 """Travel and tempo are compared over so much time."""
 # From half the tempo of the clip on; a phase that has stayed behind catches up.
 _ADVANCES = range(1, 9)
-# How much nearer a pose must be for each phase that its tempo is off, as a share of what is far.
+# How much nearer a pose must be for each phase that its tempo is off, as a share of `limit_m`.
 # Where poses are alike, at rest, the phase keeps the clip's own tempo.
 _OFF_TEMPO = 0.02
 # A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
@@ -66,15 +66,15 @@ class ClipPhases:
             ground, `PHASES_PER_STEP` times in a control step from time 0 on.
         num_envs: N.
         dt_s: control step.
-        far_m: what is far while episodes are short, see `limit_m`. The end of a clip that repeats
-            is nearer to its start.
+        limit_m: how far an episode may be from its clip while episodes are short, see
+            `current_limit_m`. A clip repeats if its end is nearer than this to its start.
         travels: of each clip (S, 2) m, how far the root moved in the `COMPARED_S` before each of
             these moments, in its heading frame; nan is not compared. None: nothing is.
         travel_share: how much the travel may be off, as a share of the clip's, but at least
-            `far_m`.
+            `limit_m`.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
             While episodes are short they may be slower, see `min_tempo`.
-        final_far_m: what is far once episodes are long; None: `far_m`.
+        final_limit_m: how far it may be once episodes are long; None: `limit_m`.
     """
 
     stored = (
@@ -92,22 +92,22 @@ class ClipPhases:
         clips: Sequence[Tensor],
         num_envs: int,
         dt_s: float,
-        far_m: float,
+        limit_m: float,
         travels: Sequence[Tensor] | None = None,
         travel_share: float = 0.0,
         tempo_share: float = 0.0,
-        final_far_m: float | None = None,
+        final_limit_m: float | None = None,
     ) -> None:
         device = clips[0].device
-        self._far_m = far_m
-        self._final_far_m = far_m if final_far_m is None else final_far_m
+        self._limit_m = limit_m
+        self._final_limit_m = limit_m if final_limit_m is None else final_limit_m
         self._points = torch.cat(list(clips))
         self._lengths = torch.tensor([len(clip) for clip in clips], device=device)
         self._firsts = self._lengths.cumsum(0) - self._lengths
         ends_m = torch.stack([distance_up_to_heading_m(clip[-1], clip[0]) for clip in clips])
-        self._repeats = ends_m < far_m
+        self._repeats = ends_m < limit_m
         self._advances = torch.tensor(_ADVANCES, device=device)
-        self._costs_m = _OFF_TEMPO * far_m * (self._advances - PHASES_PER_STEP).abs()
+        self._costs_m = _OFF_TEMPO * limit_m * (self._advances - PHASES_PER_STEP).abs()
         self._phases_per_s = PHASES_PER_STEP / dt_s
         self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._phase = torch.full((num_envs,), _NONE, device=device)
@@ -187,7 +187,7 @@ class ClipPhases:
         self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
         travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
         expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
-        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self._far_m)
+        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self._limit_m)
         is_off = (travel - expected).norm(dim=-1) > allowed_m
         return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
@@ -211,12 +211,12 @@ class ClipPhases:
         least = 1.0 / self._max_tempo
         return least - max(0.0, least - _SLOWEST_TEMPO) * self._eased()
 
-    def limit_m(self) -> float:
+    def current_limit_m(self) -> float:
         """Return how far from its clip an episode may be now.
 
-        It comes down from `far_m` to `final_far_m` as episodes get longer, see `_eased`.
+        It comes down from `limit_m` to `final_limit_m` as episodes get longer, see `_eased`.
         """
-        return self._final_far_m + (self._far_m - self._final_far_m) * self._eased()
+        return self._final_limit_m + (self._limit_m - self._final_limit_m) * self._eased()
 
     def _eased(self) -> float:
         """Return how much of the wide limits is left: 1 while the mean episode lasts a second.

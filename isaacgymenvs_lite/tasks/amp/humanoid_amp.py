@@ -197,18 +197,18 @@ class HumanoidAMP(HumanoidAMPBase):
             # Before its start a clip would go on backwards at the speed of its first frame.
             travels.append(travel.masked_fill((times_s < COMPARED_S)[:, None], torch.nan))
         height_m = float(self.default_pose()[0][2])
-        far_m = self.env_cfg.clip_deviation * height_m
-        final_far_m = self.env_cfg.clip_deviation_final * height_m or far_m
+        limit_m = self.env_cfg.clip_deviation * height_m
+        final_limit_m = self.env_cfg.clip_deviation_final * height_m or limit_m
         share = self.env_cfg.clip_travel
         return ClipPhases(
             clips,
             self.num_envs,
             self.control_dt_s,
-            far_m,
+            limit_m,
             travels if share > 0.0 else None,
             share,
             self.env_cfg.clip_tempo,
-            min(far_m, final_far_m),
+            min(limit_m, final_limit_m),
         )
 
     @property
@@ -322,7 +322,7 @@ class HumanoidAMP(HumanoidAMPBase):
         if self._phases is not None and self.is_training and self._phases.follows_any():
             state = self._character_states(None)
             away_m = self._phases.advance(_points(state))
-            fallen = fallen | (away_m > self._phases.limit_m())
+            fallen = fallen | (away_m > self._phases.current_limit_m())
             fallen = fallen | self._phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
             fallen = fallen | self._phases.is_off_tempo()
         missed = self.goal.failures(self.contact_body_ids)

@@ -41,7 +41,7 @@ def clip(length_s: float = LENGTH_S) -> Tensor:
 
 def followed(clip_points: Tensor, episode: Tensor, start_s: float = 0.0) -> Tensor:
     """Distances (T,) m over an episode (T, P, 3) that starts at a time of the clip."""
-    phases = ClipPhases([clip_points], 1, DT_S, far_m=0.3)
+    phases = ClipPhases([clip_points], 1, DT_S, limit_m=0.3)
     phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([start_s]))
     return torch.cat([phases.advance(points.unsqueeze(0)) for points in episode])
 
@@ -114,7 +114,7 @@ def test_a_clip_that_does_not_close_ends() -> None:
 
 
 def test_environments_are_followed_one_by_one() -> None:
-    phases = ClipPhases([clip()], 3, DT_S, far_m=0.3)
+    phases = ClipPhases([clip()], 3, DT_S, limit_m=0.3)
     far = torch.full((3, 3, 3), 9.0)
     assert phases.advance(far).tolist() == [0.0, 0.0, 0.0]
     assert not phases.follows_any()
@@ -128,7 +128,7 @@ def test_environments_are_followed_one_by_one() -> None:
 def test_each_environment_is_compared_with_its_own_clip() -> None:
     """A circle that repeats between half a circle that does not, and a body at rest."""
     rest = body(torch.zeros(PHASES_PER_STEP * 10))
-    phases = ClipPhases([clip(LENGTH_S / 2), clip(), rest], 4, DT_S, far_m=0.3)
+    phases = ClipPhases([clip(LENGTH_S / 2), clip(), rest], 4, DT_S, limit_m=0.3)
     phases.start(torch.arange(4), torch.tensor([0, 1, 2, 2]), torch.zeros(4))
     standing = body(torch.zeros(2 * STEPS))
     moving = body(times(2 * STEPS))
@@ -215,11 +215,16 @@ def limited_phases(
     num_envs: int = 1,
     share: float = 0.3,
     episodes_s: float = 5.0,
-    final_far_m: float | None = None,
+    final_limit_m: float | None = None,
 ) -> ClipPhases:
     """Phases with limits, after many episodes of that length; the next ones begin."""
     phases = ClipPhases(
-        [clip()], num_envs, DT_S, far_m=0.3, tempo_share=share, final_far_m=final_far_m
+        [clip()],
+        num_envs,
+        DT_S,
+        limit_m=0.3,
+        tempo_share=share,
+        final_limit_m=final_limit_m,
     )
     for _ in range(12):
         start_all(phases)
@@ -275,9 +280,9 @@ def test_half_of_the_tempo_is_enough_while_episodes_are_short(
 def test_an_episode_keeps_nearer_to_its_clip_once_episodes_are_long(
     episodes_s: float, expected_m: float
 ) -> None:
-    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12), final_far_m=0.2)
-    assert phases.limit_m() == pytest.approx(expected_m, abs=0.004)  # whole steps
-    assert limited_phases(episodes_s=episodes_s).limit_m() == pytest.approx(0.3)
+    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12), final_limit_m=0.2)
+    assert phases.current_limit_m() == pytest.approx(expected_m, abs=0.004)  # whole steps
+    assert limited_phases(episodes_s=episodes_s).current_limit_m() == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(("tempo", "expected"), [(0.6, False), (1.2, False), (1.4, True)])
@@ -294,7 +299,7 @@ def test_the_limit_of_tempo_never_widens_again() -> None:
 
 
 def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
-    phases = ClipPhases([clip()], 1, DT_S, far_m=0.3, tempo_share=0.3)
+    phases = ClipPhases([clip()], 1, DT_S, limit_m=0.3, tempo_share=0.3)
     for _ in range(12):
         start_all(phases)
         phases.stop(torch.tensor([0]))

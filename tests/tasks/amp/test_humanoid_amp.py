@@ -256,7 +256,7 @@ def test_the_limit_of_deviation_is_the_one_of_now(make_humanoid, monkeypatch) ->
     task.is_training = True
     for limit_m, expected in ((None, [0, 0]), (0.25, [1, 0])):
         if limit_m is not None:
-            monkeypatch.setattr(ClipPhases, "limit_m", lambda _, limit_m=limit_m: limit_m)
+            monkeypatch.setattr(ClipPhases, "current_limit_m", lambda _, limit_m=limit_m: limit_m)
         task.reset()
         _raise_first(task)
         assert _zero_step(task)[2].tolist() == expected
@@ -274,8 +274,8 @@ def test_a_final_deviation_never_widens_the_limit(
 
     monkeypatch.setattr(humanoid_amp, "ClipPhases", make)
     task = make_humanoid(2, clipDeviation=0.34, clipDeviationFinal=final)
-    ((*_, final_far_m),) = made
-    assert final_far_m == pytest.approx(expected * float(task.default_pose()[0][2]))
+    ((*_, final_limit_m),) = made
+    assert final_limit_m == pytest.approx(expected * float(task.default_pose()[0][2]))
 
 
 @pytest.mark.parametrize("motion_file", ["walk", "locomotion"])
