@@ -83,7 +83,8 @@ class AMPObsEnv(Protocol):
 class AMPEnv(AMPObsEnv, Protocol):
     """A task that AMP can learn: it also has reference motions.
 
-    `infos["terminate"]` (N,) is 1 where an episode ended by a failure.
+    `infos["terminate"]` (N,) is 1 where an episode ended by a failure. `infos["off_clip"]` (N,)
+    bool, which a task may leave out, is true where that was no fall: the motion left its clip.
     """
 
     def fetch_amp_obs_demo(self, num_samples: int) -> Tensor:

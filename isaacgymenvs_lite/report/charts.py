@@ -71,7 +71,11 @@ _PLANS = (
     _Plan("Pose error, m", {"pose error": ("imitation/pose_error_m",)}),
     _Plan(
         "Falls, share of the episodes",
-        {"in training": ("info/fall_rate",), "mean policy": (_FALL_TAG,)},
+        {
+            "in training": ("info/fall_rate",),
+            "of these off the clip": ("info/off_clip_rate",),
+            "mean policy": (_FALL_TAG,),
+        },
     ),
     _Plan("Tempo, multiple of the clip's", {"tempo": ("imitation/tempo",)}),
     _Plan("Share of the clips' motion shown", {"motion shown": ("imitation/motion_shown",)}),

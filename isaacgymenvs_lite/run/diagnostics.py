@@ -287,7 +287,7 @@ class Diagnostics:
                 return None
             although = f"the pose error is {measured[-1].pose_error_m:.3f} m"
         elif self._fall_rate() > MOSTLY_FALLS:
-            although = f"{self._fall_rate():.0%} of the episodes end in a fall"
+            although = f"{self._fall_rate():.0%} of the episodes end {self._early_end()}"
         else:
             return None
         return (
@@ -390,8 +390,9 @@ class Diagnostics:
                 f" {moment.clip + 1} on"
             )
         return (
-            f"after {_millions(history.frames_trained)} frames of this run episodes still end in a"
-            f" fall after {self._steps():.0f} of {self._max_episode_steps} steps{where}; try"
+            f"after {_millions(history.frames_trained)} frames of this run episodes still end"
+            f" {self._early_end()} after {self._steps():.0f} of {self._max_episode_steps}"
+            f" steps{where}; try"
             " task.env.adaptiveStarts=0.5, which practises where the policy falls, and make sure"
             " that task.env.contactBodies has every body with which the clip touches the ground"
             f" (null finds them){self._clips_are_odd()}"
@@ -445,6 +446,11 @@ class Diagnostics:
 
     def _fall_rate(self) -> float:
         return self.history.median(lambda epoch: epoch.fall_rate)
+
+    def _early_end(self) -> str:
+        """Return how episodes end before the time limit."""
+        off_clip = self.history.median(lambda epoch: epoch.off_clip_rate)
+        return f"in a fall, or off the clip ({off_clip:.0%})," if off_clip > 0.0 else "in a fall"
 
     def _steps(self) -> float:
         return self.history.median(lambda epoch: epoch.episode_steps)

@@ -24,6 +24,8 @@ class EpochMetrics:
         episode_steps: mean length of the last episodes in control steps.
         episode_reward: mean sum of the task's rewards of the last episodes.
         fall_rate: share of the last episodes that ended before the time limit, 0 to 1.
+        off_clip_rate: share of the last episodes that ended so without a fall, because the motion
+            left its clip.
         train_info: `CommonAgent.train_info_means`; empty for rl_games' own agents.
     """
 
@@ -32,6 +34,7 @@ class EpochMetrics:
     episode_steps: float | None = None
     episode_reward: float | None = None
     fall_rate: float | None = None
+    off_clip_rate: float | None = None
     train_info: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -58,7 +61,7 @@ class EpochMetrics:
 
 
 class MetricsObserver(AlgoObserver):
-    """Stores the newest `EpochMetrics` and writes `info/fall_rate` and `info/disc_acc`.
+    """Stores the newest `EpochMetrics` and writes three of them, such as `info/fall_rate`.
 
     Falls are averaged over the same last episodes as rl_games' mean length and reward
     (`games_to_track`). It must come before the observers that read `latest`.
@@ -71,12 +74,13 @@ class MetricsObserver(AlgoObserver):
 
     latest: EpochMetrics | None = None
     best_reward: float | None = None
-    stored = ("_falls", "best_reward")
+    stored = ("_falls", "_off_clip", "best_reward")
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
         self._falls = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
+        self._off_clip = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Count how the episodes of `done_indices` (n, 1) ended."""
@@ -87,10 +91,13 @@ class MetricsObserver(AlgoObserver):
             self._falls.update(infos["terminate"][rows].bool().unsqueeze(1))
         elif "time_outs" in infos:
             self._falls.update(~infos["time_outs"][rows].bool().unsqueeze(1))
+        if "off_clip" in infos:
+            self._off_clip.update(infos["off_clip"][rows].unsqueeze(1))
 
     def after_clear_stats(self) -> None:
         """Drop the episodes, as the agent's meters just did."""
         self._falls.clear()
+        self._off_clip.clear()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Read the metrics of the epoch."""
@@ -101,7 +108,8 @@ class MetricsObserver(AlgoObserver):
             frame=frame,
             episode_steps=algo.game_lengths.mean.item() if has_episodes else None,
             episode_reward=algo.game_rewards.mean.flatten()[0].item() if has_episodes else None,
-            fall_rate=self._falls.mean.item() if self._falls.current_size > 0 else None,
+            fall_rate=_mean(self._falls),
+            off_clip_rate=_mean(self._off_clip),
             train_info=algo.train_info_means() if hasattr(algo, "train_info_means") else {},
         )
         if latest.episode_reward is not None:
@@ -109,7 +117,12 @@ class MetricsObserver(AlgoObserver):
             self.best_reward = max(latest.episode_reward, -math.inf if best is None else best)
         for tag, value in (
             ("info/fall_rate", latest.fall_rate),
+            ("info/off_clip_rate", latest.off_clip_rate),
             ("info/disc_acc", latest.disc_accuracy),
         ):
             if value is not None:
                 algo.writer.add_scalar(tag, value, frame)
+
+
+def _mean(meter: AverageMeter) -> float | None:
+    return meter.mean.item() if meter.current_size > 0 else None

@@ -88,8 +88,11 @@ class ProgressObserver(AlgoObserver):
             return shown
         if metrics.episode_steps is not None:
             shown["episode length"] = f"{metrics.episode_steps:.0f}"
+        off_clip_rate = metrics.off_clip_rate or 0.0
         if metrics.fall_rate is not None:
-            shown["falls"] = f"{metrics.fall_rate:.0%}"
+            shown["falls"] = f"{max(0.0, metrics.fall_rate - off_clip_rate):.0%}"
+        if metrics.off_clip_rate is not None:
+            shown["off the clip"] = f"{off_clip_rate:.0%}"
         # A task's reward that the agent does not learn from is not worth the room.
         if metrics.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
             shown["reward"] = f"{metrics.episode_reward:.2f}"

@@ -32,6 +32,7 @@ AMP = {
     "episode_lengths/frame": [20.0, 40.0, 60.0],
     "info/disc_reward_mean": [0.25, 0.5, 0.75],
     "info/fall_rate": [1.0, 0.5, 0.25],
+    "info/off_clip_rate": [0.5, 0.4, 0.2],
     "info/disc_acc": [0.9, 0.8, 0.7],
     "info/disc_agent_acc": [0.95, 0.85, 0.75],
     "info/disc_demo_acc": [0.85, 0.75, 0.65],

@@ -104,7 +104,8 @@ def metrics(epoch: int, frame: int, values: dict[str, float]) -> EpochMetrics:
         "disc_agent_acc": values["agent"],
         "disc_demo_acc": values["demo"],
     }
-    return EpochMetrics(epoch, frame, values["steps"], values["steps"], values["falls"], info)
+    lengths = (values["steps"], values["steps"])
+    return EpochMetrics(epoch, frame, *lengths, values["falls"], values.get("off_clip"), info)
 
 
 def warnings_of(
@@ -165,7 +166,7 @@ def test_an_agent_without_a_discriminator_gets_no_warning():
     diagnostics = Diagnostics({}, 300)
     for epoch in range(1, 1000):
         diagnostics.add_epoch(
-            EpochMetrics(epoch, epoch * EPOCH_FRAMES, 20.0, 1.0, 0.5, {"actor_loss": 0.1})
+            EpochMetrics(epoch, epoch * EPOCH_FRAMES, 20.0, 1.0, 0.5, None, {"actor_loss": 0.1})
         )
         assert diagnostics.next_warning(epoch * EPOCH_S) is None
 
@@ -394,6 +395,11 @@ def test_episodes_that_stay_short():
     assert "after 6.0 M frames of this run episodes still end in a fall after 60 of 300" in warning
     assert "try task.env.adaptiveStarts=0.5" in warning
     assert "task.env.contactBodies" in warning
+
+
+def test_episodes_that_keep_leaving_their_clip():
+    _frame, warning = warnings_of(lambda _: {**FALLING, "off_clip": 0.75}, None)[0]
+    assert "still end in a fall, or off the clip (75%), after 60 of 300 steps" in warning
 
 
 def test_where_in_the_clip_they_fall():

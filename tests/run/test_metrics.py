@@ -27,7 +27,7 @@ def test_figures_of_an_epoch(figures, agent):
     assert figures.latest is None
     figures.after_print_stats(16000, 3, 12.5)
     latest = figures.latest
-    assert latest == EpochMetrics(3, 16000, 105.0, 5.5, 0.5, agent.train_info)
+    assert latest == EpochMetrics(3, 16000, 105.0, 5.5, 0.5, None, agent.train_info)
     assert latest is not None
     assert latest.style_reward == 0.4567
     assert latest.disc_accuracy == pytest.approx(0.8)
@@ -67,12 +67,23 @@ def test_a_task_that_tells_neither_has_no_fall_rate(figures):
     assert figures.latest.fall_rate is None
 
 
+def test_episodes_that_left_their_clip_count_among_the_falls(figures, agent):
+    flags = {"terminate": [1, 1, 1, 0], "off_clip": [True, False, True, False]}
+    end(figures, [0, 1, 3], **flags)
+    figures.after_print_stats(16000, 1, 12.5)
+    assert figures.latest is not None
+    assert figures.latest.fall_rate == pytest.approx(2 / 3)
+    assert figures.latest.off_clip_rate == pytest.approx(1 / 3)
+    assert agent.writer.scalars["info/off_clip_rate"] == [(16000, pytest.approx(1 / 3))]
+
+
 def test_falls_are_forgotten_with_the_agents_meters(figures):
-    end(figures, [0, 1], terminate=[1, 1, 0, 0])
+    end(figures, [0, 1], terminate=[1, 1, 0, 0], off_clip=[True, False, False, False])
     figures.after_clear_stats()
     figures.after_print_stats(16000, 1, 12.5)
     assert figures.latest is not None
     assert figures.latest.fall_rate is None
+    assert figures.latest.off_clip_rate is None
 
 
 def test_an_agent_without_a_discriminator(figures, agent, monkeypatch):

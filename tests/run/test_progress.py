@@ -64,6 +64,14 @@ def test_a_line_of_progress(progress, agent, clock, caplog):
     ]
 
 
+def test_who_left_the_clip_did_not_fall(progress, agent, clock, caplog):
+    ends = {"terminate": torch.tensor([1, 1, 1, 0]), "off_clip": torch.tensor([True] + [False] * 3)}
+    progress.metrics.process_infos(ends, torch.arange(4).view(-1, 1))
+    with caplog.at_level(logging.INFO):
+        end_epoch(progress, clock, 5, 2.0)
+    assert "falls 50%, off the clip 25%, style reward" in caplog.messages[0]
+
+
 def test_a_task_reward_is_shown_where_it_counts(progress, agent, clock, caplog):
     agent.config["task_reward_w"] = 0.5
     finish_episodes(progress, agent)

@@ -320,16 +320,21 @@ class HumanoidAMP(HumanoidAMPBase):
         if not self.env_cfg.enable_early_termination:
             return fallen
         if self._phases is not None and self.is_training and self._phases.follows_any():
-            state = self._character_states(None)
-            away_m = self._phases.advance(_points(state))
-            fallen = fallen | (away_m > self._phases.current_limit_m())
-            fallen = fallen | self._phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
-            fallen = fallen | self._phases.is_off_tempo()
+            off_clip = self._are_off_clip(self._phases)
+            self.extras["off_clip"] = (off_clip & ~fallen).to(self.rl_device)
+            fallen = fallen | off_clip
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
         # Contact forces may be stale in the first step.
         return fallen | (missed & (self.progress_buf > 1))
+
+    def _are_off_clip(self, phases: ClipPhases) -> Tensor:
+        """Move the phases on by a control step; return (N,) bool: who left its clip."""
+        state = self._character_states(None)
+        is_far = phases.advance(_points(state)) > phases.current_limit_m()
+        travels_otherwise = phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
+        return is_far | travels_otherwise | phases.is_off_tempo()
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""

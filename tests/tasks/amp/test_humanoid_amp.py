@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -222,9 +223,27 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
     task.is_training = True
     task.reset_done()
     _raise_first(task)
-    assert _zero_step(task)[2].tolist() == [1, 0, 0, 0]
+    *_, dones, infos = _zero_step(task)
+    assert dones.tolist() == [1, 0, 0, 0]
+    assert infos["off_clip"].tolist() == [True, False, False, False]
     task.reset_done()
     assert _zero_step(task)[2].tolist() == [0, 0, 0, 0]
+
+
+def test_who_has_fallen_did_not_leave_its_clip(make_humanoid) -> None:
+    """The first character lies on its face, where it is as far from the clip as can be."""
+    torch.manual_seed(3)
+    task = make_humanoid(2, clipDeviation=0.3, stateInit="Start")
+    task.is_training = True
+    task.reset_done()
+    _zero_step(task)
+    sim = task.simulation
+    lying = sim.root_states[:1].clone()
+    lying[:, 2:7] = torch.tensor([0.12, 0.0, math.sin(math.pi / 4), 0.0, math.cos(math.pi / 4)])
+    sim.write_state(torch.tensor([0]), lying, sim.dof_pos[:1].clone(), sim.dof_vel[:1].clone())
+    *_, dones, infos = _zero_step(task)
+    assert dones.tolist() == [1, 0]
+    assert infos["off_clip"].tolist() == [False, False]
 
 
 @pytest.mark.parametrize(
