@@ -237,7 +237,11 @@ class BodyStates(Protocol):
 
 
 class ReferenceEnv(Env, Protocol):
-    """A task whose motion is compared with its reference motions."""
+    """A task whose motion is compared with its reference motions.
+
+    Its `clip_starts_s` (N,), which it may leave out, are the times of its only clip at which the
+    episodes started that end with the clip; None: they go on.
+    """
 
     @property
     def motion_lib(self) -> MotionLib:

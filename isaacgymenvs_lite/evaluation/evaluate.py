@@ -73,7 +73,7 @@ class _ImitationProbe:
     """Records body positions of a task with reference motions."""
 
     def __init__(self, env: ReferenceEnv, episodes_per_env: int) -> None:
-        self._sim = env.simulation
+        self._env, self._sim = env, env.simulation
         clips = tracks_of_clips(env.motion_lib, env.dt)
         self._metric = PoseErrorMetric(
             ReferencePoses.from_tracks(clips),
@@ -95,7 +95,8 @@ class _ImitationProbe:
         fell = infos["terminate"].to(self._device).bool()
         if (diverged := diverged_in(infos, self._device)) is not None:
             fell = fell | diverged  # the last pose is not the policy's
-        self._recorder.finish(ids, fell[ids])
+        starts_s = getattr(self._env, "clip_starts_s", None)
+        self._recorder.finish(ids, fell[ids], None if starts_s is None else starts_s[ids])
 
     def result(self) -> ImitationResult:
         return self._metric.evaluate(self._recorder.episodes)

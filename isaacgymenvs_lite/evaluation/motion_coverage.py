@@ -47,12 +47,14 @@ class _Moments:
         rows: (S, 6 J) m.
         weights: (S,) m, how far the bodies move, mean.
         far_m: beyond this distance (root mean square over bodies and times) none is shown.
+        height_m: median height of the root.
     """
 
     apart: int
     rows: Tensor
     weights: Tensor
     far_m: float
+    height_m: float
 
     @classmethod
     def of(cls, clip: Track, dt_s: float) -> _Moments:
@@ -71,13 +73,18 @@ class _Moments:
             if _FAR_OF_FROZEN * typical_m >= far_m:
                 break
         far_m = max(min(far_m, _FAR_OF_FROZEN * typical_m), far_m * _FAR_LEAST / _FAR)
-        return cls(apart, moments.flatten(1), weights, far_m)
+        return cls(apart, moments.flatten(1), weights, far_m, _height_m(clip))
 
-    def shown(self, track: Track) -> Tensor:
-        """Return how well each moment of an episode shows each of these, (T', S), 0 to 1."""
+    def shown(self, track: Track, height_m: float | None = None) -> Tensor:
+        """Return how well each moment of an episode shows each of these, (T', S), 0 to 1.
+
+        Args:
+            track: the episode.
+            height_m: what heights are measured from, as `_moments`.
+        """
         if len(track) <= self.apart:
             return torch.zeros(1, len(self.rows))
-        moments = _moments(track, self.apart).flatten(1)
+        moments = _moments(track, self.apart, height_m).flatten(1)
         # Of 3 numbers for each body and time.
         distances_m = torch.cdist(moments, self.rows) / math.sqrt(moments.shape[1] / 3)
         near_m = _NEAR * self.far_m
@@ -131,6 +138,23 @@ class MotionCoverage:
         shown = torch.cat([self._shown(track, stretch) for track in episodes])
         return (shown / expected).clamp(max=1.0).mean().item()
 
+    def share_of_rest(self, episodes: Sequence[tuple[Track, float]]) -> float:
+        """Return the share, 0 to 1, of what was left of the only clip that episodes show.
+
+        Args:
+            episodes: at least one; each with the time (s) of the clip at which it started.
+        """
+        (clip,) = self._clips
+        shown = expected = torch.zeros(())
+        for track, start_s in episodes:
+            first = min(round(start_s / self._dt_s), len(clip.rows) - 1)
+            weights = clip.weights[first:]
+            # An episode that gets up sooner or later than the clip has another median height.
+            found = clip.shown(track, clip.height_m)[:, first:]
+            shown = shown + found.amax(dim=0) @ weights
+            expected = expected + weights.sum()
+        return (shown / expected).item()
+
     def fall_moment(self, episodes: Sequence[Track]) -> FallMoment | None:
         """Return the moment at which most of these episodes, which ended in falls, leave the clips.
 
@@ -172,16 +196,23 @@ class MotionCoverage:
         return sums
 
 
-def _moments(track: Track, apart: int) -> Tensor:
+def _height_m(track: Track) -> float:
+    return track.body_pos_w[:, 0, 2].median().item()
+
+
+def _moments(track: Track, apart: int, height_m: float | None = None) -> Tensor:
     """Return the moments (T - apart, 2 J, 3) m of T > 1 steps; of one step that it stays there.
 
-    Heights are above the median height of the root: a clip may be recorded above or below the
-    ground.
+    Args:
+        track: T steps.
+        apart: control steps from the first time of a moment to the second.
+        height_m: what heights are measured from. None: the median height of the root, as a clip
+            may be recorded above or below the ground.
     """
     apart = min(apart, len(track) - 1)
     first = track.body_pos_w[: len(track) - apart]
     origin = first[:, :1].clone()
-    origin[..., 2] = track.body_pos_w[:, 0, 2].median()
+    origin[..., 2] = _height_m(track) if height_m is None else height_m
     both = torch.cat((first - origin, track.body_pos_w[apart:] - origin), dim=1)
     heading = calc_heading(track.root_rot_w[: len(first)]).unsqueeze(-1)
     return rotate_about_z(heading.cos(), -heading.sin(), both)

@@ -92,11 +92,13 @@ class Episode:
         poses: (T, J, 3) m, float32 on the CPU, `root_relative_pose` of every control step.
         fell: whether it ended early by a fall.
         track: where its bodies were, for the share of the motion; None: that is not measured.
+        start_s: time of the only clip at which it started, if it ends with the clip.
     """
 
     poses: Tensor
     fell: bool
     track: Track | None = None
+    start_s: float | None = None
 
 
 class EpisodeRecorder:
@@ -145,12 +147,19 @@ class EpisodeRecorder:
         self._root_rot_w[self._rows, self._slots] = root_rot_w
         self._slots.add_(1).clamp_(max=self._max_steps)
 
-    def finish(self, env_ids: Tensor, fell: Tensor) -> None:
-        """End the episodes of the environments `env_ids` (n,); `fell` (n,) bool: by a fall."""
+    def finish(self, env_ids: Tensor, fell: Tensor, starts_s: Tensor | None = None) -> None:
+        """End the episodes of the environments `env_ids` (n,).
+
+        Args:
+            env_ids: (n,)
+            fell: (n,) bool, by a fall.
+            starts_s: (n,) s, see `Episode.start_s`.
+        """
         if self.complete or env_ids.numel() == 0:
             return
         slots = self._slots.tolist()
-        for env, has_fallen in zip(env_ids.tolist(), fell.tolist(), strict=True):
+        starts = [None] * len(env_ids) if starts_s is None else starts_s.tolist()
+        for env, has_fallen, start_s in zip(env_ids.tolist(), fell.tolist(), starts, strict=True):
             if self._left[env] == 0:
                 continue
             num_steps = slots[env]
@@ -162,7 +171,7 @@ class EpisodeRecorder:
                 )
                 track = Track(*copies)
                 poses = root_relative_pose(track.body_pos_w, track.root_rot_w)
-                self.episodes.append(Episode(poses, bool(has_fallen), track))
+                self.episodes.append(Episode(poses, bool(has_fallen), track, start_s))
                 self._left[env] -= 1
             self._waiting[env] = False
             self._slots[env] = 0 if self._left[env] else self._max_steps
@@ -273,13 +282,14 @@ class PoseErrorMetric:
         """Return the share of the motion that episodes show, and where they begin to fall."""
         if self._coverage is None:
             return {}
-        tracks = [
-            (episode.track, episode.fell) for episode in episodes if episode.track is not None
-        ]
-        return {
-            "motion_shown": self._coverage.share([track for track, _ in tracks], self._max_steps),
-            "fall_moment": self._coverage.fall_moment([track for track, fell in tracks if fell]),
-        }
+        tracked = [(episode.track, episode) for episode in episodes if episode.track is not None]
+        rests = [(track, e.start_s) for track, e in tracked if e.start_s is not None]
+        if rests:
+            shown = self._coverage.share_of_rest(rests)
+        else:
+            shown = self._coverage.share([track for track, _ in tracked], self._max_steps)
+        fallen = [track for track, episode in tracked if episode.fell]
+        return {"motion_shown": shown, "fall_moment": self._coverage.fall_moment(fallen)}
 
 
 def _mean(values: npt.NDArray[np.float64]) -> float:

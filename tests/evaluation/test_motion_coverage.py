@@ -99,6 +99,38 @@ def test_of_a_clip_longer_than_an_episode_as_much_is_expected_as_fits():
     assert slowly.share([played("walk", 100)], 100) > 0.95
 
 
+def test_of_an_episode_that_ends_with_its_clip_the_rest_of_the_clip_counts():
+    """Episodes from the first second of the jump to its end, one of which stands."""
+    measured = coverage("jump")
+    length_s = float(motion_shown.library("jump").get_motion_length([0]))
+    rest = played("jump", round((length_s - 1.0) / DT_S), phase=1.0 / length_s)
+    stood = played("stand", len(rest))
+    assert measured.share_of_rest([(rest, 1.0)]) > 0.95
+    assert measured.share_of_rest([(rest, 0.0)]) < 0.75
+    assert measured.share_of_rest([(stood, 1.0)]) < 0.15
+    mixed = measured.share_of_rest([(rest, 1.0), (stood, 1.0)])
+    alone = [measured.share_of_rest([(track, 1.0)]) for track in (rest, stood)]
+    assert mixed == pytest.approx(sum(alone) / 2)
+
+
+def test_who_gets_up_later_has_another_median_height_and_still_gets_up():
+    """A walk that rises by a metre, alone and after two seconds at its first place."""
+    walked = played("walk", 90)
+    rising = walked.body_pos_w + torch.linspace(0.0, 1.0, 90)[:, None, None] * torch.tensor(
+        [0.0, 0.0, 1.0]
+    )
+    clip = Track(rising, walked.root_rot_w)
+    late = Track(
+        torch.cat((rising[:1].expand(60, -1, -1), rising)),
+        torch.cat((walked.root_rot_w[:1].expand(60, -1), walked.root_rot_w)),
+    )
+    measured = MotionCoverage([clip], DT_S)
+    for episode in (clip, late):
+        assert measured.share_of_rest([(episode, 0.0)]) == pytest.approx(1.0)
+    rest = Track(rising[60:], walked.root_rot_w[60:])
+    assert measured.share_of_rest([(rest, 60 * DT_S)]) == pytest.approx(1.0)
+
+
 def test_where_falls_begin():
     """Episodes that follow the jump until 1.5 s, wherever they start, and then lie down."""
     measured = coverage("jump")

@@ -125,6 +125,11 @@ class ClipPhases:
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
 
+    @property
+    def repeats(self) -> Tensor:
+        """Return (M,) bool: the end of the clip is near its start."""
+        return self._repeats
+
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
         self._clip[env_ids] = clips

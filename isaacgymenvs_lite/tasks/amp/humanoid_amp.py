@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any, ClassVar
 
 import gymnasium
@@ -44,6 +45,8 @@ _STARTS_AT_A_TIME = 1024
 _WINDOWS_AT_A_TIME = 256
 # A failure in this time is one of the start: about as long as a leap with its landing.
 _FAILS_SOON_S = 1.5
+# An episode that ends with its clip lasts at least so long.
+_LEAST_LEFT_S = 0.5
 
 
 def build_amp_observations(
@@ -178,7 +181,37 @@ class HumanoidAMP(HumanoidAMPBase):
         self._start_clips = torch.full_like(self.progress_buf, -1)
         self._start_times_s = torch.zeros(self.num_envs, device=self.device)
         self._phases = self._make_phases() if self.env_cfg.clip_deviation > 0.0 else None
+        # Control steps of the clip that episodes end with; None: they go on.
+        self._last_clip_steps = self._find_last_clip_steps()
+        if self._last_clip_steps is not None:
+            self.max_episode_length = min(self.max_episode_length, self._last_clip_steps + 1)
+            log.info(
+                "the clip does not return to where it starts: episodes end with it, after at most"
+                " %d control steps (task.env.endWithClip)",
+                self.max_episode_length,
+            )
         self.goal.attach(self.simulation, self.control_dt_s)
+
+    def _find_last_clip_steps(self) -> int | None:
+        starts_in_clip = self.env_cfg.state_init in ("Random", "Start")
+        if self._phases is None or not (self.env_cfg.end_with_clip and starts_in_clip):
+            return None
+        if self._phases.repeats.tolist() != [False]:
+            return None
+        return math.ceil(float(self._motion_lib.get_motion_length([0])) / self.control_dt_s)
+
+    @property
+    def clip_starts_s(self) -> Tensor | None:
+        """Times (N,) s of the clip at which episodes started that end with it; None: none does."""
+        return None if self._last_clip_steps is None else self._start_times_s
+
+    def compute_time_outs(self) -> Tensor:
+        """As the base, and where the clip that an episode ends with is over."""
+        time_outs = super().compute_time_outs()
+        if self._last_clip_steps is None:
+            return time_outs
+        start_steps = (self._start_times_s / self.control_dt_s).round().long()
+        return time_outs | (start_steps + self.progress_buf >= self._last_clip_steps)
 
     def _make_phases(self) -> ClipPhases:
         """Return what follows episodes through the clips that they started in."""
@@ -554,7 +587,8 @@ class HumanoidAMP(HumanoidAMPBase):
         motion_ids = lib.sample_motions(n)
         if self.env_cfg.state_init == "Start":
             return motion_ids, torch.zeros(n, device=self.device)
-        times = lib.sample_time(motion_ids)
+        least_left_s = None if self._last_clip_steps is None else _LEAST_LEFT_S
+        times = lib.sample_time(motion_ids, truncate_time=least_left_s)
         if self._adaptive is not None:
             is_adaptive = torch.rand(n, device=self.device) < self.env_cfg.adaptive_starts
             hard_ids, hard_times = self._adaptive.draw(n)

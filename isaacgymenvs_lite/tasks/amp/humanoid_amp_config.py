@@ -68,6 +68,9 @@ class HumanoidAMPConfig(TaskConfig):
     the clip faster by more than this share, or as much slower; 0: at any tempo. Without a limit
     walks become quick, short steps (docs/results.md, "Tempo"). Half of the clip's is
     enough at first, until the mean episode has lasted three seconds."""
+    end_with_clip: bool = setting(False, key="endWithClip")
+    """This project's: with `clip_deviation`, an episode that starts in a clip whose end is far from
+    its start reaches its time limit there. No clip shows what comes next."""
     ground_clips: bool = setting(False, key="groundClips")
     """This project's: raise or lower each clip so that its lowest points are on the ground."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
@@ -309,6 +310,81 @@ def test_only_episodes_that_are_to_keep_to_their_clips_end(make_humanoid, motion
         task.keep_to_clips(torch.tensor([0] if followed else []).long())
         _raise_first(task)
         assert _zero_step(task)[2].tolist() == [followed, 0]
+
+
+@pytest.fixture
+def rising_clip(tmp_path: Path, walk_clip: Path) -> str:
+    """The walk, at whose end the character is half a metre above the ground."""
+    clip = load_single_clip(walk_clip)[0]
+    root = np.array(clip.root_translation)
+    root[:, 2] += np.linspace(0.0, 0.5, len(root))
+    rising = dataclasses.replace(clip, root_translation=root)
+    return str(save_npz(tmp_path / "rising.npz", rising))
+
+
+def test_an_episode_ends_with_a_clip_that_does_not_return(
+    make_humanoid, rising_clip: str, caplog
+) -> None:
+    torch.manual_seed(3)
+    keys = {"clipDeviation": 0.34, "endWithClip": True, "enableEarlyTermination": False}
+    with caplog.at_level(logging.INFO):
+        task = make_humanoid(32, motion_file=rising_clip, **keys)
+    assert "episodes end with it, after at most 47 control steps" in caplog.text
+    task.reset()
+    starts_s = task.clip_starts_s.clone()
+    assert starts_s.max() < CLIP_S - 0.5 + 1e-6
+    steps = torch.zeros(32)
+    for step in range(1, 48):
+        *_, dones, infos = _zero_step(task)
+        assert not infos["terminate"].any()
+        assert torch.equal(infos["time_outs"], dones.bool())
+        steps[(dones == 1) & (steps == 0)] = step
+    # A start and the end of the clip may be half a step and a step from a control step.
+    late_s = starts_s + steps * DT - CLIP_S
+    assert late_s.min() > -0.5 * DT
+    assert late_s.max() < 1.5 * DT
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        {"endWithClip": False},
+        {"clipDeviation": 0.0},
+        {"clipDeviation": 1.0},  # so that its end is near enough
+        {"motion_file": "walk"},
+        {"motion_file": "locomotion"},
+        {"stateInit": "Hybrid"},
+    ],
+)
+def test_it_goes_on_where_no_clip_ends_it(make_humanoid, rising_clip: str, env: dict) -> None:
+    defaults = {"motion_file": rising_clip, "clipDeviation": 0.34, "endWithClip": True}
+    task = make_humanoid(1, **{**defaults, **env})
+    assert task.clip_starts_s is None
+    assert task.max_episode_length == 300
+
+
+def test_what_is_left_of_a_clip_is_measured(make_humanoid, rising_clip: str) -> None:
+    """Characters that stand in its air show nothing of it; those put where it is show all."""
+    keys = {"clipDeviation": 0.34, "endWithClip": True, "enableEarlyTermination": False}
+    task = make_humanoid(8, motion_file=rising_clip, **keys)
+
+    def follow(obs: dict[str, Tensor]) -> Tensor:
+        at_s = task.clip_starts_s + (task.progress_buf + 1) * task.control_dt_s
+        ids = torch.zeros(8, dtype=torch.int64)
+        state = task.motion_lib.get_motion_state(ids, at_s)
+        pos, rot, dof_pos, vel, ang_vel, dof_vel, _ = state
+        root = torch.cat((pos, rot, vel, ang_vel), dim=-1)
+        task.simulation.write_state(torch.arange(8), root, dof_pos, dof_vel)
+        return torch.zeros(8, 28)
+
+    torch.manual_seed(5)
+    followed = evaluate(task, follow, 8).imitation
+    left = evaluate(task, lambda obs: torch.zeros(8, 28), 8).imitation
+    assert followed is not None
+    assert left is not None
+    assert followed.motion_shown > 0.8
+    assert left.motion_shown < 0.5
+    assert followed.no_fall_share == 1.0
 
 
 def test_episodes_that_start_in_no_clip_cannot_keep_to_one(make_humanoid) -> None:
