@@ -80,6 +80,7 @@ class ClipPhases:
     stored = (
         "_clip",
         "_phase",
+        "_is_over",
         "_trail",
         "_passed",
         "_num_followed",
@@ -111,6 +112,7 @@ class ClipPhases:
         self._phases_per_s = PHASES_PER_STEP / dt_s
         self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._phase = torch.full((num_envs,), _NONE, device=device)
+        self._is_over = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._travels = None if travels is None else torch.cat(list(travels))
         self._travel_share = travel_share
         # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
@@ -134,6 +136,7 @@ class ClipPhases:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
         self._clip[env_ids] = clips
         self._phase[env_ids] = (times_s * self._phases_per_s).round().long()
+        self._is_over[env_ids] = False
         self._average_durations(self._num_followed[env_ids])
         self._num_followed[env_ids] = 0
 
@@ -173,9 +176,15 @@ class ClipPhases:
             passed = self._advances[nearest.squeeze(1)]
             self._passed.copy_(torch.cat((self._passed[1:], passed[None])))
         away_m, phase = (rows.gather(1, nearest).squeeze(1) for rows in (away_m, phases))
-        is_over = (self._phase == _NONE) | (phase >= lengths.squeeze(1))
-        self._phase.copy_(torch.where(is_over, _NONE, phase))
-        return torch.where(is_over, 0.0, away_m)
+        is_followed = self._phase != _NONE
+        self._is_over |= is_followed & (phase >= lengths.squeeze(1))
+        is_followed &= ~self._is_over
+        self._phase.copy_(torch.where(is_followed, phase, _NONE))
+        return torch.where(is_followed, away_m, 0.0)
+
+    def are_over(self) -> Tensor:
+        """Return (N,) bool: the episode has come to the end of a clip that does not repeat."""
+        return self._is_over
 
     def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
         """Return (N,) bool: who moved otherwise than the clip in the last `COMPARED_S`.

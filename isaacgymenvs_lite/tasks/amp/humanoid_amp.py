@@ -95,7 +95,7 @@ class HumanoidAMP(HumanoidAMPBase):
         MotionFileError: a clip that cannot be used.
     """
 
-    not_stored = ("_motion_lib",)
+    not_stored = ("_motion_lib", "_off_clip")
     # Joint positions of the AMP observation as ASE encodes them.
     amp_obs_as_ase: ClassVar[bool] = False
     goal_class: ClassVar[type[Goal]] = Goal
@@ -181,10 +181,13 @@ class HumanoidAMP(HumanoidAMPBase):
         self._start_clips = torch.full_like(self.progress_buf, -1)
         self._start_times_s = torch.zeros(self.num_envs, device=self.device)
         self._phases = self._make_phases() if self.env_cfg.clip_deviation > 0.0 else None
-        # Control steps of the clip that episodes end with; None: they go on.
-        self._last_clip_steps = self._find_last_clip_steps()
-        if self._last_clip_steps is not None:
-            self.max_episode_length = min(self.max_episode_length, self._last_clip_steps + 1)
+        # (N,) bool of this step; None: no clip is followed.
+        self._off_clip: Tensor | None = None
+        # Of the clip that episodes end with; None: they go on.
+        self._ending: ClipPhases | None = None
+        if self._phases is not None and self._may_end_with_clip(self._phases):
+            self._ending = self._phases
+            self.max_episode_length = min(self.max_episode_length, self._longest_way_through())
             log.info(
                 "the clip does not return to where it starts: episodes end with it, after at most"
                 " %d control steps (task.env.endWithClip)",
@@ -192,26 +195,25 @@ class HumanoidAMP(HumanoidAMPBase):
             )
         self.goal.attach(self.simulation, self.control_dt_s)
 
-    def _find_last_clip_steps(self) -> int | None:
+    def _may_end_with_clip(self, phases: ClipPhases) -> bool:
         starts_in_clip = self.env_cfg.state_init in ("Random", "Start")
-        if self._phases is None or not (self.env_cfg.end_with_clip and starts_in_clip):
-            return None
-        if self._phases.repeats.tolist() != [False]:
-            return None
-        return math.ceil(float(self._motion_lib.get_motion_length([0])) / self.control_dt_s)
+        return self.env_cfg.end_with_clip and starts_in_clip and phases.repeats.tolist() == [False]
+
+    def _longest_way_through(self) -> int:
+        """Return the control steps from the start of the clip to its end, at the least tempo."""
+        length_s = float(self._motion_lib.get_motion_length([0]))
+        slowness = 1.0 + (self.env_cfg.clip_tempo or 1.0)
+        return math.ceil(slowness * length_s / self.control_dt_s) + 1
 
     @property
     def clip_starts_s(self) -> Tensor | None:
         """Times (N,) s of the clip at which episodes started that end with it; None: none does."""
-        return None if self._last_clip_steps is None else self._start_times_s
+        return None if self._ending is None else self._start_times_s
 
     def compute_time_outs(self) -> Tensor:
         """As the base, and where the clip that an episode ends with is over."""
         time_outs = super().compute_time_outs()
-        if self._last_clip_steps is None:
-            return time_outs
-        start_steps = (self._start_times_s / self.control_dt_s).round().long()
-        return time_outs | (start_steps + self.progress_buf >= self._last_clip_steps)
+        return time_outs if self._ending is None else time_outs | self._ending.are_over()
 
     def _make_phases(self) -> ClipPhases:
         """Return what follows episodes through the clips that they started in."""
@@ -314,8 +316,12 @@ class HumanoidAMP(HumanoidAMPBase):
         self.goal.before_step(self.progress_buf)
 
     def update_state(self) -> None:
-        """Let the goal update what it remembers."""
+        """Let the goal update what it remembers, and follow episodes through their clips."""
         self.goal.after_step()
+        self._off_clip = None
+        followed = self._phases if self.is_training else self._ending
+        if followed is not None and followed.follows_any():
+            self._off_clip = self._are_off_clip(followed)
 
     def _observe(self, env_ids: Tensor | None) -> Tensor:
         """Return the observations of all environments, or of `env_ids` (n,), with their goals."""
@@ -352,16 +358,16 @@ class HumanoidAMP(HumanoidAMPBase):
         fallen = super().compute_failures()
         if not self.env_cfg.enable_early_termination:
             return fallen
-        if self._phases is not None and self.is_training and self._phases.follows_any():
-            off_clip = self._are_off_clip(self._phases)
-            self.extras["off_clip"] = (off_clip & ~fallen).to(self.rl_device)
-            fallen = fallen | off_clip
+        if self._off_clip is not None and self.is_training:
+            self.extras["off_clip"] = (self._off_clip & ~fallen).to(self.rl_device)
+            fallen = fallen | self._off_clip
         missed = self.goal.failures(self.contact_body_ids)
         if missed is None:
             return fallen
         # Contact forces may be stale in the first step.
         return fallen | (missed & (self.progress_buf > 1))
 
+    @torch.inference_mode()
     def _are_off_clip(self, phases: ClipPhases) -> Tensor:
         """Move the phases on by a control step; return (N,) bool: who left its clip."""
         state = self._character_states(None)
@@ -587,7 +593,7 @@ class HumanoidAMP(HumanoidAMPBase):
         motion_ids = lib.sample_motions(n)
         if self.env_cfg.state_init == "Start":
             return motion_ids, torch.zeros(n, device=self.device)
-        least_left_s = None if self._last_clip_steps is None else _LEAST_LEFT_S
+        least_left_s = None if self._ending is None else _LEAST_LEFT_S
         times = lib.sample_time(motion_ids, truncate_time=least_left_s)
         if self._adaptive is not None:
             is_adaptive = torch.rand(n, device=self.device) < self.env_cfg.adaptive_starts
