@@ -121,7 +121,8 @@ class ClipPhases:
         self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        self._eased_steps = [round(time_s / dt_s) for time_s in _EASED_S]
+        share = self._share_of_eased_time(clips, dt_s)
+        self._eased_steps = [round(share * time_s / dt_s) for time_s in _EASED_S]
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
         # Of the episodes that have ended, and the longest that it has been.
         self._mean_steps = torch.zeros((), device=device)
@@ -131,6 +132,16 @@ class ClipPhases:
     def repeats(self) -> Tensor:
         """Return (M,) bool: the end of the clip is near its start."""
         return self._repeats
+
+    def _share_of_eased_time(self, clips: Sequence[Tensor], dt_s: float) -> float:
+        """Return which share of `_EASED_S` counts: less if episodes end with a short clip.
+
+        Those that start anywhere in it last half of it on average.
+        """
+        if self._repeats.any():
+            return 1.0
+        longest_s = max(len(clip) for clip in clips) * dt_s / PHASES_PER_STEP
+        return min(1.0, 0.5 * longest_s / _EASED_S[-1])
 
     def start(self, env_ids: Tensor, clips: Tensor, times_s: Tensor) -> None:
         """Follow environments (n,) through clips (n,) from times (n,) of them on."""
@@ -235,8 +246,8 @@ class ClipPhases:
     def _eased(self) -> float:
         """Return how much of the wide limits is left: 1 while the mean episode lasts a second.
 
-        Nothing is left once it has lasted three, and what has gone does not come back. Of a clip
-        that does not repeat, an episode lasts until the clip's end: with a short one, limits stay.
+        Nothing is left once it has lasted three, or half of a clip that does not repeat. What has
+        gone does not come back.
         """
         first, last = self._eased_steps
         return min(1.0, max(0.0, (last - self._longest_mean.item()) / (last - first)))

@@ -216,10 +216,11 @@ def limited_phases(
     share: float = 0.3,
     episodes_s: float = 5.0,
     final_limit_m: float | None = None,
+    length_s: float = LENGTH_S,
 ) -> ClipPhases:
     """Phases with limits, after many episodes of that length; the next ones begin."""
     phases = ClipPhases(
-        [clip()],
+        [clip(length_s)],
         num_envs,
         DT_S,
         limit_m=0.3,
@@ -232,6 +233,16 @@ def limited_phases(
             phases.advance(body(time_s[None]).expand(num_envs, -1, -1))
     start_all(phases)
     return phases
+
+
+def test_episodes_that_end_with_a_clip_are_long_when_they_last_half_of_it() -> None:
+    """Half a circle does not close; a quarter of the whole one is half of it."""
+    half_s = LENGTH_S / 2
+    assert limited_phases(episodes_s=half_s / 2).min_tempo() == 0.5
+    ended = limited_phases(episodes_s=half_s * 0.55, length_s=half_s)
+    assert ended.min_tempo() == pytest.approx(1 / 1.3)
+    fallen = limited_phases(episodes_s=half_s * 0.15, length_s=half_s)
+    assert fallen.min_tempo() == 0.5
 
 
 def start_all(phases: ClipPhases) -> None:
