@@ -450,7 +450,7 @@ class Diagnostics:
     def _early_end(self) -> str:
         """Return how episodes end before the time limit."""
         off_clip = self.history.median(lambda epoch: epoch.off_clip_rate)
-        return f"in a fall, or off the clip ({off_clip:.0%})," if off_clip > 0.0 else "in a fall"
+        return f"in a fall or off the clip ({off_clip:.0%})" if off_clip > 0.0 else "in a fall"
 
     def _steps(self) -> float:
         return self.history.median(lambda epoch: epoch.episode_steps)

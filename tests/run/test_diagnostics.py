@@ -399,7 +399,7 @@ def test_episodes_that_stay_short():
 
 def test_episodes_that_keep_leaving_their_clip():
     _frame, warning = warnings_of(lambda _: {**FALLING, "off_clip": 0.75}, None)[0]
-    assert "still end in a fall, or off the clip (75%), after 60 of 300 steps" in warning
+    assert "still end in a fall or off the clip (75%) after 60 of 300 steps" in warning
 
 
 def test_where_in_the_clip_they_fall():

@@ -121,8 +121,9 @@ class ClipPhases:
         self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
-        share = self._share_of_eased_time(clips, dt_s)
-        self._eased_steps = [round(share * time_s / dt_s) for time_s in _EASED_S]
+        first_s, last_s = (self._share_of_eased_time(clips, dt_s) * time_s for time_s in _EASED_S)
+        first = round(first_s / dt_s)
+        self._eased_steps = first, max(first + 1, round(last_s / dt_s))
         self._num_followed = torch.zeros(num_envs, dtype=torch.int64, device=device)
         # Of the episodes that have ended, and the longest that it has been.
         self._mean_steps = torch.zeros((), device=device)

@@ -245,6 +245,14 @@ def test_episodes_that_end_with_a_clip_are_long_when_they_last_half_of_it() -> N
     assert fallen.min_tempo() == 0.5
 
 
+def test_a_clip_of_two_poses_that_are_far_apart_has_limits() -> None:
+    phases = ClipPhases([clip()[:: STEPS // 2][:2]], 1, DT_S, limit_m=0.3, tempo_share=0.3)
+    assert phases.repeats.tolist() == [False]
+    start_all(phases)
+    assert phases.min_tempo() == 0.5
+    assert phases.current_limit_m() == pytest.approx(0.3)
+
+
 def start_all(phases: ClipPhases) -> None:
     num_envs = len(phases.is_off_tempo())
     zeros = torch.zeros(num_envs)
