@@ -30,8 +30,6 @@ SEED = 1234
 """Of the starts of the episodes; every policy gets the same ones."""
 
 IMITATION_SETTINGS = {
-    "num_envs": EPISODES,
-    "task.env.numEnvs": EPISODES,
     "task.env.episodeLength": EPISODE_STEPS,
     "task.env.stateInit": "Random",
     "task.env.enableEarlyTermination": True,
@@ -102,7 +100,11 @@ def clip_speed_m_s(motion_lib: MotionLib, dt_s: float) -> float:
 
 
 def evaluate_checkpoint(
-    checkpoint: Path, seed: int = SEED, num_threads: int = 1, overrides: tuple[str, ...] = ()
+    checkpoint: Path,
+    seed: int = SEED,
+    num_threads: int = 1,
+    overrides: tuple[str, ...] = (),
+    episodes: int = EPISODES,
 ) -> Outcome:
     """Measure the imitation of a checkpoint by the protocol, with the settings of its run.
 
@@ -111,6 +113,7 @@ def evaluate_checkpoint(
         seed: of the starts.
         num_threads: for physics and networks.
         overrides: settings that replace the run's, such as `task.env.motion_file=...`.
+        episodes: how many are played, one in each environment.
 
     Raises:
         UserError: the checkpoint or the run's settings cannot be used.
@@ -118,7 +121,7 @@ def evaluate_checkpoint(
     return play_checkpoint(
         checkpoint,
         _measure_imitation,
-        IMITATION_SETTINGS,
+        {**IMITATION_SETTINGS, "num_envs": episodes, "task.env.numEnvs": episodes},
         seed,
         num_threads=num_threads,
         overrides=overrides,
@@ -201,7 +204,7 @@ def _measure_imitation(player: Any, env: Any) -> Outcome:
     result = evaluate(
         env,
         player.act,
-        EPISODES,
+        env.num_envs,
         on_step=lambda dones, _: speed.step(env.simulation.root_states[:, :3].cpu(), dones.cpu()),
     )
     assert result.imitation is not None  # the task has reference motions

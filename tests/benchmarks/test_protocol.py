@@ -72,6 +72,11 @@ def test_the_protocol_sets_the_episodes_whatever_the_run_had(trained):
     assert 0.1 < outcome.speed_m_s < 3.0
 
 
+def test_more_episodes_can_be_asked_for(trained):
+    result = evaluate_checkpoint(checkpoint_of(trained), episodes=EPISODES + 3).imitation
+    assert result.num_episodes == len(result.per_episode) == EPISODES + 3
+
+
 def test_a_run_of_several_processes_is_measured_by_one(trained, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(trained.folder, folder)
