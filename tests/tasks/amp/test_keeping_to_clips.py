@@ -32,6 +32,15 @@ def _zero_step(task: HumanoidAMP):
     return task.step(torch.zeros(task.num_envs, 28))
 
 
+def _in_training(make_humanoid: Any, num_envs: int, **env: Any) -> HumanoidAMP:
+    """Return a task in training, whose first episodes have begun."""
+    torch.manual_seed(3)
+    task = make_humanoid(num_envs, **env)
+    task.is_training = True
+    task.reset_done()
+    return task
+
+
 def _raise_first(task: HumanoidAMP) -> None:
     """Put the first character half a metre above where it is."""
     root = task.simulation.root_states[:1].clone()
@@ -46,10 +55,7 @@ def _put_first(task: HumanoidAMP, root: Tensor) -> None:
 
 
 def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_humanoid) -> None:
-    torch.manual_seed(3)
-    task = make_humanoid(4, clipDeviation=0.3, stateInit="Start")
-    task.is_training = True
-    task.reset_done()
+    task = _in_training(make_humanoid, 4, clipDeviation=0.3, stateInit="Start")
     _raise_first(task)
     *_, dones, infos = _zero_step(task)
     assert dones.tolist() == [1, 0, 0, 0]
@@ -60,10 +66,7 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
 
 def test_who_has_fallen_did_not_leave_its_clip(make_humanoid) -> None:
     """The first character lies on its face, where it is as far from the clip as can be."""
-    torch.manual_seed(3)
-    task = make_humanoid(2, clipDeviation=0.3, stateInit="Start")
-    task.is_training = True
-    task.reset_done()
+    task = _in_training(make_humanoid, 2, clipDeviation=0.3, stateInit="Start")
     _zero_step(task)
     lying = task.simulation.root_states[:1].clone()
     lying[:, 2:7] = torch.tensor([0.12, 0.0, math.sin(math.pi / 4), 0.0, math.cos(math.pi / 4)])
@@ -236,10 +239,7 @@ def test_episodes_that_start_in_no_clip_cannot_keep_to_one(make_humanoid) -> Non
 
 def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
     """And one that follows the clip, turned about z and ahead of it, does not."""
-    torch.manual_seed(3)
-    task = make_humanoid(2, clipDeviation=0.25, stateInit="Start", motion_file="jump")
-    task.is_training = True
-    task.reset_done()
+    task = _in_training(make_humanoid, 2, clipDeviation=0.25, stateInit="Start", motion_file="jump")
     lib, sim, dt_s = task.motion_lib, task.simulation, task.control_dt_s
     turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
     standing = [sim.root_states[1:].clone(), sim.dof_pos[1:].clone(), sim.dof_vel[1:].clone()]
@@ -261,12 +261,14 @@ def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
 @pytest.mark.parametrize(("share", "ends"), [(0.5, True), (0.0, False)])
 def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid, share: float, ends: bool) -> None:
     """Both characters have the poses of the walk; the first goes where it goes, turned about z."""
-    torch.manual_seed(3)
-    task = make_humanoid(
-        2, clipDeviation=0.34, clipTravel=share, stateInit="Start", motion_file="walk"
+    task = _in_training(
+        make_humanoid,
+        2,
+        clipDeviation=0.34,
+        clipTravel=share,
+        stateInit="Start",
+        motion_file="walk",
     )
-    task.is_training = True
-    task.reset_done()
     turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
     ended = []
     for step in range(40):
@@ -292,12 +294,9 @@ def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid, share: float, en
 @pytest.mark.parametrize("tempo", [0.6, 1.5])
 def test_a_walk_strays_by_its_tempo(make_humanoid, tempo: float, share: float, ends: bool) -> None:
     """The first character has the poses of the walk at its tempo, the second at another."""
-    torch.manual_seed(3)
-    task = make_humanoid(
-        2, clipDeviation=0.34, clipTempo=share, stateInit="Start", motion_file="walk"
+    task = _in_training(
+        make_humanoid, 2, clipDeviation=0.34, clipTempo=share, stateInit="Start", motion_file="walk"
     )
-    task.is_training = True
-    task.reset_done()
     for _ in range(2):  # long episodes, after which the limit is narrow
         _show_walk(task, torch.ones(2), 250)
         task.reset_idx(torch.arange(2))
