@@ -91,12 +91,16 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
 
     Raises:
         OSError: the folder cannot be written or is full; no partial file is left.
+        KeyboardInterrupt: the user interrupted it; no partial file is left either.
     """
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
             torch.save(state, file)
         except RuntimeError as error:
-            # torch's zip writer turns a failed write into a RuntimeError
+            # torch's zip writer turns whatever ends a write into a RuntimeError: a second Ctrl-C
+            # in a save must end the run, and is no full disk.
+            if isinstance(error.__context__, (OSError, KeyboardInterrupt)):
+                raise error.__context__ from None
             raise OSError("the disk is full or broken") from error
 
 

@@ -18,6 +18,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 
 def state(seed: int = 0) -> dict[str, Any]:
@@ -115,6 +116,45 @@ def test_a_full_disk_is_an_oserror(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("error", [StoppedAtOnceError(signal.SIGINT), KeyboardInterrupt()])
+def test_a_second_ctrl_c_in_the_middle_of_a_write_is_no_full_disk(error, tmp_path, monkeypatch):
+    """Python calls signal handlers in the file's `write`, below torch's zip writer."""
+    opened = Path.open
+
+    class File:
+        def __init__(self, file: Any) -> None:
+            self.file, self.writes = file, 0
+
+        def __enter__(self) -> Any:
+            return self
+
+        def __exit__(self, *exc_info: object) -> None:
+            self.file.close()
+
+        def write(self, data: Any) -> int:
+            self.writes += 1
+            if self.writes == 3:
+                raise error
+            return self.file.write(data)
+
+        def flush(self) -> None:
+            self.file.flush()
+
+    def open_interrupted(self: Path, *args: Any, **kwargs: Any) -> Any:
+        file = opened(self, *args, **kwargs)
+        return File(file) if self.name.endswith(".partial") else file
+
+    path = tmp_path / "model.pth"
+    checkpoints.write_atomically(path, state(1))
+    old = path.read_bytes()
+    monkeypatch.setattr(Path, "open", open_interrupted)
+    with pytest.raises(KeyboardInterrupt) as interrupted:
+        checkpoints.write_atomically(path, state(2))
+    assert interrupted.value is error
+    assert path.read_bytes() == old
+    assert [file.name for file in tmp_path.iterdir()] == ["model.pth"]
+
+
 def test_a_folder_that_cannot_be_written_loses_nothing(tmp_path, rescue_dir, caplog):
     (tmp_path / "run_7").write_text("a file where the run folder should be")
     checkpoints.save_checkpoint(str(tmp_path / "run_7" / "nn" / "model"), state(5))
@@ -168,6 +208,7 @@ _KILLED = """
 import sys, torch
 from pathlib import Path
 from isaacgymenvs_lite.checkpoints import files as checkpoints
+from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 path = Path(sys.argv[1])
 big = {"model": {"weight": torch.zeros(4_000_000)}, "epoch": 0}
