@@ -30,6 +30,10 @@ from isaacgymenvs_lite.utils.rotations import calc_heading, rotate_about_z
 
 # The reference is repeated until a character this many times as fast as the clip fits.
 _MAX_TEMPO = 2
+# How much nearer a frame must be for each step that the tempo is not the clip's, as a share of the
+# mean distance of the bodies from the root: 7 mm of a human. Where poses are nearly alike, as in a
+# turn on the spot, the nearest frame is there by chance. Half the tempo of a walk stays half.
+_OFF_TEMPO = 0.02
 # Upper limit of the cost tensors of one chunk of episodes, in bytes.
 _CHUNK_BYTES = 200 * 2**20
 
@@ -186,7 +190,8 @@ class ImitationResult:
         per_episode: (E,) m; nan for an episode with poses that are not finite.
         nearest_clip: (E,) index of the clip that `per_episode` refers to, -1 where it is nan.
         tempo: mean number of reference frames passed per step: 1 is the clip's own tempo, 0 a
-            frozen pose, at most about 2. A low pose error means little when this is near 0.
+            frozen pose, at most about 2. A low pose error means little when this is near 0. Where
+            the clip's poses are nearly alike, it is nearer to 1 than it is.
         motion_shown: share of the clips' motion that the episodes show, 0 to 1, see
             `motion_coverage`; nan if it was not measured.
         no_fall_share: share of the episodes that ended without a fall, 0 to 1; one that could
@@ -254,29 +259,40 @@ class PoseErrorMetric:
                     f" T >= 1 and the reference's J = {self.reference.num_bodies}"
                 )
         errors = np.full(len(episodes), np.nan)
-        advances = np.full(len(episodes), np.nan)
         nearest = np.full(len(episodes), -1, dtype=np.int64)
         lengths = np.array([len(episode.poses) for episode in episodes])
         finite = [bool(episode.poses.isfinite().all()) for episode in episodes]
         measurable = np.flatnonzero(finite)
         for clip_id, clip in enumerate(self.reference.clips):
-            for ids in _chunks(measurable, lengths, len(clip)):
-                found = _align_with_clip([episodes[i].poses for i in ids], clip)
+            for ids, found in _aligned(episodes, measurable, clip):
                 nearer = ~(errors[ids] <= found.mean_cost)
                 errors[ids[nearer]] = found.mean_cost[nearer]
-                advances[ids[nearer]] = found.advance[nearer]
                 nearest[ids[nearer]] = clip_id
         no_fall = [ok and not episode.fell for ok, episode in zip(finite, episodes, strict=True)]
         return ImitationResult(
             pose_error_m=_mean(errors[measurable]),
             per_episode=errors,
             nearest_clip=nearest,
-            tempo=_mean(advances[measurable] / np.maximum(lengths[measurable] - 1, 1)),
+            tempo=_mean(self._tempos(episodes, nearest)[measurable]),
             no_fall_share=float(np.mean(no_fall)),
             mean_episode_steps=float(lengths.mean()),
             num_episodes=len(episodes),
             **self._coverage_of([e for e, ok in zip(episodes, finite, strict=True) if ok]),
         )
+
+    def _tempos(
+        self, episodes: Sequence[Episode], nearest: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.float64]:
+        """Return the tempo (E,) of episodes in their nearest clips (E,), nan where that is -1."""
+        tempos = np.full(len(episodes), np.nan)
+        for clip_id in np.unique(nearest[nearest >= 0]):
+            clip = self.reference.clips[clip_id]
+            off_tempo_m = _OFF_TEMPO * clip.norm(dim=-1).mean().item()
+            of_clip = np.flatnonzero(nearest == clip_id)
+            for ids, found in _aligned(episodes, of_clip, clip, off_tempo_m):
+                steps = np.array([len(episodes[i].poses) - 1 for i in ids])
+                tempos[ids] = found.advance / np.maximum(steps, 1)
+        return tempos
 
     def _coverage_of(self, episodes: Sequence[Episode]) -> dict[str, Any]:
         """Return the share of the motion that episodes show, and where they begin to fall."""
@@ -296,19 +312,26 @@ def _mean(values: npt.NDArray[np.float64]) -> float:
     return float(values.mean()) if len(values) else math.nan
 
 
-def _chunks(
-    ids: npt.NDArray[np.int64], lengths: npt.NDArray[np.int64], num_frames: int
-) -> Iterator[npt.NDArray[np.int64]]:
-    """Yield parts of `ids`, of similar lengths each, whose cost tensors fit `_CHUNK_BYTES`."""
-    ids = ids[np.argsort(-lengths[ids], kind="stable")]
+def _aligned(
+    episodes: Sequence[Episode],
+    ids: npt.NDArray[np.int64],
+    clip: Tensor,
+    off_tempo_m: float = 0.0,
+) -> Iterator[tuple[npt.NDArray[np.int64], Alignment]]:
+    """Align the episodes `ids` with a clip (F, J, 3); yield parts of `ids` and their alignments.
+
+    Parts have episodes of similar lengths, and their cost tensors fit `_CHUNK_BYTES`.
+    """
+    lengths = np.array([len(episodes[i].poses) for i in ids], dtype=np.int64)
+    ids = ids[np.argsort(-lengths, kind="stable")]
     while len(ids):
         # Two float32 tensors of the size of the cost: the sum and one body's distances.
-        size = max(1, _CHUNK_BYTES // (8 * num_frames * int(lengths[ids[0]])))
-        yield ids[:size]
-        ids = ids[size:]
+        size = max(1, _CHUNK_BYTES // (8 * len(clip) * len(episodes[ids[0]].poses)))
+        part, ids = ids[:size], ids[size:]
+        yield part, _align_with_clip([episodes[i].poses for i in part], clip, off_tempo_m)
 
 
-def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor) -> Alignment:
+def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor, off_tempo_m: float) -> Alignment:
     """Align episodes [(T_e, J, 3)] with a clip (F, J, 3), repeated as often as they need."""
     lengths = np.array([len(poses) for poses in episodes])
     # (T, E, J, 3), filled up with zeros, which `align` leaves out.
@@ -322,4 +345,4 @@ def _align_with_clip(episodes: Sequence[Tensor], clip: Tensor) -> Alignment:
     cost /= num_bodies
     # Room for a start at any of the clip's frames and for `_MAX_TEMPO` from there.
     num_columns = len(clip) + _MAX_TEMPO * (lengths - 1)
-    return align(cost.numpy(), lengths, num_columns)
+    return align(cost.numpy(), lengths, num_columns, off_tempo_m)

@@ -22,7 +22,8 @@ class Alignment:
     """The cheapest warping paths of E episodes.
 
     Attributes:
-        mean_cost: (E,) float64, the cost of the path divided by the number of its cells.
+        mean_cost: (E,) float64, the cost of the path, with what it pays for its steps, divided by
+            the number of its cells.
         num_cells: (E,) int, cells of the path.
         advance: (E,) int, reference frames from the first to the last cell of the path.
     """
@@ -36,6 +37,7 @@ def align(
     cost: npt.NDArray[np.floating],
     lengths: npt.NDArray[np.integer] | None = None,
     num_columns: npt.NDArray[np.integer] | None = None,
+    off_tempo: float = 0.0,
 ) -> Alignment:
     """Align episodes with a reference by subsequence dynamic time warping.
 
@@ -49,6 +51,8 @@ def align(
         lengths: (E,), rows of each episode, 1 to T; the rows after them are ignored. Default: T.
         num_columns: (E,), columns of each episode, at least 1. More than S repeat the reference
             from its start. Default: S.
+        off_tempo: what a path pays for a step (1, 0) or (0, 1): where all cells cost about the
+            same, it goes on by (1, 1).
 
     Raises:
         ValueError: a shape, a length or a number of columns is out of range.
@@ -70,12 +74,14 @@ def align(
     best: npt.NDArray[np.complex128] = np.full(num_episodes, np.inf + 0j)
     episodes = np.arange(num_episodes)
     rows = np.arange(num_rows)
+    stay = np.full((num_rows, 1), off_tempo)
+    stay[0] = 0.0  # a path begins here
     for k in range(num_rows + max_columns - 1):
         first, last = max(0, k - max_columns + 1), min(num_rows, k + 1)
         t = rows[first:last]
-        before = np.minimum(old[t + 1], older[t])  # (t, s - 1) and (t - 1, s - 1)
+        before = np.minimum(old[t + 1] + off_tempo, older[t])  # (t, s - 1) and (t - 1, s - 1)
         before += 1j * _ADVANCE
-        np.minimum(before, old[t], out=before)  # (t - 1, s)
+        np.minimum(before, old[t] + stay[t], out=before)  # (t - 1, s)
         before += cost[t, (k - t) % num_frames]
         before += 1j * _CELL
         new[first + 1 : last + 1] = before

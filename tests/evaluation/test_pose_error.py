@@ -27,14 +27,14 @@ HAND = 5
 ROUNDING_M = 2e-6
 
 
-def gait(frames):
+def gait(frames, size=1.0):
     """Poses (n, J, 3) of a made-up periodic motion of `NUM_FRAMES` frames, without symmetry."""
     rng = np.random.default_rng(7)
     rest, swing, phase = (
         rng.normal(size=(3, NUM_BODIES, 3)) * np.array([0.4, 0.2, 3.0])[:, None, None]
     )
     angle = 2.0 * math.pi * np.asarray(frames)[:, None, None] / NUM_FRAMES
-    poses = rest + swing * np.sin(angle + phase)
+    poses = rest + size * swing * np.sin(angle + phase)
     return torch.from_numpy(poses - poses[:, :1]).float()
 
 
@@ -107,6 +107,17 @@ def test_frozen_pose_has_tempo_zero(metric):
     result = metric.evaluate([Episode(gait([13] * 100), fell=False)])
     assert result.pose_error_m < ROUNDING_M
     assert result.tempo == 0.0
+
+
+@pytest.mark.parametrize("tempo", [0.5, 0.8, 1.0])
+def test_small_steps_of_a_small_motion_keep_their_tempo(tempo):
+    # As a turn on the spot: bodies move by 0.05 m about their mean, in the episode by 0.3 of it.
+    # The poses of so small steps are nearest to the same frames of the clip nearly all the time.
+    metric = PoseErrorMetric(ReferencePoses([gait(range(NUM_FRAMES), size=0.2)]))
+    small = metric.evaluate([Episode(gait(tempo * np.arange(200), size=0.06), fell=False)])
+    assert small.tempo == pytest.approx(tempo, abs=0.03)
+    standing = metric.evaluate([Episode(gait(np.arange(200), size=0.0), fell=False)])
+    assert standing.tempo < 0.05
 
 
 def test_offset_of_one_hand_is_shared_by_all_bodies():

@@ -6,7 +6,7 @@ import pytest
 from isaacgymenvs_lite.evaluation.time_warping import align, subsequence_dtw
 
 
-def plain_alignment(cost):
+def plain_alignment(cost, off_tempo=0.0):
     """(mean cost, cells, advance) of one (T, S) matrix, cell by cell in plain Python."""
     rows, columns = cost.shape
     best = {}
@@ -16,7 +16,8 @@ def plain_alignment(cost):
             for dt, ds in ((1, 0), (0, 1), (1, 1)):
                 if (t - dt, s - ds) in best:
                     total, cells, advance = best[t - dt, s - ds]
-                    ways.append((total, cells, advance + ds))
+                    pays = 0.0 if dt == ds else off_tempo
+                    ways.append((total + pays, cells, advance + ds))
             total, cells, advance = min(ways)
             best[t, s] = (total + cost[t, s], cells + 1, advance)
     total, cells, advance = min(best[rows - 1, s] for s in range(columns))
@@ -51,6 +52,18 @@ def test_then_the_one_that_advances_least():
     assert align_one(np.ones((4, 5))) == (1.0, 4, 0)
 
 
+def test_path_pays_for_leaving_the_tempo_of_the_reference():
+    # Staying in column 0 costs nothing but two steps; going on costs 0.25 in each of two cells.
+    cost = [[0, 9, 9], [0, 0.25, 9], [0, 9, 0.25]]
+    assert align_one(cost, off_tempo=0.125) == (2 * 0.125 / 3, 3, 0)
+    assert align_one(cost, off_tempo=0.5) == (2 * 0.25 / 3, 3, 2)
+
+
+def test_where_all_frames_are_alike_a_path_that_pays_keeps_the_tempo_of_the_reference():
+    assert align_one(np.ones((4, 5)), off_tempo=0.125) == (1.0, 4, 3)
+    assert align_one(np.ones((1, 5)), off_tempo=0.125) == (1.0, 1, 0)  # nothing for the first cell
+
+
 @pytest.mark.parametrize("start", [0, 3, 6])
 def test_start_and_end_in_the_reference_are_free(start):
     cost = np.ones((4, 10))
@@ -76,6 +89,8 @@ def test_equals_the_plain_recursion(seed):
         # Both sum along the path in the same order, hence equal to the last bit as well.
         real = rng.random(shape)
         assert align_one(real) == plain_alignment(real)
+        assert align_one(whole, off_tempo=1.0) == plain_alignment(whole, 1.0)
+        assert align_one(real, off_tempo=0.25) == plain_alignment(real, 0.25)
 
 
 def test_different_lengths_in_a_batch_equal_one_by_one():
