@@ -16,10 +16,25 @@ import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
 from isaacgymenvs_lite.robots.mesh_files import AssetFiles, is_small_png
-from isaacgymenvs_lite.robots.xml_files import MAX_ELEMENTS, find_below, read_xml, robot_folders
+from isaacgymenvs_lite.robots.xml_files import (
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    find_below,
+    read_xml,
+    robot_folders,
+)
 
 MAX_BODIES = MAX_JOINTS = 500
 MAX_GEOMS = 1000
+# What MuJoCo makes of elements, and how many of them a robot may have. A text may have more: links
+# that are fixed to others merge, and shapes are left out. But MuJoCo takes time with the square of
+# their number, so they are counted before it gets the text, too.
+_COUNTED = {
+    "bodies": (("body", "link"), MAX_BODIES),
+    "joints": (("joint", "freejoint"), MAX_JOINTS),
+    "geoms": (("geom", "collision", "visual"), MAX_GEOMS),
+}
+_WRITTEN_OF_A_ROBOT = 4
 _MAX_INCLUDES = 50
 _MAX_TEXTURE_SIDE = 4096
 _MAX_MESH_PARAMETER = 200
@@ -97,11 +112,13 @@ def read_robot_file(path: str | Path) -> RobotFile:
 
 
 def _check_counts(spec: mujoco.MjSpec, path: Path) -> None:
-    for what, found, most in (
-        ("bodies", len(spec.bodies) - 1, MAX_BODIES),
-        ("joints", len(spec.joints), MAX_JOINTS),
-        ("geoms", len(spec.geoms), MAX_GEOMS),
-    ):
+    counts = {
+        "bodies": len(spec.bodies) - 1,
+        "joints": len(spec.joints),
+        "geoms": len(spec.geoms),
+    }
+    for what, found in counts.items():
+        _, most = _COUNTED[what]
         if found > most:
             raise ConfigError(f"{path}: has {found} {what}; expected a robot of at most {most}")
 
@@ -148,11 +165,12 @@ def _put_includes(root: ET.Element, path: Path) -> None:
 
 
 def _check_elements(root: ET.Element, path: Path) -> None:
-    """Refuse what a robot does not need and what could take much memory."""
-    copies = _most_copies(root)
-    if copies > MAX_BODIES:
-        raise ConfigError(f"{path}: <replicate> makes {copies} copies; expected {MAX_BODIES}")
-    for element in root.iter():
+    """Refuse what a robot does not need and what could take much memory or time."""
+    written = dict.fromkeys(_COUNTED, 0.0)
+    copied = 0.0
+    for element, copies, depth in _walk(root):
+        if depth > MAX_DEPTH:
+            raise ConfigError(f"{path}: elements are nested more than {MAX_DEPTH} deep")
         if element.tag in _REFUSED:
             raise ConfigError(f"{path}: has <{element.tag}>: {_REFUSED[element.tag]}")
         if any(abs(value) > _MAX_MESH_PARAMETER for value in _numbers(element, "params")):
@@ -161,12 +179,29 @@ def _check_elements(root: ET.Element, path: Path) -> None:
             sides = [*_numbers(element, "width"), *_numbers(element, "height")]
             if any(side > _MAX_TEXTURE_SIDE for side in sides):
                 raise ConfigError(f"{path}: a <texture> is larger than {_MAX_TEXTURE_SIDE} pixels")
+        copied += copies
+        if copied > MAX_ELEMENTS:
+            raise ConfigError(
+                f"{path}: has more than {MAX_ELEMENTS} elements with the copies of <replicate>"
+            )
+        for what, (tags, most) in _COUNTED.items():
+            written[what] += copies * (element.tag in tags)
+            if written[what] > _WRITTEN_OF_A_ROBOT * most:
+                raise ConfigError(
+                    f"{path}: describes more than {_WRITTEN_OF_A_ROBOT * most} {what}; expected a"
+                    f" robot of at most {most}"
+                )
 
 
-def _most_copies(element: ET.Element) -> float:
-    """Return how often the most copied element below `element` appears."""
-    own = max([1.0, *_numbers(element, "count")]) if element.tag == "replicate" else 1.0
-    return own * max((_most_copies(child) for child in element), default=1.0)
+def _walk(root: ET.Element) -> Iterator[tuple[ET.Element, float, int]]:
+    """Yield all elements, how often <replicate> makes each of them appear, and their depth."""
+    waiting = [(root, 1.0, 1)]
+    while waiting:
+        element, copies, depth = waiting.pop()
+        yield element, copies, depth
+        if element.tag == "replicate":
+            copies *= max([1.0, *_numbers(element, "count")])
+        waiting += [(child, copies, depth + 1) for child in element]
 
 
 def _numbers(element: ET.Element, key: str) -> Iterator[float]:

@@ -11,7 +11,7 @@ from isaacgymenvs_lite.errors import ConfigError, one_line
 MAX_TEXT_BYTES = 2**23
 """Of one XML file; the largest robots of public collections have 1 MiB."""
 MAX_ELEMENTS = 50_000
-_MAX_DEPTH = 120
+MAX_DEPTH = 120
 # The folder of such a name is a part of the robot's folder, as in ROS packages.
 _PARTS_OF_A_ROBOT = ("urdf", "urdfs", "xml", "mjcf", "xacro")
 _MAX_LEVELS = 6
@@ -32,8 +32,8 @@ class _Builder(ET.TreeBuilder):
         """Count elements and depth."""
         self.depth += 1
         self.elements += 1
-        if self.depth > _MAX_DEPTH:
-            raise ValueError(f"elements are nested more than {_MAX_DEPTH} deep")
+        if self.depth > MAX_DEPTH:
+            raise ValueError(f"elements are nested more than {MAX_DEPTH} deep")
         if self.elements > MAX_ELEMENTS:
             raise ValueError(f"it has more than {MAX_ELEMENTS} elements")
         return super().start(tag, attrs)

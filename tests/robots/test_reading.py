@@ -49,6 +49,19 @@ endsolid
 """
 
 
+def replicated(count: int, content: str) -> str:
+    return f'<replicate count="{count}">{content}</replicate>'
+
+
+def urdf_chain(num_joints: int) -> str:
+    links = "".join(f'<link name="{i}"/>' for i in range(num_joints + 1))
+    joints = "".join(
+        f'<joint name="j{i}" type="continuous"><parent link="{i}"/><child link="{i + 1}"/></joint>'
+        for i in range(num_joints)
+    )
+    return f'<robot name="a">{links}{joints}</robot>'
+
+
 def refusal(path: Path) -> str:
     with pytest.raises(ConfigError) as caught:
         read_robot(path)
@@ -200,11 +213,20 @@ BOMB = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a
         (mjcf(rest='<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), "plugins"),
         (mjcf(rest='<asset><model file="a.xml"/></asset>'), "models within models"),
         (mjcf(world='<body><flexcomp name="a" count="99 99 99"/></body>'), "soft bodies"),
-        (mjcf(world='<replicate count="999999999"><geom size="1"/></replicate>'), "copies"),
+        (mjcf(world='<replicate count="999999999"><site/></replicate>'), "copies"),
+        (mjcf(world=replicated(300, replicated(300, "<site/>"))), "copies"),
+        (mjcf(world=replicated(400, "<body/>") * 20), "more than 2000 bodies"),
+        (mjcf(world=replicated(400, "<body/>" * 20)), "more than 2000 bodies"),
+        (mjcf(world=f"<body>{replicated(400, '<joint/>' * 20)}</body>"), "more than 2000 joints"),
+        (mjcf(world=replicated(400, '<geom size=".1"/>' * 20)), "more than 4000 geoms"),
         (mjcf(rest='<asset><texture builtin="flat" width="90000" height="9"/></asset>'), "4096"),
         (mjcf(rest='<asset><mesh builtin="sphere" params="9000"/></asset>'), "params"),
         (mjcf(world='<body><geom size="1" pos="a b c"/></body>'), "MuJoCo cannot read it"),
-        (mjcf(world='<body><geom size=".1"/></body>' * (MAX_BODIES + 1)), "bodies"),
+        (
+            mjcf(world='<body><geom size=".1"/></body>' * (MAX_BODIES + 1)),
+            "has 504 bodies; expected a robot of at most 500",
+        ),
+        (urdf_chain(4000), "more than 2000 joints"),
     ],
 )
 def test_hostile_texts_are_refused_in_one_line(tmp_path, text, reason):
@@ -225,6 +247,16 @@ def test_files_that_are_too_long_or_no_files(tmp_path):
     path = written(tmp_path / "r.xml", mjcf(rest=MESH.format("big.stl")))
     with pytest.raises(ConfigError, match=r"big.stl: is longer than 64 MiB"):
         read_robot(path)
+
+
+def test_includes_do_not_add_up_to_an_endless_nest(tmp_path):
+    """Python's own limit of recursion is 1000."""
+    for i in range(20):
+        inner = f'<include file="{i + 1}.xml"/>' if i < 19 else '<geom size=".1"/>'
+        nest = "<body>" * 100 + inner + "</body>" * 100
+        written(tmp_path / f"{i}.xml", f"<mujocoinclude>{nest}</mujocoinclude>")
+    message = refusal(written(tmp_path / "r.xml", mjcf(world='<include file="0.xml"/>')))
+    assert "nested more than 120 deep" in message
 
 
 def test_includes_that_include_each_other(tmp_path):
