@@ -152,6 +152,14 @@ _HOSTILE_SECTIONS = {
     "custom": '<custom><numeric name="a" size="2000000000"/></custom>',
     "states": '<actuator><general joint="j" actdim="2000000000" dyntype="user"/></actuator>',
     "delay": '<actuator><motor joint="j" nsample="2000000000" delay="1e9"/></actuator>',
+    "textures": "<asset>"
+    + '<texture type="2d" builtin="flat" width="4096" height="4096"/>' * 200
+    + "</asset>",
+    "cubes": '<asset><texture builtin="flat" width="4096" height="1"/></asset>' * 200,
+    "meshes": "<asset>" + '<mesh builtin="supersphere" params="200 1 1"/>' * 200 + "</asset>",
+    "actuators": "<actuator>" + '<motor joint="j"/>' * 20_000 + "</actuator>",
+    "keys": "<keyframe>" + "<key/>" * 40_000 + "</keyframe>",
+    "classes": "<default>" + '<default class="a"/>' * 40_000 + "</default>",
     "key": '<keyframe><key qpos="nan nan nan nan nan nan nan nan"/></keyframe>',
 }
 # ... and in its place.
@@ -159,6 +167,8 @@ _HOSTILE_WORLDS = {
     "nothing": "",
     "deep": "<body>" * 10_000 + "</body>" * 10_000,
     "wide": '<body><joint/><geom size="1"/></body>' * 20_000,
+    "cameras": "<camera/>" * 40_000,
+    "lights": "<light/>" * 40_000,
     "many": '<body><joint/><geom size="1"/></body>' * 15_000,
     "copies": f'<replicate count="1000000">{_BODY}</replicate>',
     "many_copies": f'<replicate count="1e18">{_BODY}</replicate>',

@@ -21,6 +21,7 @@ MAX_MESH_BYTES = 2**26
 MAX_ALL_BYTES = 2**29
 MAX_TEXELS = 2**24
 """Of one texture, 4096 x 4096."""
+MAX_ALL_TEXELS = 2**25
 
 
 _MAX_FACES = 200_000  # MuJoCo reads no more of an STL file
@@ -38,6 +39,8 @@ class AssetFiles:
     path: Path
     contents: dict[str, bytes] = field(default_factory=dict)
     _names: dict[Path, str] = field(default_factory=dict)
+    _bytes: int = 0
+    _texels: float = 0.0
 
     def find(self, name: str, folder: str = "", kind: str = "mesh") -> Path:
         """Return the path of a file that the robot names.
@@ -90,19 +93,29 @@ class AssetFiles:
     def read(self, path: Path) -> str:
         """Read a file and return the name that MuJoCo gets for it.
 
+        A file that is named again counts again: MuJoCo makes a mesh of it each time.
+
         Raises:
             ConfigError: it is too long, or all files together are.
         """
         if path not in self._names:
             content = _as_binary_stl(read_bytes(path, MAX_MESH_BYTES), path)
-            if sum(map(len, self.contents.values())) + len(content) > MAX_ALL_BYTES:
-                raise ConfigError(
-                    f"{self.path}: its meshes have more than {MAX_ALL_BYTES // 2**20} MiB together"
-                )
             # Meshes without a name are called after their file; two folders may have the same.
             name = f"{len(self._names)}_{PurePosixPath(path.name).stem}{path.suffix.lower()}"
             self._names[path], self.contents[name] = name, content
-        return self._names[path]
+        name = self._names[path]
+        self._bytes += len(self.contents[name])
+        if self._bytes > MAX_ALL_BYTES:
+            raise ConfigError(
+                f"{self.path}: its meshes have more than {MAX_ALL_BYTES // 2**20} MiB together"
+            )
+        return name
+
+    def has_room_for(self, texels: float) -> bool:
+        """Return whether a texture is small enough, also with the others so far, and count it."""
+        fits = 0 < texels <= MAX_TEXELS and self._texels + texels <= MAX_ALL_TEXELS
+        self._texels += texels if fits else 0.0
+        return fits
 
 
 def _as_binary_stl(content: bytes, path: Path) -> bytes:
@@ -128,9 +141,9 @@ def _as_binary_stl(content: bytes, path: Path) -> bytes:
     return bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
 
 
-def is_small_png(content: bytes) -> bool:
-    """Return whether bytes begin as a PNG picture of at most `MAX_TEXELS`."""
+def png_texels(content: bytes) -> int:
+    """Return width times height of a PNG picture; 0 if bytes do not begin as one."""
     if content[:8] != b"\x89PNG\r\n\x1a\n" or len(content) < 24:
-        return False
+        return 0
     width, height = struct.unpack(">II", content[16:24])
-    return 0 < width * height <= MAX_TEXELS
+    return width * height

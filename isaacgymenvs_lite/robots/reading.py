@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
-from isaacgymenvs_lite.robots.mesh_files import AssetFiles, is_small_png
+from isaacgymenvs_lite.robots.mesh_files import AssetFiles, png_texels
 from isaacgymenvs_lite.robots.xml_files import (
     MAX_DEPTH,
     MAX_ELEMENTS,
@@ -26,15 +26,23 @@ from isaacgymenvs_lite.robots.xml_files import (
 
 MAX_BODIES = MAX_JOINTS = 500
 MAX_GEOMS = 1000
-# What MuJoCo makes of elements, and how many of them a robot may have. A text may have more: links
-# that are fixed to others merge, and shapes are left out. But MuJoCo takes time with the square of
-# their number, so they are counted before it gets the text, too.
-_COUNTED = {
-    "bodies": (("body", "link"), MAX_BODIES),
-    "joints": (("joint", "freejoint"), MAX_JOINTS),
-    "geoms": (("geom", "collision", "visual"), MAX_GEOMS),
+# Elements by what they are. A text may have more of them than a robot: links that are fixed to
+# others merge, shapes are left out. But MuJoCo takes time with the square of most of these numbers,
+# so they are counted before it gets the text, too.
+_KINDS = {
+    **dict.fromkeys(("body", "link"), "bodies"),
+    **dict.fromkeys(("joint", "freejoint"), "joints"),
+    **dict.fromkeys(("geom", "collision", "visual"), "geoms"),
+    **{"camera": "cameras", "light": "lights", "key": "keyframes", "default": "default classes"},
 }
-_WRITTEN_OF_A_ROBOT = 4
+_MOST_WRITTEN = {
+    "bodies": 4 * MAX_BODIES,
+    "joints": 4 * MAX_JOINTS,
+    "geoms": 4 * MAX_GEOMS,
+    **dict.fromkeys(("actuators", "cameras", "lights", "keyframes", "default classes"), 2000),
+    "built-in meshes": 20,
+    "elements": MAX_ELEMENTS,
+}
 _MAX_INCLUDES = 50
 _MAX_TEXTURE_SIDE = 4096
 _MAX_MESH_PARAMETER = 200
@@ -112,13 +120,11 @@ def read_robot_file(path: str | Path) -> RobotFile:
 
 
 def _check_counts(spec: mujoco.MjSpec, path: Path) -> None:
-    counts = {
-        "bodies": len(spec.bodies) - 1,
-        "joints": len(spec.joints),
-        "geoms": len(spec.geoms),
-    }
-    for what, found in counts.items():
-        _, most = _COUNTED[what]
+    for what, found, most in (
+        ("bodies", len(spec.bodies) - 1, MAX_BODIES),
+        ("joints", len(spec.joints), MAX_JOINTS),
+        ("geoms", len(spec.geoms), MAX_GEOMS),
+    ):
         if found > most:
             raise ConfigError(f"{path}: has {found} {what}; expected a robot of at most {most}")
 
@@ -166,8 +172,7 @@ def _put_includes(root: ET.Element, path: Path) -> None:
 
 def _check_elements(root: ET.Element, path: Path) -> None:
     """Refuse what a robot does not need and what could take much memory or time."""
-    written = dict.fromkeys(_COUNTED, 0.0)
-    copied = 0.0
+    written = dict.fromkeys(_MOST_WRITTEN, 0.0)
     for element, copies, depth in _walk(root):
         if depth > MAX_DEPTH:
             raise ConfigError(f"{path}: elements are nested more than {MAX_DEPTH} deep")
@@ -179,18 +184,25 @@ def _check_elements(root: ET.Element, path: Path) -> None:
             sides = [*_numbers(element, "width"), *_numbers(element, "height")]
             if any(side > _MAX_TEXTURE_SIDE for side in sides):
                 raise ConfigError(f"{path}: a <texture> is larger than {_MAX_TEXTURE_SIDE} pixels")
-        copied += copies
-        if copied > MAX_ELEMENTS:
-            raise ConfigError(
-                f"{path}: has more than {MAX_ELEMENTS} elements with the copies of <replicate>"
-            )
-        for what, (tags, most) in _COUNTED.items():
-            written[what] += copies * (element.tag in tags)
-            if written[what] > _WRITTEN_OF_A_ROBOT * most:
+        kind, number = _kind_of(element)
+        written["elements"] += copies
+        written[kind] += copies * number
+        for what in ("elements", kind):
+            if written[what] > _MOST_WRITTEN[what]:
                 raise ConfigError(
-                    f"{path}: describes more than {_WRITTEN_OF_A_ROBOT * most} {what}; expected a"
-                    f" robot of at most {most}"
+                    f"{path}: describes more than {_MOST_WRITTEN[what]} {what}, with the copies of"
+                    " <replicate>; expected one robot"
                 )
+
+
+def _kind_of(element: ET.Element) -> tuple[str, int]:
+    """Return what an element is, of `_MOST_WRITTEN`, and how many of them."""
+    if element.tag == "actuator":
+        return "actuators", len(element)
+    if element.tag == "mesh" and "builtin" in element.attrib:
+        return "built-in meshes", 1
+    kind = _KINDS.get(element.tag)
+    return ("elements", 0) if kind is None else (kind, 1)
 
 
 def _walk(root: ET.Element) -> Iterator[tuple[ET.Element, float, int]]:
@@ -240,7 +252,8 @@ def _take_mjcf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
                 parent.remove(element)
     if dropped:
         notes.append(
-            f"left out textures that are no PNG files of the robot: {', '.join(sorted(dropped))}"
+            "left out textures that are no PNG files of the robot or too large:"
+            f" {', '.join(sorted(dropped))}"
         )
         for material in root.iter("material"):
             if material.get("texture") in dropped:
@@ -299,7 +312,7 @@ def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFil
     keys = [key for key in element.attrib if key.startswith("file")]
     element.attrib.pop("content_type", None)
     if not keys:
-        return True
+        return files.has_room_for(_builtin_texels(element))
     if keys != ["file"] or not element.attrib["file"].lower().endswith(".png"):
         return False
     name = element.attrib["file"]
@@ -307,11 +320,19 @@ def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFil
         key = files.read(files.find(_stripped(name, strip), folder, "texture"))
     except ConfigError:
         return False
-    if not is_small_png(files.contents[key]):
+    if not files.has_room_for(png_texels(files.contents[key])):
         return False
     element.attrib.setdefault("name", _texture_name(element))
     element.set("file", key)
     return True
+
+
+def _builtin_texels(element: ET.Element) -> float:
+    width, height = (sum(_numbers(element, side)) for side in ("width", "height"))
+    is_flat = element.get("type") == "2d"
+    return (
+        width * height if is_flat else 6.0 * width * width
+    )  # a cube's sides, as MuJoCo makes them
 
 
 # --- URDF ----------------------------------------------------------------------------------------

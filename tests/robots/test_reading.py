@@ -53,6 +53,10 @@ def replicated(count: int, content: str) -> str:
     return f'<replicate count="{count}">{content}</replicate>'
 
 
+def section(name: str, element: str, number: int) -> str:
+    return f"<{name}>{element * number}</{name}>"
+
+
 def urdf_chain(num_joints: int) -> str:
     links = "".join(f'<link name="{i}"/>' for i in range(num_joints + 1))
     joints = "".join(
@@ -227,6 +231,12 @@ BOMB = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a
             "has 504 bodies; expected a robot of at most 500",
         ),
         (urdf_chain(4000), "more than 2000 joints"),
+        (mjcf(world="<camera/>" * 3000), "more than 2000 cameras"),
+        (mjcf(world="<light/>" * 3000), "more than 2000 lights"),
+        (mjcf(rest=section("keyframe", "<key/>", 3000)), "more than 2000 keyframes"),
+        (mjcf(rest=section("actuator", '<motor joint="hip"/>', 3000)), "2000 actuators"),
+        (mjcf(rest=section("default", "<default/>", 3000)), "2000 default classes"),
+        (mjcf(rest=section("asset", '<mesh builtin="sphere"/>', 21)), "20 built-in meshes"),
     ],
 )
 def test_hostile_texts_are_refused_in_one_line(tmp_path, text, reason):
@@ -283,6 +293,35 @@ def test_textures_without_a_small_png_are_left_out(tmp_path):
     robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
     assert robot.spec.compile().ntex == 0
     assert "t, u" in robot.notes[0]
+
+
+def test_textures_that_are_too_large_together_are_left_out(tmp_path):
+    """Each may be 4096 x 4096; a cube has six sides, which MuJoCo makes of its width."""
+    rest = "".join(
+        f'<texture name="{name}" {kind} builtin="flat" width="4096" height="{height}"/>'
+        for name, kind, height in (
+            ("cube", "", 1),
+            ("flat_1", 'type="2d"', 4096),
+            ("flat_2", 'type="2d"', 4096),
+            ("flat_3", 'type="2d"', 4096),
+        )
+    )
+    robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=f"<asset>{rest}</asset>")))
+    assert [texture.name for texture in robot.spec.textures] == ["flat_1", "flat_2"]
+    assert "cube, flat_3" in robot.notes[0]
+
+
+def test_a_mesh_that_is_named_again_counts_again(tmp_path, monkeypatch):
+    (tmp_path / "a.obj").write_text(TETRAHEDRON)
+    most = 3 * len(TETRAHEDRON)
+    monkeypatch.setattr("isaacgymenvs_lite.robots.mesh_files.MAX_ALL_BYTES", most)
+
+    def text(number: int) -> str:
+        meshes = "".join(f'<mesh name="m{i}" file="a.obj"/>' for i in range(number))
+        return mjcf(rest=f"<asset>{meshes}</asset>")
+
+    assert len(read_robot(written(tmp_path / "r.xml", text(3))).meshes) == 3
+    assert "MiB together" in refusal(written(tmp_path / "s.xml", text(4)))
 
 
 def test_materials_that_the_file_does_not_define_are_left_out(tmp_path):
