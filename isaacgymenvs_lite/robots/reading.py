@@ -39,13 +39,16 @@ _MOST_WRITTEN = {
     "bodies": 4 * MAX_BODIES,
     "joints": 4 * MAX_JOINTS,
     "geoms": 4 * MAX_GEOMS,
-    **dict.fromkeys(("actuators", "cameras", "lights", "keyframes", "default classes"), 2000),
+    **dict.fromkeys(("actuators", "sensors", "cameras", "lights"), 2000),
+    **dict.fromkeys(("keyframes", "default classes"), 2000),
     "built-in meshes": 20,
     "elements": MAX_ELEMENTS,
 }
 _MAX_INCLUDES = 50
 _MAX_TEXTURE_SIDE = 4096
 _MAX_MESH_PARAMETER = 200
+# States and samples of an actuator or a sensor, numbers of a user's sensor.
+_SIZES, _MAX_SIZE = ("actdim", "nsample", "dim"), 1000
 _LEAST_INERTIA = 1e-9  # kg m^2
 # Elements that load libraries or other models, or that describe no rigid robot.
 _REFUSED = {
@@ -63,7 +66,7 @@ class RobotFile:
 
     Attributes:
         path: of the file.
-        spec: its content, without sensors.
+        spec: its content, without sensors unless they were asked for.
         notes: what was left out, in words.
     """
 
@@ -77,7 +80,7 @@ def read_robot(path: str | Path) -> mujoco.MjSpec:
     return read_robot_file(path).spec
 
 
-def read_robot_file(path: str | Path) -> RobotFile:
+def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
     """Read a robot's MJCF or URDF.
 
     Meshes are read from the robot's folder: the file's own, the one above if the file's is called
@@ -86,6 +89,7 @@ def read_robot_file(path: str | Path) -> RobotFile:
 
     Args:
         path: of the file; its content decides between the formats.
+        with_sensors: leave the sensors of an MJCF in, for a task that reads them.
 
     Raises:
         ConfigError: the file or one that it names is missing, too large or elsewhere, has elements
@@ -96,6 +100,7 @@ def read_robot_file(path: str | Path) -> RobotFile:
     files, notes = AssetFiles(path), []
     if root.tag == "mujoco":
         _put_includes(root, path)
+        _leave_out(root, notes, with_sensors)
         _check_elements(root, path)
         _take_mjcf_files(root, files, notes)
     elif root.tag == "robot":
@@ -180,6 +185,9 @@ def _check_elements(root: ET.Element, path: Path) -> None:
             raise ConfigError(f"{path}: has <{element.tag}>: {_REFUSED[element.tag]}")
         if any(abs(value) > _MAX_MESH_PARAMETER for value in _numbers(element, "params")):
             raise ConfigError(f"{path}: a <mesh> has params above {_MAX_MESH_PARAMETER}")
+        for key in _SIZES:
+            if any(size > _MAX_SIZE for size in _numbers(element, key)):
+                raise ConfigError(f"{path}: <{element.tag}> has {key} above {_MAX_SIZE}")
         if element.tag == "texture":
             sides = [*_numbers(element, "width"), *_numbers(element, "height")]
             if any(side > _MAX_TEXTURE_SIDE for side in sides):
@@ -197,8 +205,8 @@ def _check_elements(root: ET.Element, path: Path) -> None:
 
 def _kind_of(element: ET.Element) -> tuple[str, int]:
     """Return what an element is, of `_MOST_WRITTEN`, and how many of them."""
-    if element.tag == "actuator":
-        return "actuators", len(element)
+    if element.tag in ("actuator", "sensor"):
+        return f"{element.tag}s", len(element)
     if element.tag == "mesh" and "builtin" in element.attrib:
         return "built-in meshes", 1
     kind = _KINDS.get(element.tag)
@@ -237,7 +245,6 @@ def _take_mjcf_files(root: ET.Element, files: AssetFiles, notes: list[str]) -> N
         for kind, key in (("mesh", "meshdir"), ("texture", "texturedir")):
             folders[kind] = compiler.attrib.pop(key, both if both is not None else folders[kind])
         strip = compiler.attrib.pop("strippath", "false") == "true" or strip
-    _leave_out(root, notes)
     dropped: set[str] = set()
     for parent in list(root.iter()):
         for element in list(parent):
@@ -277,18 +284,20 @@ def _drop_unknown_materials(root: ET.Element, notes: list[str]) -> None:
         notes.append(f"left out materials that the file does not define: {listed(names)}")
 
 
-def _leave_out(root: ET.Element, notes: list[str]) -> None:
+def _leave_out(root: ET.Element, notes: list[str], with_sensors: bool) -> None:
     """Remove the sections that a robot does not need; sensors and skins with a note."""
     counts = {"sensor": 0, "skin": 0, "hfield": 0}
     for parent in list(root.iter()):
-        for element in [child for child in parent if _is_left_out(child)]:
+        for element in [child for child in parent if _is_left_out(child, with_sensors)]:
             parent.remove(element)
             if element.tag in counts:
                 counts[element.tag] += len(element) if element.tag == "sensor" else 1
     notes += [f"left out of the file: {n} {tag}s" for tag, n in counts.items() if n]
 
 
-def _is_left_out(element: ET.Element) -> bool:
+def _is_left_out(element: ET.Element, with_sensors: bool) -> bool:
+    if element.tag == "sensor" and with_sensors:
+        return False
     is_terrain = element.tag == "geom" and "hfield" in (element.get("type"), *element.attrib)
     return element.tag in _LEFT_OUT or is_terrain
 

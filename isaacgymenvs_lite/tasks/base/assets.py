@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.task_config import AssetConfig, SimConfig
 
@@ -66,6 +67,7 @@ def shipped_assets() -> str:
 
 def compile_model(
     path: Path,
+    own: str,
     sim: SimConfig,
     dynamic_friction: float,
     change: Callable[[mujoco.MjSpec], None] = lambda spec: None,
@@ -74,15 +76,24 @@ def compile_model(
 
     Args:
         path: the file.
+        own: the task's own file, relative to assets/. Another one that is not in assets/ is a
+            stranger's.
         sim: `task.sim`.
         dynamic_friction: coefficient of sliding friction with the geom `floor`, if there is one.
         change: changes the file's contents before they are compiled.
 
     Raises:
-        ConfigError: MuJoCo refuses the file.
+        ConfigError: MuJoCo refuses the file, or `read_robot_file` refuses a stranger's.
     """
-    with explained(path):
-        spec = mujoco.MjSpec.from_file(str(path))
+    file, ours = path.resolve(), assets_dir().resolve()
+    if file.is_relative_to(ours) or file == (ours / own).resolve():
+        with explained(path):
+            spec = mujoco.MjSpec.from_file(str(path))
+    else:
+        model = read_robot_file(path, with_sensors=True)
+        spec = model.spec
+        for note in model.notes:
+            log.info("%s: %s", path, note)
     return compile_spec(spec, path, sim, dynamic_friction, change)
 
 

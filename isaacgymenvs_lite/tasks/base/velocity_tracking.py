@@ -234,7 +234,9 @@ class VelocityTrackingTask(MjcfTask):
         path = asset_path(
             asset, self.default_asset, self.published_assets, key="task.env.urdfAsset.file"
         )
-        return compile_model(path, self.sim_cfg, self._friction(), self.change_spec)
+        return compile_model(
+            path, self.default_asset, self.sim_cfg, self._friction(), self.change_spec
+        )
 
     def _friction(self) -> float:
         """Return the coefficient of sliding friction between ground and robot."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 
 # name, parent, offset in the parent (m), mass (kg)
@@ -355,6 +357,34 @@ def test_the_assets_folder_of_a_published_file_is_ours(caplog) -> None:
 
 def test_a_broken_asset_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "broken.xml").write_text("<mujoco>\n<worldbody>\n<body></mujoco>")
-    with pytest.raises(ConfigError, match=r"MuJoCo cannot load .*broken\.xml") as error:
+    with pytest.raises(ConfigError, match=r"broken\.xml: is no XML") as error:
         _build({"asset": {"assetFileName": "broken.xml", "assetRoot": str(tmp_path)}})
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("world", "rest", "reason"),
+    [
+        ("<camera/>" * 3000, "", "more than 2000 cameras"),
+        ("", '<extension><plugin plugin="a"/></extension>', "plugins are not loaded"),
+        ("", '<asset><mesh file="/etc/passwd"/></asset>', "mesh '/etc/passwd'"),
+        ("", '<sensor><user dim="90000"/></sensor>', "<user> has dim above 1000"),
+    ],
+)
+def test_a_strangers_model_is_read_with_limits(world, rest, reason, tmp_path: Path) -> None:
+    body = '<body><freejoint/><geom size="1"/></body>'
+    text = f"<mujoco><worldbody>{body}{world}</worldbody>{rest}</mujoco>"
+    (tmp_path / "theirs.xml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=reason) as error:
+        _build({"asset": {"assetFileName": "theirs.xml", "assetRoot": str(tmp_path)}})
+    assert "\n" not in str(error.value)
+
+
+def test_a_copy_of_our_model_elsewhere_is_the_same_model(tmp_path: Path) -> None:
+    shutil.copytree(assets_dir() / "mjcf", tmp_path / "mjcf")
+    ours, copy = _build({}), _build({"asset": {"assetRoot": str(tmp_path)}})
+    for name in ("body_mass", "body_inertia", "geom_size", "geom_pos", "jnt_range", "dof_armature"):
+        np.testing.assert_array_equal(getattr(copy, name), getattr(ours, name), err_msg=name)
+    np.testing.assert_array_equal(copy.actuator_gainprm, ours.actuator_gainprm)
+    np.testing.assert_array_equal(copy.actuator_forcerange, ours.actuator_forcerange)
+    assert copy.nsensor == ours.nsensor
