@@ -29,8 +29,6 @@ _GOOD_NO_FALL = 0.9
 # whose flight is no fall in the clip cannot be shown in full.
 _GOOD_SHOWN = 0.5
 _GOOD_TEMPO = (0.6, 1.5)
-# Shipped clips whose poses are all alike, so that no tempo can be measured.
-_AT_REST = ("stand",)
 _IN_A_ROW = 2
 _MEASURED = ("pose_error_m", "no_fall_share", "motion_shown", "tempo")
 
@@ -78,10 +76,10 @@ def _are_good(
     tempo: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.bool_]:
     slowest, fastest = _GOOD_TEMPO
-    has_pace = (slowest <= tempo) & (tempo <= fastest)
     return (
         (pose_error_m <= allowed_error(label)[0])
         & (no_fall_share >= _GOOD_NO_FALL)
         & (shown >= _GOOD_SHOWN)
-        & (has_pace | (label in _AT_REST))
+        & (slowest <= tempo)
+        & (tempo <= fastest)
     )

@@ -40,13 +40,6 @@ def test_the_paper_counts_where_it_has_a_number():
     assert not learned.is_learned(of("deepmimic_walk", pose_error_m=0.04))
 
 
-def test_who_stands_as_its_clip_needs_no_tempo():
-    still = {"motion_shown": 1.0, "tempo": 0.04}
-    assert learned.is_learned(of("stand", **still))
-    assert not learned.is_learned(of("stand", no_fall_share=0.0, **still))
-    assert not learned.is_learned(of("walk", **still))
-
-
 def curve_of(**measured: list[float]) -> LearningCurve:
     """Return the curve of a training that measured its policy, nothing else."""
     return LearningCurve(
