@@ -192,8 +192,26 @@ class MotionCoverage:
         for clip in self._clips:
             parts = clip.shown(track).split(stretch)[:num_stretches]
             for i, part in enumerate(parts):
-                sums[i] += part.amax(dim=0) @ clip.weights
+                steps = min(stretch, len(track) - i * stretch)
+                sums[i] += _weight_shown(part, clip.weights, steps)
         return sums
+
+
+def _weight_shown(how_well: Tensor, weights: Tensor, steps: int) -> Tensor:
+    """Return the weight () of the moments that a stretch of an episode shows.
+
+    Where the moments of a clip are nearly alike, as in a slow crouched walk, each step of the
+    episode is near many of them, but counts for one: an episode that starts in the walk and stands
+    after half a second has shown half a second of it.
+
+    Args:
+        how_well: (T, S), as `_Moments.shown`.
+        weights: (S,).
+        steps: control steps of the stretch; more than T, as its last moment ends with it.
+    """
+    best, nearest = how_well.max(dim=1)
+    most = (best * weights[nearest]).mean() * steps
+    return torch.minimum(how_well.amax(dim=0) @ weights, most)
 
 
 def _height_m(track: Track) -> float:

@@ -129,7 +129,7 @@ def test_clips_are_trained_one_after_the_other_and_those_that_are_done_are_left(
 ):
     words = ["clips", "--clips", "walk", "stand", "num_envs=8", "rl_device=cpu"]
     folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
-    command = ["learning", *words, *folders, "--cores-per-run", "1", "--minutes", "0.3", "--resume"]
+    command = ["learning", *words, *folders, "--cores-per-run", "1", "--minutes", "0.8", "--resume"]
     monkeypatch.setattr("sys.argv", command)
     learning.main()
     labels = ["walk", "stand"]

@@ -57,6 +57,18 @@ def test_standing_shows_next_to_nothing(name):
     assert coverage(name).share([still], STEPS) < 0.15
 
 
+def test_who_starts_in_a_walk_and_stops_has_shown_no_more_than_it_walked():
+    """The poses of a crouched walk are alike: half a second of it is near all of its moments."""
+    walked = played("crouch_walk", 20)
+    stopped = Track(
+        torch.cat((walked.body_pos_w, walked.body_pos_w[-1:].expand(STEPS - 20, -1, -1))),
+        torch.cat((walked.root_rot_w, walked.root_rot_w[-1:].expand(STEPS - 20, -1))),
+    )
+    length_s = motion_shown.library("crouch_walk").get_total_length()
+    # Those that begin in the walk and end after the stop count in part.
+    assert coverage("crouch_walk").share([stopped], STEPS) < 1.5 * 20 * DT_S / length_s
+
+
 def test_standing_is_all_that_a_clip_of_standing_has():
     assert coverage("stand").share([played("stand", phase=0.3)], STEPS) > 0.95
 
