@@ -338,10 +338,9 @@ def _take_texture(element: ET.Element, folder: str, strip: bool, files: AssetFil
 
 def _builtin_texels(element: ET.Element) -> float:
     width, height = (sum(_numbers(element, side)) for side in ("width", "height"))
-    is_flat = element.get("type") == "2d"
-    return (
-        width * height if is_flat else 6.0 * width * width
-    )  # a cube's sides, as MuJoCo makes them
+    if element.get("type") == "2d":
+        return width * height
+    return 6.0 * width * width  # the sides of a cube, which MuJoCo makes of its width
 
 
 # --- URDF ----------------------------------------------------------------------------------------
