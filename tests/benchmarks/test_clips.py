@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks import clips, learning
+from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.learning_curve import read_learning_curve
 from benchmarks.records import write_records
 from benchmarks.runs import Run
-from benchmarks.saved_curves import save_curve
+from benchmarks.saved_curves import find_saved_curves, save_curve
 from benchmarks.training import Plan
 from isaacgymenvs_lite.errors import ConfigError
 from tests.benchmarks.test_learned import GOOD, curve_of, of
@@ -31,6 +32,15 @@ def test_the_clips_of_deepmimic():
     assert len(found) == 20
     assert found["deepmimic_backflip"] == "deepmimic:humanoid3d_backflip"
     assert found["deepmimic_walker_turn_left0"] == "deepmimic:walker/turn_left0"
+
+
+def test_every_clip_of_the_kept_records_has_a_curve():
+    """The command of docs/results.md draws them."""
+    folder = RESULTS_DIR / clips.NAME
+    labels = [file.stem for file in folder.glob("*.jsonl")]
+    assert len(labels) > 20
+    for label in labels:
+        assert find_saved_curves(label, folder / CURVES)
 
 
 def test_a_folder_a_file_and_a_name(tmp_path: Path, walk_clip: Path):

@@ -208,7 +208,6 @@ _KILLED = """
 import sys, torch
 from pathlib import Path
 from isaacgymenvs_lite.checkpoints import files as checkpoints
-from isaacgymenvs_lite.errors import StoppedAtOnceError
 
 path = Path(sys.argv[1])
 big = {"model": {"weight": torch.zeros(4_000_000)}, "epoch": 0}
