@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks import tables
 from benchmarks.curves import figure_for
 from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.experiments import Experiment, find_experiment, override
@@ -103,19 +104,27 @@ def clip_experiments(words: Sequence[str], extra: Sequence[str] = ()) -> list[Ex
 
 def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str:
     """Return the table of clips for docs/, and a line that counts those that are learned."""
-    lines = [
-        "| clip | frames (M) | minutes | pose error (m) | at most | motion shown | without a fall"
-        " | tempo | learned |",
-        "|---" * 9 + "|",
-    ]
+    headings = (
+        "clip",
+        "frames (M)",
+        "minutes",
+        "pose error (m)",
+        "at most",
+        "motion shown",
+        "without a fall",
+        "tempo",
+        "learned",
+    )
+    rows: list[Sequence[str]] = []
     for label in labels:
         allowed_m, is_papers = allowed_error(label)
         most_m = f"{allowed_m:.3f}, paper" if is_papers else f"{allowed_m:.2f}"
         seeds = records.get(label, [])
         if not seeds:
-            lines.append(f"| {label} | | | | {most_m} | | | | not trained yet |")
+            rows.append((label, "", "", "", most_m, "", "", "", "not trained yet"))
             continue
         cells = (
+            label,
             spread_cell([record.frames / 1e6 for record in seeds], ".1f"),
             spread_cell([record.minutes for record in seeds], ".0f"),
             spread_cell([record.pose_error_m for record in seeds], ".3f"),
@@ -125,14 +134,11 @@ def table(labels: Sequence[str], records: Mapping[str, Sequence[Record]]) -> str
             spread_cell([record.tempo for record in seeds], ".2f"),
             _learned_cell(seeds),
         )
-        lines.append(f"| {label} | {' | '.join(cells)} |")
+        rows.append(cells)
     done = [records[label] for label in labels if label in records]
     learned = sum(all(map(is_learned, seeds)) for seeds in done)
-    lines += [
-        "",
-        f"{learned} of {len(done)} clips are learned, {len(labels) - len(done)} not done.",
-    ]
-    return "\n".join(lines)
+    summary = f"{learned} of {len(done)} clips are learned, {len(labels) - len(done)} not done."
+    return f"{tables.markdown(headings, rows)}\n\n{summary}"
 
 
 def _learned_cell(seeds: Sequence[Record]) -> str:

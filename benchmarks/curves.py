@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import tables
 from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
@@ -158,12 +159,18 @@ def figure_for(path: Path, size: tuple[float, float]) -> Any:
 
 def markdown_table(curves: Curves) -> str:
     """Return a table of what training itself showed: medians with the extremes behind them."""
-    lines = [
-        f"| experiment | seeds | minutes to {GOOD_EPISODE_STEPS} steps"
-        f" | frames to {GOOD_EPISODE_STEPS} steps (M) | frames at the end (M)"
-        " | minutes at the end | frames/s | last episode length | last pose error (m) |",
-        "|---" * 9 + "|",
-    ]
+    headings = (
+        "experiment",
+        "seeds",
+        f"minutes to {GOOD_EPISODE_STEPS} steps",
+        f"frames to {GOOD_EPISODE_STEPS} steps (M)",
+        "frames at the end (M)",
+        "minutes at the end",
+        "frames/s",
+        "last episode length",
+        "last pose error (m)",
+    )
+    rows = []
     for experiment, seeds in curves.items():
         reached = [c["episode_length"].first_reach(GOOD_EPISODE_STEPS) for c in seeds]
         cells = [
@@ -177,13 +184,13 @@ def markdown_table(curves: Curves) -> str:
             spread_cell([c["episode_length"].last for c in seeds], ".0f"),
             spread_cell([c["pose_error_m"].last for c in seeds], ".3f"),
         ]
-        lines.append(f"| {experiment} | {len(seeds)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([experiment, f"{len(seeds)}", *cells])
+    return tables.markdown(headings, rows)
 
 
 def markdown_table_of_returns(curves: Curves) -> str:
     """Return a table of the returns of training episodes: medians with the extremes."""
-    lines = ["| experiment | seeds | frames (M) | last return | best return |", "|---" * 5 + "|"]
+    rows = []
     for experiment, seeds in curves.items():
         returns = [curve["episode_return"] for curve in seeds]
         cells = [
@@ -191,28 +198,23 @@ def markdown_table_of_returns(curves: Curves) -> str:
             spread_cell([s.last for s in returns], ",.1f"),
             spread_cell([float(s.values.max()) if len(s) else None for s in returns], ",.1f"),
         ]
-        lines.append(f"| {experiment} | {len(seeds)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([experiment, f"{len(seeds)}", *cells])
+    headings = ("experiment", "seeds", "frames (M)", "last return", "best return")
+    return tables.markdown(headings, rows)
 
 
 def markdown_table_of_measurements(curves: Curves) -> str:
     """Return for each run a table with a row for each measurement of its pose error."""
-    head = "| " + " | ".join(("frames (M)", "minutes", *(title for title, _ in _COURSE.values())))
-    lines: list[str] = []
+    headings = ("frames (M)", "minutes", *(title for title, _ in _COURSE.values()))
+    found = []
     for experiment, seeds in curves.items():
         for number, curve in enumerate(seeds, 1):
-            lines += [
-                f"{experiment}, run {number}",
-                "",
-                f"{head} |",
-                "|---" * (2 + len(_COURSE)) + "|",
-            ]
-            lines += [_row_of_measurement(curve, i) for i in range(len(curve["pose_error_m"]))]
-            lines.append("")
-    return "\n".join(lines).rstrip()
+            rows = [_row_of_measurement(curve, i) for i in range(len(curve["pose_error_m"]))]
+            found.append(f"{experiment}, run {number}\n\n{tables.markdown(headings, rows)}")
+    return "\n\n".join(found)
 
 
-def _row_of_measurement(curve: LearningCurve, number: int) -> str:
+def _row_of_measurement(curve: LearningCurve, number: int) -> list[str]:
     measured = curve["pose_error_m"]
     frames = measured.frames[number]
     cells = [f"{frames / 1e6:.1f}", f"{measured.minutes[number]:.1f}"]
@@ -220,7 +222,7 @@ def _row_of_measurement(curve: LearningCurve, number: int) -> str:
         series = curve[name]
         value = np.interp(frames, series.frames, series.values) if len(series) else None
         cells.append("-" if value is None else f"{value:{number_format}}")
-    return f"| {' | '.join(cells)} |"
+    return cells
 
 
 def _frames_per_s(curve: LearningCurve) -> float | None:

@@ -17,6 +17,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from benchmarks import tables
 from isaacgymenvs_lite.tasks.goals.heading import HeadingSettings, compute_heading_reward
 from isaacgymenvs_lite.tasks.goals.location import LocationSettings, compute_location_reward
 from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis
@@ -35,12 +36,12 @@ def main() -> None:
     parser.add_argument("--turns", type=float, nargs="+", default=turns, help="degrees/s")
     args = parser.parse_args()
     torch.manual_seed(1)
-    head = " | ".join(f"{turn:g} degrees/s" for turn in args.turns)
-    print(f"| goal | m/s | {head} |\n|---|---|{'---|' * len(args.turns)}")
-    for name, mean_reward in (("heading", heading_reward), ("location", location_reward)):
-        for speed in args.speeds:
-            row = (f"{mean_reward(speed, turn):.3f}" for turn in args.turns)
-            print(f"| `{name}` | {speed:g} | {' | '.join(row)} |")
+    rows = [
+        (f"`{name}`", f"{speed:g}", *(f"{mean_reward(speed, turn):.3f}" for turn in args.turns))
+        for name, mean_reward in (("heading", heading_reward), ("location", location_reward))
+        for speed in args.speeds
+    ]
+    print(tables.markdown(("goal", "m/s", *(f"{turn:g} degrees/s" for turn in args.turns)), rows))
 
 
 def heading_reward(speed: float, turn: float) -> float:

@@ -32,6 +32,7 @@ from typing import Any
 
 import torch
 
+from benchmarks import tables
 from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import IMITATION_SETTINGS, SEED, play_checkpoint
@@ -160,12 +161,12 @@ class ClipSkills:
             "encoder reward",
             "without a fall",
         )
-        rows = [columns, ("---",) * len(columns)]
+        rows = []
         for name, of in self.clips.items():
             shares = f"{of.encoder_reward:.2f}", f"{of.no_fall_share:.2f}"
             rows.append((name, str(of.clip), str(of.shown), *shares))
-        table = "".join(f"\n| {' | '.join(row)} |" for row in rows)
-        return f"follows {self.num_followed} of the {self.num_moving} clips that go or turn{table}"
+        head = f"follows {self.num_followed} of the {self.num_moving} clips that go or turn"
+        return f"{head}\n{tables.markdown(columns, rows)}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ import sys
 
 import torch
 
+from benchmarks import tables
 from benchmarks.clips import named_clips
 from isaacgymenvs_lite.errors import UserError
 from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
@@ -103,13 +104,13 @@ def main() -> None:
     except UserError as error:
         sys.exit(f"error: {error}")
     for title, measure in {"motion shown": shares, "measured tempo": tempos}.items():
-        rows = {label: measure(lib, standing) for label, lib in libraries.items()}
-        names = list(next(iter(rows.values())))
-        print(f"{title}\n\n| clip | " + " | ".join(names) + " |")
-        print("|---" * (1 + len(names)) + "|")
-        for label, numbers in rows.items():
-            print(f"| {label} | " + " | ".join(f"{numbers[name]:.2f}" for name in names) + " |")
-        print()
+        measured = {label: measure(lib, standing) for label, lib in libraries.items()}
+        names = list(next(iter(measured.values())))
+        rows = [
+            (label, *(f"{numbers[name]:.2f}" for name in names))
+            for label, numbers in measured.items()
+        ]
+        print(f"{title}\n\n{tables.markdown(('clip', *names), rows)}\n")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import tables
 from benchmarks.runs import plain
 
 GOOD_EPISODE_STEPS = 280
@@ -151,17 +152,14 @@ def markdown_table(records: Sequence[Record]) -> str:
     records = list(records)
     errors = _error_names(records)
     columns += [(name.replace("_", " "), name, 1, ".3f") for name in errors]
-    lines = [
-        "| experiment | seeds | " + " | ".join(title for title, *_ in columns) + " |",
-        "|---" * (2 + len(columns)) + "|",
-    ]
+    rows = []
     for experiment, group in by_experiment(records).items():
         cells = [
             spread_cell([_times(_value(r, name), factor) for r in group], form)
             for _, name, factor, form in columns
         ]
-        lines.append(f"| {experiment} | {len(group)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([experiment, f"{len(group)}", *cells])
+    return tables.markdown(["experiment", "seeds", *(title for title, *_ in columns)], rows)
 
 
 def _value(record: Record, name: str) -> float | None:

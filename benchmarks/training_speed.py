@@ -35,6 +35,7 @@ if "--published" not in sys.argv:
 import torch
 from mujoco.batch import Batch
 
+from benchmarks import tables
 from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
@@ -162,15 +163,19 @@ def profile(args: argparse.Namespace) -> None:
             describe_machine(),
             f"networks {args.units}, {bits}, {args.num_envs} environments, {args.threads} threads",
             f"training: {fps:,.0f} frames/s (median of {count} epochs)",
-            "\n| part | ms per epoch | share |\n|---|---|---|",
+            "",
         ]
-        rows = sorted(spent.items(), key=lambda row: -row[1])
-        rows.append(("not in any of these", total - sum(spent.values())))
-        for label, value in rows:
-            lines.append(f"| {label} | {1e3 * value / count:.1f} | {100 * value / total:.1f}% |")
-        lines.append("\n| part, timed between the epochs | ms per epoch |\n|---|---|")
-        medians = {label: statistics.median(values) for label, values in parts.items()}
-        lines += [f"| {label} | {1e3 * value:.1f} |" for label, value in medians.items()]
+        parts_inside = sorted(spent.items(), key=lambda row: -row[1])
+        parts_inside.append(("not in any of these", total - sum(spent.values())))
+        rows = [
+            (label, f"{1e3 * value / count:.1f}", f"{100 * value / total:.1f}%")
+            for label, value in parts_inside
+        ]
+        lines += [tables.markdown(("part", "ms per epoch", "share"), rows), ""]
+        between = [
+            (label, f"{1e3 * statistics.median(values):.1f}") for label, values in parts.items()
+        ]
+        lines.append(tables.markdown(("part, timed between the epochs", "ms per epoch"), between))
         limits = [sum(values) for values in zip(*parts.values(), strict=True)]
         ratios = [limit / epoch for limit, epoch in zip(limits, seconds, strict=True)]
         limit_fps = agent.batch_size / statistics.median(limits)
