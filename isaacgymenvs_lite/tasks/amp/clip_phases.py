@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
 from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
 PHASES_PER_STEP = 2
@@ -52,6 +53,41 @@ def distance_up_to_heading_m(points: Tensor, others: Tensor) -> Tensor:
     return (squares - 2.0 * turned).clamp(min=0.0).sqrt().mean(dim=-1)
 
 
+def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tensor:
+    """Return how far a clip's root moves in the `num_phases` before each of its phases.
+
+    A clip that repeats goes on at its end as it begins: before its start the root has come from
+    the end, in the same direction. Of another clip the way to its first phases is unknown.
+
+    Args:
+        root_states: (S, >= 7) of the clip's phases, whose first columns are the position (m, world)
+            and the rotation (xyzw).
+        num_phases: of the travel, more than the clip has if it repeats often enough.
+        repeats: whether the clip does.
+
+    Returns:
+        (S, 2) m, in the heading frame of the phase where the travel ends; nan where it is unknown.
+    """
+    # The plane in complex numbers: a product turns.
+    places = torch.complex(root_states[:, 0], root_states[:, 1])
+    headings = torch.complex(*heading_cos_sin(*root_states[:, 3:7].unbind(-1)))
+    moves = (places[1:] - places[:-1]) * headings[:-1].conj()
+    turns = headings[1:] * headings[:-1].conj()
+    # From the last phase to the first again: as far as in the steps beside it, straight on.
+    start = torch.ones_like(headings[:1])
+    moves = torch.cat((moves, start * (moves[-1:].sum() + moves[:1].sum()) / 2.0))
+    turns = torch.cat((turns, start))
+    num_own = len(places)
+    steps = torch.arange(-num_phases, num_own - 1, device=places.device) % num_own
+    headings = torch.cat((start, turns[steps])).cumprod(dim=0)
+    places = torch.cat((torch.zeros_like(start), moves[steps] * headings[:-1])).cumsum(dim=0)
+    travel = (places[num_phases:] - places[:num_own]) * headings[num_phases:].conj()
+    travel_m = torch.view_as_real(travel)
+    if not repeats:
+        travel_m[:num_phases] = torch.nan
+    return travel_m
+
+
 class ClipPhases:
     """Stores at which moment of which clip each environment is.
 
@@ -68,10 +104,10 @@ class ClipPhases:
         dt_s: control step.
         limit_m: how far an episode may be from its clip while episodes are short, see
             `current_limit_m`. A clip repeats if its end is nearer than this to its start.
-        travels: of each clip (S, 2) m, how far the root moved in the `COMPARED_S` before each of
-            these moments, in its heading frame; nan is not compared. None: nothing is.
-        travel_share: how much the travel may be off, as a share of the clip's, but at least
-            `limit_m`.
+        root_states: of each clip (S, >= 7), of the same moments: position (m, world) and rotation
+            (xyzw).
+        travel_share: how much the travel of `COMPARED_S` may be off, as a share of the clip's, but
+            at least `limit_m`; 0: it may be any.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
             While episodes are short they may be slower, see `min_tempo`.
         final_limit_m: how far it may be once episodes are long; None: `limit_m`.
@@ -94,7 +130,7 @@ class ClipPhases:
         num_envs: int,
         dt_s: float,
         limit_m: float,
-        travels: Sequence[Tensor] | None = None,
+        root_states: Sequence[Tensor] = (),
         travel_share: float = 0.0,
         tempo_share: float = 0.0,
         final_limit_m: float | None = None,
@@ -113,12 +149,14 @@ class ClipPhases:
         self._clip = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._phase = torch.full((num_envs,), _NONE, device=device)
         self._is_over = torch.zeros(num_envs, dtype=torch.bool, device=device)
-        self._travels = None if travels is None else torch.cat(list(travels))
         self._travel_share = travel_share
+        self._travels = self._travels_of(root_states, dt_s) if travel_share > 0.0 else None
         # Where the roots were in the control steps of the last COMPARED_S, (T + 1, N, 2) m, and by
         # how many phases each of these steps moved on, (T, N).
         steps = round(COMPARED_S / dt_s)
-        self._trail = torch.zeros(0 if travels is None else steps + 1, num_envs, 2, device=device)
+        self._trail = torch.zeros(
+            0 if self._travels is None else steps + 1, num_envs, 2, device=device
+        )
         self._passed = self._clip.new_zeros(steps if tempo_share > 0.0 else 0, num_envs)
         self._max_tempo = 1.0 + tempo_share
         first_s, last_s = (self._share_of_eased_time(clips, dt_s) * time_s for time_s in _EASED_S)
@@ -133,6 +171,15 @@ class ClipPhases:
     def repeats(self) -> Tensor:
         """Return (M,) bool: the end of the clip is near its start."""
         return self._repeats
+
+    def _travels_of(self, root_states: Sequence[Tensor], dt_s: float) -> Tensor:
+        num_phases = PHASES_PER_STEP * round(COMPARED_S / dt_s)
+        return torch.cat(
+            [
+                travel_through(states, num_phases, repeats)
+                for states, repeats in zip(root_states, self._repeats.tolist(), strict=True)
+            ]
+        )
 
     def _share_of_eased_time(self, clips: Sequence[Tensor], dt_s: float) -> float:
         """Return which share of `_EASED_S` counts: less if episodes end with a short clip.

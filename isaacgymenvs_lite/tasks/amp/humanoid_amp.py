@@ -18,7 +18,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.schema import read_section
 from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
-from isaacgymenvs_lite.tasks.amp.clip_phases import COMPARED_S, PHASES_PER_STEP, ClipPhases
+from isaacgymenvs_lite.tasks.amp.clip_phases import PHASES_PER_STEP, ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import (
     NUM_OBS,
     CharacterState,
@@ -35,7 +35,6 @@ from isaacgymenvs_lite.tasks.base.task_config import UNREAD_ENV_KEYS
 from isaacgymenvs_lite.tasks.base.vec_task import Done, RobotState
 from isaacgymenvs_lite.tasks.goals.boxes import damp_objects
 from isaacgymenvs_lite.tasks.goals.goal import Goal
-from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
 log = logging.getLogger(__name__)
 
@@ -217,7 +216,7 @@ class HumanoidAMP(HumanoidAMPBase):
 
     def _make_phases(self) -> ClipPhases:
         """Return what follows episodes through the clips that they started in."""
-        clips, travels = [], []
+        clips, root_states = [], []
         for motion_id in range(self._motion_lib.num_motions()):
             length_s = float(self._motion_lib.get_motion_length([motion_id]))
             times_s = torch.arange(
@@ -226,22 +225,17 @@ class HumanoidAMP(HumanoidAMPBase):
             ids = torch.full((len(times_s),), motion_id, device=self.device)
             state = self._reference_states(ids, times_s, ids.new_zeros(1))
             clips.append(_points(state))
-            before = self._reference_states(ids, times_s - COMPARED_S, ids.new_zeros(1))
-            travel_w = state[0][:, :2] - before[0][:, :2]
-            travel = xy_in_heading_frame(state[0][:, 3:7], travel_w)
-            # Before its start a clip would go on backwards at the speed of its first frame.
-            travels.append(travel.masked_fill((times_s < COMPARED_S)[:, None], torch.nan))
+            root_states.append(state[0])
         height_m = float(self.default_pose()[0][2])
         limit_m = self.env_cfg.clip_deviation * height_m
         final_limit_m = self.env_cfg.clip_deviation_final * height_m or limit_m
-        share = self.env_cfg.clip_travel
         return ClipPhases(
             clips,
             self.num_envs,
             self.control_dt_s,
             limit_m,
-            travels if share > 0.0 else None,
-            share,
+            root_states,
+            self.env_cfg.clip_travel,
             self.env_cfg.clip_tempo,
             min(limit_m, final_limit_m),
         )

@@ -13,6 +13,7 @@ from isaacgymenvs_lite.tasks.amp.clip_phases import (
     PHASES_PER_STEP,
     ClipPhases,
     distance_up_to_heading_m,
+    travel_through,
 )
 
 DT_S = 0.04
@@ -148,17 +149,67 @@ def test_each_environment_is_compared_with_its_own_clip() -> None:
 FACES_PLUS_Y = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
+def arc(num_phases: int, speed_m_s: float, turn_rad_s: float = 0.0) -> Tensor:
+    """Root states (S, 7) of a clip on a circle to the left, or straight on along +x."""
+    time_s = DT_S / PHASES_PER_STEP * torch.arange(num_phases)
+    angle, zeros = turn_rad_s * time_s, torch.zeros(num_phases)
+    if turn_rad_s == 0.0:
+        x, y = speed_m_s * time_s, zeros
+    else:
+        radius_m = speed_m_s / turn_rad_s
+        x, y = radius_m * angle.sin(), radius_m * (1.0 - angle.cos())
+    half = (zeros, zeros, (angle / 2.0).sin(), (angle / 2.0).cos())
+    return torch.stack((x + 5.0, y - 7.0, zeros + 1.0, *half), dim=-1)
+
+
+SECOND = round(COMPARED_S / DT_S) * PHASES_PER_STEP
+
+
+@pytest.mark.parametrize("num_phases", [7, 30, 80])  # a second has 50
+@pytest.mark.parametrize("turn_rad_s", [0.0, 2.0, -0.7])
+def test_a_clip_that_repeats_goes_on_in_its_direction(num_phases: int, turn_rad_s: float) -> None:
+    """Each second of going round a circle is the same chord, over all ends of the clip.
+
+    From the last moment to the first it goes straight on, so that each end may cost one phase's
+    turn.
+    """
+    found = travel_through(arc(num_phases, 1.3, turn_rad_s), SECOND, repeats=True)
+    straight_on_rad = abs(turn_rad_s) * DT_S / PHASES_PER_STEP * math.ceil(SECOND / num_phases)
+    chord = torch.tensor([1.3, 0.0])
+    if turn_rad_s != 0.0:
+        ahead, left = math.sin(turn_rad_s), math.cos(turn_rad_s) - 1.0
+        chord = 1.3 / turn_rad_s * torch.tensor([ahead, left])
+    torch.testing.assert_close(
+        found, chord.expand(num_phases, 2), rtol=0.0, atol=1e-5 + 1.3 * straight_on_rad
+    )
+    assert num_phases < SECOND or torch.allclose(found[SECOND:], chord, atol=1e-5)
+
+
+def test_where_a_clip_that_does_not_repeat_comes_from_is_unknown() -> None:
+    found = travel_through(arc(80, 1.3), SECOND, repeats=False)
+    assert found[:SECOND].isnan().all()
+    torch.testing.assert_close(found[SECOND:], torch.tensor([[1.3, 0.0]]).expand(30, 2))
+
+
+def test_a_clip_of_one_moment_goes_nowhere() -> None:
+    assert travel_through(arc(1, 1.3), SECOND, repeats=True).tolist() == [[0.0, 0.0]]
+
+
 def travels_otherwise(
-    velocity_w: tuple[float, float], clip_speed: float = 1.0, steps: int = 26
+    velocity_w: tuple[float, float],
+    clip_speed: float = 1.0,
+    steps: int = 26,
+    circles: float = 1.0,
+    tempo: float = 1.0,
 ) -> bool:
     """Whether a root that faces +y is off after some steps; its clip goes ahead."""
-    points = clip()
-    travels = torch.tensor([[clip_speed * COMPARED_S, 0.0]]).expand(len(points), 2)
-    phases = ClipPhases([points], 1, DT_S, 0.3, [travels], travel_share=0.5)
+    points = clip(circles * LENGTH_S)
+    roots = arc(len(points), clip_speed)
+    phases = ClipPhases([points], 1, DT_S, 0.3, [roots], travel_share=0.5)
     phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
     found = False
-    for time_s in times(steps):
-        phases.advance(body(time_s[None]))
+    for time_s, place_s in zip(times(steps), tempo * times(steps), strict=True):
+        phases.advance(body(place_s[None]))
         root = torch.tensor([[*velocity_w, 0.0]]) * time_s + torch.tensor([[3.0, 4.0, 1.0]])
         found = bool(phases.travels_otherwise(root, torch.tensor([FACES_PLUS_Y])))
     return found
@@ -187,7 +238,10 @@ def test_travel_is_compared_when_a_second_has_passed() -> None:
 
 
 def test_travel_that_the_clip_does_not_show_is_not_compared() -> None:
-    assert not travels_otherwise((0.0, 0.0), clip_speed=math.nan)
+    """Before the first moment of a clip that does not end where it starts."""
+    assert not travels_otherwise((0.0, 0.0), circles=1.5, tempo=0.6)
+    assert travels_otherwise((0.0, 0.0), circles=1.5, tempo=1.0)
+    assert travels_otherwise((0.0, 0.0), circles=2.0, tempo=0.6)
 
 
 def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
@@ -197,8 +251,7 @@ def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
 
 def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
     points = clip()
-    travels = torch.tensor([[1.0, 0.0]]).expand(len(points), 2)
-    phases = ClipPhases([points], 2, DT_S, 0.3, [travels], travel_share=0.5)
+    phases = ClipPhases([points], 2, DT_S, 0.3, [arc(len(points), 1.0)], travel_share=0.5)
     phases.start(torch.arange(2), torch.zeros(2, dtype=torch.int64), torch.zeros(2))
     at_rest, facing = torch.tensor([0.0, 0.0, 1.0]).expand(2, 3), torch.tensor([FACES_PLUS_Y] * 2)
     for time_s in times(26):
