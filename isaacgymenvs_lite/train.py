@@ -59,6 +59,7 @@ from isaacgymenvs_lite.sweep import (
     with_failures_allowed,
 )
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
+from isaacgymenvs_lite.utils.late_compile import compiling_late
 
 log = logging.getLogger(__name__)
 
@@ -190,7 +191,8 @@ def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: str) -> fl
 
 def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
     check_config(cfg)
-    from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
+    with compiling_late():
+        from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
 
     return run(cfg, command, **of_sweep)
 

@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
@@ -121,6 +120,8 @@ class PoseSplines:
 
     def _rows_of(self, clip: MotionClip) -> FloatArray:
         """Return (T, 2, columns): root position, angles of hinges, quaternions; their slopes."""
+        from scipy.interpolate import CubicSpline  # tasks without clips start sooner
+
         angles, turns = self._joints.poses(clip)
         turns = np.concatenate((clip.local_rotation[:, :1], turns), axis=1).astype(np.float64)
         # A quaternion and its negative are the same rotation; a spline needs neighbours.
