@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ _RUN = "run"
 def save_curve(curve: LearningCurve, file: Path) -> None:
     """Write a curve of about a hundred points; makes the folder."""
     run = {"num_envs": curve.num_envs, "resumed_at": [int(x) for x in curve["fps"].resumed_at]}
-    series = {name: _columns(_thinned(curve[name])) for name in curve.series}
+    series = _with_shared_clocks({name: _columns(_thinned(curve[name])) for name in curve.series})
     file.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({_RUN: run, **series}, separators=(",", ":"))
     file.write_text(text + "\n", encoding="utf-8")
@@ -32,10 +33,9 @@ def load_curve(file: Path) -> LearningCurve:
     columns = json.loads(file.read_text(encoding="utf-8"))
     run = columns.pop(_RUN, {"num_envs": 0, "resumed_at": []})
     resumed_at = tuple(run["resumed_at"])
-    missing = ([], [], [])  # of a scalar that was not kept when the file was written
     series = {
         name: Series(
-            *(np.array(c, dtype=np.float64) for c in columns.get(name, missing)),
+            *(np.array(c, dtype=np.float64) for c in _columns_of(columns, name)),
             resumed_at=resumed_at,
         )
         for name in TAGS
@@ -79,3 +79,21 @@ def _columns(series: Series) -> list[list[float]]:
         [round(x, 3) for x in minutes],
         [float(f"{x:.{_SIGNIFICANT_DIGITS}g}") for x in values],
     ]
+
+
+def _with_shared_clocks(columns: dict[str, list[list[float]]]) -> dict[str, list[Any]]:
+    """Write `[other, values]` where another series has the same frames and minutes: half a file."""
+    shared: dict[str, list[Any]] = {}
+    owners: dict[str, str] = {}
+    for name, (*clock, values) in columns.items():
+        owner = owners.setdefault(repr(clock), name)
+        shared[name] = [*clock, values] if owner == name else [owner, values]
+    return shared
+
+
+def _columns_of(columns: dict[str, list[Any]], name: str) -> list[list[float]]:
+    """Return frames, minutes and values of a series; empty if it was not kept at that time."""
+    *clock, values = columns.get(name, [[], [], []])
+    if len(clock) == 1:
+        clock = columns[clock[0]][:2]
+    return [*clock, values]

@@ -72,3 +72,21 @@ def test_a_scalar_that_an_older_file_lacks_has_no_values(write_events, tmp_path)
     again = load_curve(tmp_path / "walk_seed1.json")
     assert len(again["fall_rate"]) == 0
     assert again["episode_length"].last == 3.0
+
+
+def test_frames_and_minutes_are_written_once(write_events, tmp_path):
+    """Files of before have them for each series, and are read, too."""
+    write_events(tmp_path / "summaries", [20.0, 31.25], poses={1: 0.0625})
+    file = tmp_path / "walk_seed1.json"
+    save_curve(read_learning_curve(tmp_path / "summaries"), file)
+    columns = json.loads(file.read_text())
+    clock = columns["fps"][:2]
+    assert columns["episode_length"] == ["fps", [20.0, 31.25]]
+    assert columns["pose_error_m"][:2] != clock
+    columns["episode_length"] = [*clock, [20.0, 31.25]]
+    (tmp_path / "before_seed1.json").write_text(json.dumps(columns))
+    for name in ("walk", "before"):
+        (curve,) = find_saved_curves(name, tmp_path)
+        series = curve["episode_length"]
+        assert [series.frames.tolist(), series.minutes.tolist()] == clock
+        assert series.values.tolist() == [20.0, 31.25]
