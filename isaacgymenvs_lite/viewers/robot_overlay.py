@@ -23,11 +23,11 @@ class RobotOverlay:
         self._model = model
         self._data = mujoco.MjData(model)
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._root = int(model.jnt_bodyid[0])
 
     def add_to(self, scene: mujoco.MjvScene, qpos: npt.NDArray[np.float64]) -> None:
         """Add the robot at joint positions `qpos` (nq,) to a scene."""
         model, data = self._model, self._data
+        root = int(model.jnt_bodyid[0])
         data.qpos[: len(qpos)] = qpos
         mujoco.mj_kinematics(model, data)
         first = scene.ngeom
@@ -36,6 +36,6 @@ class RobotOverlay:
         for index in range(first, scene.ngeom):
             geom = scene.geoms[index]
             body = int(model.geom_bodyid[geom.objid])
-            of_robot = int(model.body_rootid[body]) == self._root
+            of_robot = int(model.body_rootid[body]) == root
             geom.rgba[3] = _OPACITY if of_robot else 0.0
             geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)

@@ -62,3 +62,8 @@ def test_it_is_a_translucent_robot(env):
     assert {round(float(geom.rgba[3]), 2) for geom in geoms} == {0.35}
     places = np.array([geom.pos for geom in geoms])
     np.testing.assert_allclose(places[:, :2].mean(axis=0), (3.0, 1.0), atol=0.2)
+
+
+def test_a_model_without_joints_may_have_an_overlay():
+    """A page makes its overlay with its first picture, before a reference is known."""
+    assert RobotOverlay(mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>"))

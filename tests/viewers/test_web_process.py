@@ -49,17 +49,19 @@ def test_the_page_ends_when_the_task_is_killed(tmp_path, monkeypatch, how):
         command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as task:
         assert task.stdout is not None
-        pid, port = map(int, task.stdout.readline().split())
-        os.kill(pid, signal.SIGINT)  # which is for the task
-        with urllib.request.urlopen(f"http://localhost:{port}/") as answer:
-            assert b"<html" in answer.read().lower()
-        task.kill()
-        end_s = time.monotonic() + 30.0
-        while not has_ended(pid):
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(task.pid, signal.SIGKILL)  # what it has forked
+        try:
+            pid, port = map(int, task.stdout.readline().split())
+            os.kill(pid, signal.SIGINT)  # which is for the task
+            with urllib.request.urlopen(f"http://localhost:{port}/") as answer:
+                assert b"<html" in answer.read().lower()
+            task.kill()
+            end_s = time.monotonic() + 30.0
+            while not has_ended(pid):
+                assert time.monotonic() < end_s
+                time.sleep(0.05)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(task.pid, signal.SIGKILL)  # and what it has forked
 
 
 def test_a_port_that_was_taken_meanwhile_is_one_line(model):
