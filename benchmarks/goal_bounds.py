@@ -50,20 +50,25 @@ def heading_reward(speed: float, turn: float) -> float:
     to_go, to_face = torch.zeros(_POINTS, 2), torch.zeros(_POINTS, 2)
     wanted = torch.empty(_POINTS).uniform_(cfg.tar_speed_min, cfg.tar_speed_max)
     best = torch.zeros(_POINTS)
+    everyone = torch.arange(_POINTS)
+
+    def earned(rows: Tensor, pos: Tensor, before: Tensor, rot: Tensor) -> Tensor:
+        goal = to_go[rows], wanted[rows], to_face[rows]
+        return compute_heading_reward(pos, before, rot, *goal, _DT_S)
 
     def reward(pos: Tensor, before: Tensor, rot: Tensor, aim: Tensor) -> Tensor:
-        return compute_heading_reward(pos, before, rot, to_go, wanted, to_face, _DT_S)
+        return earned(everyone, pos, before, rot)
 
     def draw(changes: Tensor, pos: Tensor) -> Tensor:
         for directions in (to_go, to_face):
             angles = 2 * math.pi * torch.rand(len(changes))
             directions[changes] = _unit(angles)[:, :2]
-        earned = []
+        # Each of them in each direction.
         angles = torch.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
-        for angle in angles:
-            way = angle.expand(_POINTS)
-            earned.append(reward(pos + speed * _DT_S * _unit(way), pos, _rotation(way), pos))
-        best[changes] = angles[torch.stack(earned).argmax(dim=0)][changes]
+        rows, ways = changes.repeat(_DIRECTIONS), angles.repeat_interleave(len(changes))
+        start = pos[rows]
+        of_ways = earned(rows, start + speed * _DT_S * _unit(ways), start, _rotation(ways))
+        best[changes] = angles[of_ways.view(_DIRECTIONS, -1).argmax(dim=0)]
         return pos + 1e3 * _unit(best)
 
     steps = (cfg.change_steps_min, cfg.change_steps_max)

@@ -154,8 +154,10 @@ def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
 
 def test_the_list_that_a_start_refers_to(tmp_path: Path) -> None:
     words = "task=HumanoidAMP rl_device=cpu num_envs=4 num_threads=1 max_iterations=1"
-    lighter = "train.params.config.horizon_length=4 train.params.config.imitation_frequency=0"
-    said = _run(f"'{sys.executable}' -m isaacgymenvs_lite.train {words} {lighter}", tmp_path)
+    config = "train.params.config"
+    words += f" {config}.horizon_length=4 {config}.imitation_frequency=0"
+    words += f" {config}.amp_obs_demo_buffer_size=16"
+    said = _run(f"'{sys.executable}' -m isaacgymenvs_lite.train {words}", tmp_path)
     (line,) = (line for line in said.splitlines() if "for learning on a CPU" in line)
     assert len(line) < 200
     listed = _run(line.split("listed by: ")[1], tmp_path)
