@@ -59,7 +59,7 @@ MIN_STUCK_MEASUREMENTS = 6
 STANDING_SHOWN = 0.3
 LAST_MEASUREMENTS = 3
 # Keys of task.env that keep an episode to its clip, and the values to propose.
-CLIP_LIMITS = {"clipDeviation": 0.34, "clipTempo": 0.3}
+CLIP_LIMITS = {"clipDeviation": 0.34, "clipTravel": 0.5, "clipTempo": 0.3}
 # Poses of a clip that moves are this far from their average; walk and run have 0.07 to 0.11 m.
 MIN_CLIP_SPREAD_M = 0.02
 
@@ -312,6 +312,12 @@ class Diagnostics:
         ]
         return last[-1] if len(faulty) == LAST_MEASUREMENTS else None
 
+    def _missing_limits(self, *keys: str) -> list[str]:
+        """Return the words that set those of these `CLIP_LIMITS` that the task does not set."""
+        return [
+            f"task.env.{key}={CLIP_LIMITS[key]:g}" for key in keys if key not in self.clip_limits
+        ]
+
     def _standing_still(self) -> str | None:
         newest = self._newest_of_faulty(_is_still)
         if newest is None:
@@ -320,11 +326,11 @@ class Diagnostics:
         if self._fall_rate() > NEARLY_ALL_FALL:
             return None
         cut = "cut parts without motion out of the clips"
-        if "clipDeviation" not in self.clip_limits:
+        missing = self._missing_limits("clipDeviation", "clipTravel")
+        if missing:
             cut = (
-                f"set task.env.clipDeviation={CLIP_LIMITS['clipDeviation']:g}, which ends episodes"
-                " that stay behind their clip"
-                f" (with one clip in task.env.motion_file), or {cut}"
+                f"set {' and '.join(missing)}: episodes that stay behind their clip end"
+                f" (with one clip in task.env.motion_file); or {cut}"
             )
         return (
             f"the policy stands still: in the last {LAST_MEASUREMENTS} measurements its episodes"
@@ -336,11 +342,7 @@ class Diagnostics:
         newest = self._newest_of_faulty(_is_hasty)
         if newest is None:
             return None
-        missing = [
-            f"task.env.{key}={CLIP_LIMITS[key]:g}"
-            for key in CLIP_LIMITS
-            if key not in self.clip_limits
-        ]
+        missing = self._missing_limits("clipDeviation", "clipTempo")
         end = "which ends such episodes in training (with one clip in task.env.motion_file)"
         if not missing:
             missing = [f"a smaller task.env.clipDeviation, such as {NARROW_DEVIATION:g}"]

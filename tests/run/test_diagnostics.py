@@ -270,11 +270,14 @@ def test_a_policy_that_stands_still():
     warning = warnings_of(walking, STILL)[0][1]
     assert warning.startswith("the policy stands still")
     assert "they show 12% of the clips' motion" in warning
-    assert "set task.env.clipDeviation=0.34" in warning
+    assert "; set task.env.clipDeviation=0.34 and task.env.clipTravel=0.5: episodes" in warning
 
 
 def test_a_key_that_is_set_is_not_proposed():
-    warning = warnings_of(walking, STILL, clip_limits=["clipDeviation"])[0][1]
+    """A slow walk, whose poses are near each other, may stand where only its poses are compared."""
+    warning = warnings_of(walking, STILL, clip_limits=["clipDeviation", "clipTempo"])[0][1]
+    assert "; set task.env.clipTravel=0.5: episodes" in warning
+    warning = warnings_of(walking, STILL, clip_limits=["clipDeviation", "clipTravel"])[0][1]
     assert warning.endswith("12% of the clips' motion; cut parts without motion out of the clips")
 
 

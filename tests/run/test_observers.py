@@ -61,6 +61,10 @@ def test_calls_reach_all_observers_in_order():
     [
         (["task=HumanoidAMP"], ["clipDeviation", "clipTempo"]),
         (["task=HumanoidAMP", "task.env.clipDeviation=0"], ["clipTempo"]),
+        (
+            ["task=HumanoidAMP", "task.env.clipTravel=0.5"],
+            ["clipDeviation", "clipTravel", "clipTempo"],
+        ),
         (["task=Ant"], []),
     ],
 )
