@@ -82,7 +82,7 @@ def _columns(series: Series) -> list[list[float]]:
 
 
 def _with_shared_clocks(columns: dict[str, list[list[float]]]) -> dict[str, list[Any]]:
-    """Write `[other, values]` where another series has the same frames and minutes: half a file."""
+    """Return `[other, values]` for a series with the frames and minutes of an earlier one."""
     shared: dict[str, list[Any]] = {}
     owners: dict[str, str] = {}
     for name, (*clock, values) in columns.items():

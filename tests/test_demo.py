@@ -24,7 +24,7 @@ from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats import deepmimic_package
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
-from tests.tiny import TINY_AMP, TINY_PPO, TINY_STYLE, train_in
+from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 
 TINY = (*TINY_AMP, "max_iterations=1")
 
@@ -113,8 +113,9 @@ def pack_skills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[st
 
     def pack(task: str) -> None:
         monkeypatch.chdir(tmp_path)
-        words = [f"task={task}", "task.env.motion_file=stand", *TINY, *TINY_STYLE]
-        run(compose(words))
+        # Of some steps of the warm start, so that latents differ.
+        words = [*TINY, "train.params.network.style.units=[8]", f"{CONFIG}.warm_start_steps=100"]
+        run(compose([f"task={task}", "task.env.motion_file=stand", *words]))
         (checkpoint,) = tmp_path.glob(f"runs/*/nn/{task}.pth")
         pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")
         monkeypatch.setattr(shipped, "assets_dir", lambda: tmp_path / "assets")
@@ -129,7 +130,7 @@ def test_skills_are_shown_in_several_environments(pack_skills, tmp_path):
     assert [track.shape for track in performance.tracks] == [(9, 43)] * 3
     first, second, _ = performance.tracks
     np.testing.assert_allclose(first[0, 7:], second[0, 7:], atol=0.3)  # one step from default
-    assert np.abs(first[8] - second[8]).max() > 1e-4  # other latents
+    assert np.abs(first[8] - second[8]).max() > 1e-3  # other latents
     assert "pose error" not in performance.summary
     assert "of 16 episodes without a fall" in performance.summary
     path = demo.save_performance(performance, tmp_path / "skills.webp")

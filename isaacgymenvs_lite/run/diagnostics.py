@@ -313,7 +313,7 @@ class Diagnostics:
         return last[-1] if len(faulty) == LAST_MEASUREMENTS else None
 
     def _missing_limits(self, *keys: str) -> list[str]:
-        """Return the words that set those of these `CLIP_LIMITS` that the task does not set."""
+        """Return the command line's words for `keys` of `CLIP_LIMITS` that the task leaves at 0."""
         return [
             f"task.env.{key}={CLIP_LIMITS[key]:g}" for key in keys if key not in self.clip_limits
         ]

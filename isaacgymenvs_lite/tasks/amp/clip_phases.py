@@ -62,8 +62,8 @@ def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tenso
     Args:
         root_states: (S, >= 7) of the clip's phases, whose first columns are the position (m, world)
             and the rotation (xyzw).
-        num_phases: of the travel, more than the clip has if it repeats often enough.
-        repeats: whether the clip does.
+        num_phases: how long the travel lasts; it may be longer than the clip.
+        repeats: whether the clip goes on with its start after its end.
 
     Returns:
         (S, 2) m, in the heading frame of the phase where the travel ends; nan where it is unknown.
