@@ -106,8 +106,8 @@ class ClipPhases:
             `current_limit_m`. A clip repeats if its end is nearer than this to its start.
         root_states: of each clip (S, >= 7), of the same moments: position (m, world) and rotation
             (xyzw).
-        travel_share: how much the travel of `COMPARED_S` may be off, as a share of the clip's, but
-            at least `limit_m`; 0: it may be any.
+        travel_share: how much less far than the clip the root may get in `COMPARED_S`, as a share
+            of the clip's way, but at least `limit_m`; 0: it may get anywhere.
         tempo_share: how much faster, and slower, the clip may be shown, as a share; 0: anyhow.
             While episodes are short they may be slower, see `min_tempo`.
         final_limit_m: how far it may be once episodes are long; None: `limit_m`.
@@ -245,11 +245,11 @@ class ClipPhases:
         """Return (N,) bool: the episode has come to the end of a clip that does not repeat."""
         return self._is_over
 
-    def travels_otherwise(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
-        """Return (N,) bool: who moved otherwise than the clip in the last `COMPARED_S`.
+    def lags_behind(self, root_pos: Tensor, root_rot: Tensor) -> Tensor:
+        """Return (N,) bool: who got less far than the clip, in its direction, in `COMPARED_S`.
 
         To be called once in a control step, after `advance`. Who is followed for less time is not
-        compared.
+        compared. Nothing is said of who gets farther: a leap that is learned goes too far at first.
 
         Args:
             root_pos: (N, 3) m, world.
@@ -260,9 +260,11 @@ class ClipPhases:
         self._trail.copy_(torch.cat((self._trail[1:], root_pos[None, :, :2])))
         travel = xy_in_heading_frame(root_rot, self._trail[-1] - self._trail[0])
         expected = self._travels[self._firsts[self._clip] + self._phase.clamp(min=0)]
-        allowed_m = (self._travel_share * expected.norm(dim=-1)).clamp(min=self._limit_m)
-        is_off = (travel - expected).norm(dim=-1) > allowed_m
-        return is_off & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
+        expected_m = expected.norm(dim=-1).clamp(min=_TINY)
+        along_m = (travel * expected).sum(dim=-1) / expected_m
+        allowed_m = (self._travel_share * expected_m).clamp(min=self._limit_m)
+        is_behind = expected_m - along_m > allowed_m
+        return is_behind & (self._phase != _NONE) & (self._num_followed >= len(self._trail))
 
     def is_off_tempo(self) -> Tensor:
         """Return (N,) bool: who showed too much or too little of its clip in `COMPARED_S`.

@@ -366,8 +366,8 @@ class HumanoidAMP(HumanoidAMPBase):
         """Move the phases on by a control step; return (N,) bool: who left its clip."""
         state = self._character_states(None)
         is_far = phases.advance(_points(state)) > phases.current_limit_m()
-        travels_otherwise = phases.travels_otherwise(state[0][:, :3], state[0][:, 3:7])
-        return is_far | travels_otherwise | phases.is_off_tempo()
+        is_behind = phases.lags_behind(state[0][:, :3], state[0][:, 3:7])
+        return is_far | is_behind | phases.is_off_tempo()
 
     def post_physics_step(self) -> None:
         """As the base, then shift the AMP history and publish it, terminal states included."""

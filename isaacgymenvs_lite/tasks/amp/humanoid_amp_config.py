@@ -61,8 +61,9 @@ class HumanoidAMPConfig(TaskConfig):
     """This project's: `clip_deviation` comes down to this while the mean training episode gets from
     one second to three; 0: it does not."""
     clip_travel: float = setting(0.0, key="clipTravel", minimum=0, maximum=1)
-    """This project's: with `clip_deviation`, such an episode also ends where the travel of its last
-    second is off by more than this share of the clip's; 0: it may be any."""
+    """This project's: with `clip_deviation`, such an episode also ends where it got less far in its
+    last second than the clip, in the clip's direction, by more than this share of its way; 0: it
+    may get anywhere. A policy that stands is near all poses of a slow walk."""
     clip_tempo: float = setting(0.0, key="clipTempo", minimum=0)
     """This project's: with `clip_deviation`, such an episode also ends where its last second shows
     the clip faster by more than this share, or as much slower; 0: at any tempo. Without a limit

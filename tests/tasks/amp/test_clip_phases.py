@@ -195,14 +195,14 @@ def test_a_clip_of_one_moment_goes_nowhere() -> None:
     assert travel_through(arc(1, 1.3), SECOND, repeats=True).tolist() == [[0.0, 0.0]]
 
 
-def travels_otherwise(
+def lags_behind(
     velocity_w: tuple[float, float],
     clip_speed: float = 1.0,
     steps: int = 26,
     circles: float = 1.0,
     tempo: float = 1.0,
 ) -> bool:
-    """Whether a root that faces +y is off after some steps; its clip goes ahead."""
+    """Whether a root that faces +y is behind after some steps; its clip goes ahead."""
     points = clip(circles * LENGTH_S)
     roots = arc(len(points), clip_speed)
     phases = ClipPhases([points], 1, DT_S, 0.3, [roots], travel_share=0.5)
@@ -211,7 +211,7 @@ def travels_otherwise(
     for time_s, place_s in zip(times(steps), tempo * times(steps), strict=True):
         phases.advance(body(place_s[None]))
         root = torch.tensor([[*velocity_w, 0.0]]) * time_s + torch.tensor([[3.0, 4.0, 1.0]])
-        found = bool(phases.travels_otherwise(root, torch.tensor([FACES_PLUS_Y])))
+        found = bool(phases.lags_behind(root, torch.tensor([FACES_PLUS_Y])))
     return found
 
 
@@ -221,32 +221,32 @@ def travels_otherwise(
         ((0.0, 1.0), False),
         ((0.0, 0.6), False),
         ((0.0, 0.4), True),
-        ((0.0, 1.4), False),
-        ((0.0, 1.6), True),
+        ((5.0, 0.6), False),
+        ((0.0, 1.6), False),
         ((0.0, 0.0), True),
         ((1.0, 0.0), True),
         ((0.0, -1.0), True),
     ],
 )
-def test_the_travel_of_a_second_may_be_off_by_a_share_of_the_clips(velocity_w, expected) -> None:
-    assert travels_otherwise(velocity_w) is expected
+def test_a_second_may_get_less_far_by_a_share_of_the_clips_way(velocity_w, expected) -> None:
+    assert lags_behind(velocity_w) is expected
 
 
 def test_travel_is_compared_when_a_second_has_passed() -> None:
     assert round(COMPARED_S / DT_S) == 25
-    assert not travels_otherwise((0.0, 0.0), steps=25)
+    assert not lags_behind((0.0, 0.0), steps=25)
 
 
 def test_travel_that_the_clip_does_not_show_is_not_compared() -> None:
     """Before the first moment of a clip that does not end where it starts."""
-    assert not travels_otherwise((0.0, 0.0), circles=1.5, tempo=0.6)
-    assert travels_otherwise((0.0, 0.0), circles=1.5, tempo=1.0)
-    assert travels_otherwise((0.0, 0.0), circles=2.0, tempo=0.6)
+    assert not lags_behind((0.0, 0.0), circles=1.5, tempo=0.6)
+    assert lags_behind((0.0, 0.0), circles=1.5, tempo=1.0)
+    assert lags_behind((0.0, 0.0), circles=2.0, tempo=0.6)
 
 
 def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
-    assert not travels_otherwise((0.0, 0.0), clip_speed=0.25)
-    assert travels_otherwise((0.0, 0.0), clip_speed=0.35)
+    assert not lags_behind((0.0, 0.0), clip_speed=0.25)
+    assert lags_behind((0.0, 0.0), clip_speed=0.35)
 
 
 def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
@@ -256,12 +256,12 @@ def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
     at_rest, facing = torch.tensor([0.0, 0.0, 1.0]).expand(2, 3), torch.tensor([FACES_PLUS_Y] * 2)
     for time_s in times(26):
         phases.advance(body(time_s[None]).expand(2, -1, -1))
-        found = phases.travels_otherwise(at_rest, facing)
+        found = phases.lags_behind(at_rest, facing)
     assert found.tolist() == [True, True]
     phases.stop(torch.tensor([1]))
-    assert phases.travels_otherwise(at_rest, facing).tolist() == [True, False]
+    assert phases.lags_behind(at_rest, facing).tolist() == [True, False]
     phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
-    assert phases.travels_otherwise(at_rest, facing).tolist() == [False, False]
+    assert phases.lags_behind(at_rest, facing).tolist() == [False, False]
 
 
 def limited_phases(
