@@ -1,7 +1,8 @@
 """Delays `torch.compile` of imported functions to their first call.
 
-rl_games compiles a network of its own tests where it is imported. That imports torch's compiler, a
-second or two of each start, and a training here never calls it.
+rl_games compiles a network of its own tests where it is imported. That imports the back end of
+torch's compiler, a second or two of each start, and a training here never calls it. (Its front end,
+`torch._dynamo`, is imported all the same: by rl_games' runner and by torch's optimisers.)
 """
 
 from __future__ import annotations

@@ -249,7 +249,7 @@ class ClipPhases:
         """Return (N,) bool: who got less far than the clip, in its direction, in `COMPARED_S`.
 
         To be called once in a control step, after `advance`. Who is followed for less time is not
-        compared. Nothing is said of who gets farther: a leap that is learned goes too far at first.
+        compared. To get farther is no fault: a leap that is learned goes too far at first.
 
         Args:
             root_pos: (N, 3) m, world.
