@@ -153,8 +153,10 @@ def train(
             `pbt.restart.start_again`; everything of this one is closed.
     """
     command = command or TypedCommand()
-    with _memory_errors_explained(cfg), _joined_processes(cfg) as group, ExitStack() as stack:
-        launch = _read_launch_together(cfg, command, group, stack)
+    settings = check_config(cfg)
+    joined = _joined_processes(cfg, settings)
+    with _memory_errors_explained(cfg), joined as group, ExitStack() as stack:
+        launch = _read_launch_together(cfg, settings, command, group, stack)
         return _train(launch, command, group, stop or StopRequest(), direction)
 
 
@@ -302,7 +304,7 @@ def play(
     Raises:
         UserError: a mistake that the user can correct.
     """
-    launch = _read_launch(cfg, command or TypedCommand())
+    launch = _read_launch(cfg, check_config(cfg), command or TypedCommand())
     with (
         _memory_errors_explained(cfg),
         _open_tasks(launch) as make_task,
@@ -331,7 +333,7 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
     Raises:
         UserError: the tree cannot be used, or the checkpoint is of another network or task.
     """
-    launch = _read_launch(cfg)
+    launch = _read_launch(cfg, check_config(cfg))
     with _open_tasks(launch) as make_task:
         yield _make_player(launch, make_task(launch.num_envs))
 
@@ -385,12 +387,13 @@ class _Launch:
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
 
 
-def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launch:
-    """Check a composed tree, find its checkpoint, and seed Python, numpy and torch.
+def _read_launch(
+    cfg: DictConfig, settings: LaunchSettings, command: TypedCommand | None = None
+) -> _Launch:
+    """Find the checkpoint of a checked tree, and seed Python, numpy and torch.
 
     With a command line, notes about the configuration are logged.
     """
-    settings = check_config(cfg)
     apply_wrapper_limits(cfg)
     resumed = Path(settings.resume) if settings.resume else None
     if resumed is not None and not resumed.is_file():
@@ -421,14 +424,13 @@ def _read_launch(cfg: DictConfig, command: TypedCommand | None = None) -> _Launc
 
 
 @contextmanager
-def _joined_processes(cfg: DictConfig) -> Iterator[ProcessGroup]:
+def _joined_processes(cfg: DictConfig, settings: LaunchSettings) -> Iterator[ProcessGroup]:
     """Give the processes that train together: those that torchrun has started, or this one.
 
     Raises:
         ConfigError: torchrun and `multi_gpu` contradict each other.
         UserError: as `ProcessGroup.fail_together`.
     """
-    settings = check_config(cfg)
     if not settings.multi_gpu and started_by_torchrun():
         raise ConfigError(
             f"torchrun has started {os.environ['WORLD_SIZE']} processes, but multi_gpu is False:"
@@ -450,7 +452,11 @@ def _flat(cfg: DictConfig) -> dict[str, str]:
 
 
 def _read_launch_together(
-    cfg: DictConfig, command: TypedCommand, group: ProcessGroup, stack: ExitStack
+    cfg: DictConfig,
+    settings: LaunchSettings,
+    command: TypedCommand,
+    group: ProcessGroup,
+    stack: ExitStack,
 ) -> _Launch:
     """Return the launch of this process; what all processes need to agree on, the main one decides.
 
@@ -460,7 +466,7 @@ def _read_launch_together(
     main: _Launch | None = None
     with group.together():
         if group.is_main:
-            main = _with_decided_precision(_read_launch(cfg, command))
+            main = _with_decided_precision(_read_launch(cfg, settings, command))
             main = replace(main, cfg=main.cfg.copy())
             mutate_first(main.cfg, main.seed)
             stack.enter_context(main.folder)
@@ -485,7 +491,7 @@ def _read_launch_together(
             OmegaConf.update(own, path, value, force_add=True)
         if group.device_of(str(own.rl_device)) != str(own.rl_device):
             own.rl_device = group.device_of(str(own.rl_device))
-    return _read_launch(own)
+    return _read_launch(own, check_config(own))
 
 
 @contextmanager

@@ -32,7 +32,7 @@ _TAKE_SETTINGS = 0.5
 
 def run_suffix(cfg: DictConfig) -> str:
     """Return what the run folders of a policy have in their names; '' without a population."""
-    settings = read_pbt_settings(plain(cfg))
+    settings = _settings_of(cfg)
     return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
 
 
@@ -43,11 +43,10 @@ def mutate_first(cfg: DictConfig, seed: int) -> None:
         cfg: the tree; without a population, or if the policy goes on, it stays as it is.
         seed: of the training.
     """
-    tree = plain(cfg)
-    pbt = read_pbt_settings(tree)
+    pbt = _settings_of(cfg)
     if pbt is None or _goes_on(cfg):
         return
-    former = mutable_values(tree, pbt)
+    former = mutable_values(plain(cfg), pbt)
     params = _mutated(former, pbt, _generator(seed, pbt, "start"))
     log.info("pbt: policy %d begins with %s", pbt.policy_idx, _changes(former, params))
     for path, value in params.items():
@@ -56,9 +55,8 @@ def mutate_first(cfg: DictConfig, seed: int) -> None:
 
 def mutable_settings(cfg: DictConfig) -> dict[str, float]:
     """Return the settings that mutate, numbers by path; none without a population."""
-    tree = plain(cfg)
-    pbt = read_pbt_settings(tree)
-    return {} if pbt is None else mutable_values(tree, pbt)
+    pbt = _settings_of(cfg)
+    return {} if pbt is None else mutable_values(plain(cfg), pbt)
 
 
 @contextmanager
@@ -77,11 +75,11 @@ def population_of(
     Raises:
         ConfigError: the workspace cannot be used, see `Workspace`.
     """
-    tree = plain(cfg)
-    pbt = read_pbt_settings(tree)
+    pbt = _settings_of(cfg)
     if pbt is None:
         yield None
         return
+    tree = plain(cfg)
     params = mutable_values(tree, pbt)
     workspace = Workspace(train_dir / pbt.workspace, pbt, tree, params)
     observer = PBTObserver(pbt, workspace, params, seed, str(cfg.task.name))
@@ -254,6 +252,11 @@ class PBTObserver(AlgoObserver):
             },
             run,
         )
+
+
+def _settings_of(cfg: DictConfig) -> PBTSettings | None:
+    """Return the section `pbt`; only a population needs the rest of the tree resolved."""
+    return read_pbt_settings({"pbt": plain(OmegaConf.select(cfg, "pbt"))})
 
 
 def _goes_on(cfg: DictConfig) -> bool:
