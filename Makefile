@@ -54,7 +54,7 @@ test: ruff
 	exit $$((tests ? tests : code))
 
 test-slow: install-dev
-	$(BIN)/python -m pytest -m slow --timeout 1800 $(ARGS)
+	$(BIN)/python -m pytest -m slow -n logical --timeout 1800 $(ARGS)
 
 lint: ruff
 	$(BIN)/pyright --pythonpath $(BIN)/python

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.learning.cpu import precision
@@ -25,22 +27,24 @@ _NUM_FRAMES = 46  # 1.5 s
 
 
 def pytest_configure() -> None:
-    """Let processes that tests start end at Ctrl-C and SIGHUP, also in the background.
-
-    A shell ignores the first for what it runs there, nohup the second, and children inherit that.
-    """
+    """Prepare the process of the tests, and what the processes that tests start inherit."""
+    # A shell ignores Ctrl-C for what it runs in the background, nohup SIGHUP.
     for number, handler in (
         (signal.SIGINT, signal.default_int_handler),
         (signal.SIGHUP, signal.SIG_DFL),
     ):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, handler)
+    # There is a worker for each CPU: more threads would spin beside each other's.
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        torch.set_num_threads(1)
 
 
 def pytest_collection_finish() -> None:
     """Spare the garbage collector what lives as long as the process: modules and tests."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000)  # by the default of 700 it takes a twentieth of the tests' time
 
 
 @pytest.fixture(autouse=True)

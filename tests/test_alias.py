@@ -193,7 +193,10 @@ def _train(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
 
 
-@pytest.mark.parametrize("task", sorted(ENVS))
+@pytest.mark.parametrize(
+    "task",
+    ["Cartpole", *(pytest.param(task, marks=pytest.mark.slow) for task in ("Ant", "HumanoidAMP"))],
+)
 def test_a_fork_s_train_script_trains_and_plays_without_an_edit(task: str, fork: Path) -> None:
     sizes = ["num_envs=8", "headless=True", "train.params.config.minibatch_size=64"]
     words = [f"task={task}", *sizes, *(SMALL_AMP if task == "HumanoidAMP" else [])]

@@ -113,8 +113,14 @@ def pack_skills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[st
 
     def pack(task: str) -> None:
         monkeypatch.chdir(tmp_path)
-        # Of some steps of the warm start, so that latents differ.
-        words = [*TINY, "train.params.network.style.units=[8]", f"{CONFIG}.warm_start_steps=100"]
+        # Of some steps of the warm start, so that latents differ. It observes its demonstration in
+        # as many rows as there are environments.
+        words = [
+            *TINY,
+            "num_envs=64",
+            "train.params.network.style.units=[8]",
+            f"{CONFIG}.warm_start_steps=100",
+        ]
         run(compose([f"task={task}", "task.env.motion_file=stand", *words]))
         (checkpoint,) = tmp_path.glob(f"runs/*/nn/{task}.pth")
         pack_policy(checkpoint, "skills", folder=tmp_path / "assets" / "policies")

@@ -47,6 +47,7 @@ def test_links_are_found() -> None:
     assert "hard-clips" in anchors(ROOT / "docs" / "results.md")
 
 
+@pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("sphinx")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html"]

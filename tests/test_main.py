@@ -32,7 +32,7 @@ def test_every_command_is_listed_with_what_it_does():
         assert "python" not in line
 
 
-@pytest.fixture(params=["module", "console script"])
+@pytest.fixture(params=[pytest.param("module", marks=pytest.mark.slow), "console script"])
 def program(request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
     """The two ways to the commands; the script is what an installer writes."""
     if request.param == "module":

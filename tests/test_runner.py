@@ -632,6 +632,7 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> N
         time.sleep(0.1)
 
 
+@pytest.mark.slow
 def test_a_terminal_that_closes_ends_the_training_with_a_checkpoint(in_tmp, walk_clip):
     """As an ssh session that breaks: SIGHUP, and nothing more can be shown."""
     master, terminal = pty.openpty()
@@ -666,6 +667,7 @@ def test_a_terminal_that_closes_ends_the_training_with_a_checkpoint(in_tmp, walk
     assert f"_ep_{checkpoints.load_checkpoint(last)['epoch']}_" in last.name
 
 
+@pytest.mark.slow
 def test_nohup_goes_on(in_tmp, walk_clip):
     log_file = in_tmp / "log"
     with log_file.open("w") as output:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 import re
 import shlex
@@ -13,9 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite import typed_command
+from isaacgymenvs_lite import check, typed_command
+from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command, words_of_job
+from tests.tiny import TINY_AMP
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PLAYED = "test=True checkpoint=last num_envs=16"
@@ -152,13 +156,15 @@ def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
     assert "played " in said
 
 
-def test_the_list_that_a_start_refers_to(tmp_path: Path) -> None:
-    words = "task=HumanoidAMP rl_device=cpu num_envs=4 num_threads=1 max_iterations=1"
-    config = "train.params.config"
-    words += f" {config}.horizon_length=4 {config}.imitation_frequency=0"
-    words += f" {config}.amp_obs_demo_buffer_size=16"
-    said = _run(f"'{sys.executable}' -m isaacgymenvs_lite.train {words}", tmp_path)
-    (line,) = (line for line in said.splitlines() if "for learning on a CPU" in line)
+def test_the_list_that_a_start_refers_to(tmp_path, monkeypatch, caplog, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("task=HumanoidAMP", *TINY_AMP, "max_iterations=1")
+    with caplog.at_level(logging.INFO):
+        run(compose(words), command(*words))
+    (line,) = (line for line in caplog.messages if "for learning on a CPU" in line)
     assert len(line) < 200
-    listed = _run(line.split("listed by: ")[1], tmp_path)
+    program, listing = line.split("listed by: ")[1].split(" check ")
+    assert package_command("check") == f"{program} check"
+    assert check.main(shlex.split(listing)) == 0
+    listed = capsys.readouterr().out
     assert "defaults for learning on a CPU (on a GPU): numEnvs 512 (4096), " in listed

@@ -100,18 +100,11 @@ ANT = ("task=Ant", "num_envs=8", "train.params.config.horizon_length=4", "max_it
     ("words", "message"),
     [
         ((*ANT, "multi_gpu=True", "checkpoint=no.pth"), "checkpoint=no.pth: no file"),
-        pytest.param(
-            (*ANT, "multi_gpu=True", "numm_envs=3"),
-            "unknown key 'numm_envs'",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            ANT,
-            "torchrun has started 2 processes, but multi_gpu is False",
-            marks=pytest.mark.slow,
-        ),
+        ((*ANT, "multi_gpu=True", "numm_envs=3"), "unknown key 'numm_envs'"),
+        (ANT, "torchrun has started 2 processes, but multi_gpu is False"),
     ],
 )
+@pytest.mark.slow
 def test_a_mistake_is_one_line_of_one_process(words, message, tmp_path):
     done = torchrun(TRAIN, *words, folder=tmp_path)
     errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
@@ -167,6 +160,7 @@ def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):
     assert not list(tmp_path.glob("runs/*"))
 
 
+@pytest.mark.slow
 def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_read(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
@@ -184,6 +178,7 @@ def test_episodes_that_end_in_one_process_only_count(tmp_path):
     assert "episode length 2, reward" in done.stderr
 
 
+@pytest.mark.slow
 def test_several_processes_go_on_exactly_and_others_do_too(tmp_path):
     """Four epochs at once, and two and two; and three of one process after two."""
     words = (*ANT, "multi_gpu=True", "task.env.episodeLength=5", f"{CONFIG}.mixed_precision=False")

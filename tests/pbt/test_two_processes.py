@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 import torch
 import yaml
 from omegaconf import OmegaConf
@@ -56,6 +57,7 @@ def distance(one: dict, other: dict) -> float:
     return max(float((a - b).abs().max()) for a, b in pairs)
 
 
+@pytest.mark.slow
 def test_a_mutation_and_a_restart(tmp_path):
     good, bad = ("pbt.policy_idx=0", DOWNHILL, "seed=1"), ("pbt.policy_idx=1", UPHILL, "seed=2")
     with policy(tmp_path, *good) as better, policy(tmp_path, *bad) as worse:

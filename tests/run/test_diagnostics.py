@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment
 from isaacgymenvs_lite.run import (
     DiagnosticsObserver,
@@ -16,7 +17,13 @@ from isaacgymenvs_lite.run import (
     ImitationObserver,
     MetricsObserver,
 )
-from isaacgymenvs_lite.run.diagnostics import REPEAT_S, Diagnostics, Measurement, RunHistory
+from isaacgymenvs_lite.run.diagnostics import (
+    CLIP_LIMITS,
+    REPEAT_S,
+    Diagnostics,
+    Measurement,
+    RunHistory,
+)
 
 EPOCH_FRAMES = 16384
 EPOCH_S = 4.0
@@ -279,6 +286,11 @@ def test_a_key_that_is_set_is_not_proposed():
     assert "; set task.env.clipTravel=0.5: episodes" in warning
     warning = warnings_of(walking, STILL, clip_limits=["clipDeviation", "clipTravel"])[0][1]
     assert warning.endswith("12% of the clips' motion; cut parts without motion out of the clips")
+
+
+def test_the_proposed_limits_are_those_of_humanoid_amp():
+    env = compose(["task=HumanoidAMP"]).task.env
+    assert {key: env[key] for key in CLIP_LIMITS} == CLIP_LIMITS
 
 
 def test_a_training_that_ends_its_episodes_is_not_standing():

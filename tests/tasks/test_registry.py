@@ -100,8 +100,9 @@ def test_the_guides_task_trains_as_an_external_package(package: Path) -> None:
     assert list(package.glob("runs/SwingUp_*/nn/SwingUp.pth"))
 
 
+@pytest.mark.slow
 def test_the_guides_goal_trains_as_an_external_package(package: Path) -> None:
-    words = ["--config-dir", str(package / "cfg"), "task=RobotDribble", "num_envs=8"]
+    words = ["--config-dir", str(package / "cfg"), "task=RobotDribble", "num_envs=64"]
     words += ["num_threads=1", "max_iterations=1", "task.env.episodeLength=16"]
     words += ["train.params.config.minibatch_size=128", "train.params.config.amp_minibatch_size=64"]
     done = _train(package, *words, "train.params.config.imitation_frequency=1")

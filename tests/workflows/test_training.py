@@ -28,6 +28,7 @@ def folder_of(tmp_path: Path, library) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_pole_stands_after_training(library, run_train, run_play):
     run_train(library, "num_envs=64", f"max_iterations={ITERATIONS[library.name]}", "num_threads=1")
     printed = run_play(library, "--num_envs", "32", "--use_last_checkpoint", "num_threads=1")
