@@ -27,7 +27,7 @@ _LOOK_S = 20.0  # at the learning curve, which takes a part of a second
 # which ends it at once.
 _PATIENCE_S = 120.0
 # Less time left than this is not worth a start, which itself takes several seconds.
-_SHORTEST_MIN = 0.25
+_SHORTEST_MIN = 0.5
 _RANKS = "multi_gpu=True"
 
 
@@ -81,7 +81,7 @@ def plan(experiment: Experiment, run: Run, minutes: float, resume: bool) -> Plan
         experiment: what is trained.
         run: where.
         minutes: of training, earlier parts of a resumed run included; a start that would be left
-            with less than a quarter of a minute is not made.
+            with less than half a minute is not made: to start takes most of it.
         resume: go on from the newest checkpoint if there is one.
 
     Raises:
