@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
-# Python compiles a module at its first import; to compile all 17,000 of them takes a minute.
+# Python compiles a module at its first import; to compile all 17,000 of them takes over a minute.
 INSTALL := $(BIN)/python -m pip install -q --no-compile -c constraints.txt
 
 .DEFAULT_GOAL := help

@@ -44,7 +44,6 @@ def pytest_collection_finish() -> None:
     """Spare the garbage collector what lives as long as the process: modules and tests."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(10_000)  # by the default of 700 it takes a twentieth of the tests' time
 
 
 @pytest.fixture(autouse=True)

@@ -58,6 +58,7 @@ def test_minutes_of_all_parts_count_together(trained, write_events):
     write_events(trained.folder / "summaries", [30.0], first_epoch=2, start_s=99_000.0)
     assert plan(WALK, trained, 5.0, resume=True).minutes == 2.0
     assert plan(WALK, trained, 3.4, resume=True).minutes == 0.0  # not worth a start
+    assert plan(WALK, trained, 3.6, resume=True).minutes == pytest.approx(0.6)
     assert plan(WALK, trained, 1.0, resume=True).minutes == 0.0
 
 

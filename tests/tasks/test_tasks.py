@@ -125,7 +125,7 @@ def test_what_it_says_of_observations_and_actions(make_task) -> None:
 
 
 @pytest.mark.parametrize(
-    ("num_envs", "num_steps"), [(8, 320), pytest.param(64, 1000, marks=pytest.mark.slow)]
+    ("num_envs", "num_steps"), [(16, 320), pytest.param(64, 1000, marks=pytest.mark.slow)]
 )
 def test_random_steps_give_numbers(num_envs: int, num_steps: int, make_task) -> None:
     """Beyond the longest episode of most tasks."""
