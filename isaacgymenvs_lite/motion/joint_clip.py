@@ -218,7 +218,9 @@ class JointClip:
         rotation = (rotations.xyzw_from_wxyz if is_wxyz else rotations.wxyz_from_xyzw)(quaternions)
         return dataclasses.replace(self, root_rot=rotation.numpy(), file_quat_order=quat_order)
 
-    def fitted_to(self, joint_names: Sequence[str], by_order: bool = False) -> JointClip:
+    def fitted_to(
+        self, joint_names: Sequence[str], by_order: bool = False, followers: Sequence[str] = ()
+    ) -> JointClip:
         """Return the clip with the joints of a robot in its order.
 
         Names count where the file has them; an ending `_joint` or `_dof` may be missing on one
@@ -228,21 +230,27 @@ class JointClip:
         Args:
             joint_names: of the robot's joint coordinates, in its order.
             by_order: ignore the names of the file.
+            followers: those of `joint_names` whose angles follow from others; the file may leave
+                them out, and they are NaN then.
 
         Raises:
             MotionFileError: other joints are missing or extra, or the number differs.
         """
         names = tuple(joint_names)
         if self.joint_names is None or by_order:
-            if self.num_dofs != len(names):
+            leaders = tuple(name for name in names if name not in followers)
+            if self.num_dofs not in (len(names), len(leaders)):
                 raise MotionFileError(
                     f"{self.name}: has {self.num_dofs} joints without names, the robot has "
                     f"{len(names)} ({listed(names)}); give a clip of this robot"
                 )
-            return dataclasses.replace(self, joint_names=names)
+            own = names if self.num_dofs == len(names) else leaders
+            return dataclasses.replace(self, joint_names=own).fitted_to(names, False, followers)
         ours = {name: i for i, name in enumerate(_comparable(self.joint_names, names))}
         theirs = _comparable(names, self.joint_names)
-        missing = [name for name in theirs if name not in ours]
+        absent = [i for i, name in enumerate(theirs) if name not in ours]
+        following = [i for i in absent if names[i] in followers]
+        missing = [theirs[i] for i in absent if i not in following]
         extra = [name for name in ours if name not in set(theirs)]
         if not all(map(_is_of_hand, (*missing, *extra))):
             raise MotionFileError(
@@ -254,6 +262,7 @@ class JointClip:
             if joints:
                 _log.info("%s: %s the joints of hands %s", self.name, what, listed(joints))
         dof_pos = np.zeros((self.num_frames, len(names)), dtype=self.dof_pos.dtype)
+        dof_pos[:, following] = np.nan
         for column, name in enumerate(theirs):
             if name in ours:
                 dof_pos[:, column] = self.dof_pos[:, ours[name]]
@@ -268,8 +277,9 @@ class JointClip:
             MotionFileError: a joint is so far beyond its limits that its unit is another one.
         """
         excess_rad = np.maximum(dof_limits[:, 0] - self.dof_pos, self.dof_pos - dof_limits[:, 1])
-        joint = int(excess_rad.max(axis=0).argmax())
-        worst_rad = float(excess_rad.max())
+        of_joints_rad = np.fmax.reduce(excess_rad)  # without NaN, see `fitted_to`
+        joint = int(np.nanargmax(of_joints_rad))
+        worst_rad = float(of_joints_rad[joint])
         if worst_rad <= _MAX_EXCESS_RAD:
             return
         low, high = dof_limits[joint]

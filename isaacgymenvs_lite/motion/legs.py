@@ -18,6 +18,7 @@ import numpy.typing as npt
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.soles import find_sole
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.robots.load import PreparedRobot
 
 NUM_LEGS = 4
@@ -46,7 +47,7 @@ class Leg:
     Attributes:
         foot: name of the body.
         body: its number.
-        joints: numbers of the hinges, from the hip down.
+        joints: numbers of the hinges that move freely, from the hip down.
         sole: (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
         radius: m, of the ball; 0 of a point.
         hip: (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the
@@ -98,9 +99,10 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
 def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
     """Return the last of the named bodies on each leg."""
     feet: dict[int, int] = {}
+    followers = Followers(model).joints
     for foot in sorted(model.body(name).id for name in names):
         chain = _chain(model, foot)
-        if model.body_jntnum[chain].sum() >= _LEAST_HINGES:
+        if len(_joints(model, chain, followers)) >= _LEAST_HINGES:
             feet[chain[0]] = foot
     return list(feet.values())
 
@@ -113,14 +115,18 @@ def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
     return chain[1:]
 
 
+def _joints(
+    model: mujoco.MjModel, bodies: Sequence[int], followers: Sequence[int]
+) -> tuple[int, ...]:
+    """Return the joints of bodies, those that follow others left out."""
+    first, count = model.body_jntadr, model.body_jntnum
+    joints = (int(first[body]) + i for body in bodies for i in range(count[body]))
+    return tuple(joint for joint in joints if joint not in followers)
+
+
 def _leg(robot: PreparedRobot, foot: int) -> Leg:
     model, name = robot.model, robot.model.body(foot).name
-    joints = tuple(
-        first + i
-        for body in _chain(model, foot)
-        for first in (int(model.body_jntadr[body]),)
-        for i in range(model.body_jntnum[body])
-    )
+    joints = _joints(model, _chain(model, foot), Followers(model).joints)
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
         raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
     if len(joints) > _MOST_HINGES:
@@ -162,6 +168,7 @@ class LegSolver:
     def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
         self._model, self._legs, self._knees = robot.model, legs, knees
         self._data = mujoco.MjData(robot.model)
+        self._followers = Followers(robot.model)
         self._start = self._posture = robot.start_qpos
         limited = robot.model.jnt_limited.astype(bool)[:, None]
         self._ranges = np.where(limited, robot.model.jnt_range, (-math.pi, math.pi))
@@ -191,7 +198,7 @@ class LegSolver:
                 tried.append((*rank, error, pose[columns].copy()))
             best = min(tried, key=lambda entry: entry[:-1])
             pose[columns] = best[-1]
-            _check(leg, place - root[:3], best[-2])
+        self._check(pose, places)
         self._posture = pose.copy()
         return pose
 
@@ -206,15 +213,18 @@ class LegSolver:
         pose = np.array(last, dtype=np.float64)
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
-            _check(leg, place - root[:3], self._reach(pose, leg, place))
+            self._reach(pose, leg, place)
+        self._check(pose, places)
         return pose
 
-    def soles(self, pose: FloatArray) -> npt.NDArray[np.float64]:
-        """Return where the legs' `sole` are (4, 3) m in the world."""
+    def soles(self, pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Place the followers of a pose; return where the legs' `sole` are (4, 3) m, world."""
         self._set(pose)
         return np.stack([self._sole(leg) for leg in self._legs])
 
-    def _set(self, pose: FloatArray) -> None:
+    def _set(self, pose: npt.NDArray[np.float64]) -> None:
+        """Put the followers of a pose in their places, in place, and compute its kinematics."""
+        pose[:] = self._followers.placed(pose)
         self._data.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)  # for Jacobians
@@ -244,7 +254,7 @@ class LegSolver:
             if np.linalg.norm(error) < 0.01 * TOLERANCE_M:
                 break
             mujoco.mj_jac(self._model, self._data, jacobian, None, self._sole(leg), leg.body)
-            of_leg = jacobian[:, dofs]
+            of_leg = self._followers.led(jacobian, pose)[:, dofs]
             damped = of_leg @ of_leg.T + _DAMPING * np.eye(3)
             step = of_leg.T @ np.linalg.solve(damped, error)
             if len(joints) > _LEAST_HINGES:
@@ -255,11 +265,14 @@ class LegSolver:
         self._set(pose)
         return float(np.linalg.norm(place - self._sole(leg)))
 
-
-def _check(leg: Leg, place: FloatArray, error: float) -> None:
-    if error > TOLERANCE_M:
-        raise ConfigError(
-            f"the foot '{leg.foot}' stays {error:.3g} m away from where the gait wants it,"
-            f" {np.round(place, 3).tolist()} m from the trunk: its leg is too short, or a joint at"
-            " its limit; change body_height, raise frequency, or lower speed or step_height"
-        )
+    def _check(self, pose: npt.NDArray[np.float64], places: FloatArray) -> None:
+        """Place the followers of a pose and refuse a foot that does not reach its place."""
+        for leg, place, sole in zip(self._legs, places, self.soles(pose), strict=True):
+            error = float(np.linalg.norm(place - sole))
+            if error > TOLERANCE_M:
+                raise ConfigError(
+                    f"the foot '{leg.foot}' stays {error:.3g} m away from where the gait wants it,"
+                    f" {np.round(place - pose[:3], 3).tolist()} m from the trunk: its leg is too"
+                    " short, or a joint at its limit; change body_height, raise frequency, or lower"
+                    " speed or step_height"
+                )

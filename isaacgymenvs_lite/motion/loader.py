@@ -27,7 +27,7 @@ from isaacgymenvs_lite.motion.formats.robot_clip import (
     read_joint_clip,
 )
 from isaacgymenvs_lite.motion.joint_clip import QuatOrder
-from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_dofs
+from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_clip, qpos_from_dofs
 from isaacgymenvs_lite.motion.skeleton import (
     SHIPPED_NUM_DOFS,
     Skeleton,
@@ -262,14 +262,18 @@ def _load_file(
         clip = readers[path.suffix](path)
         fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
         skeleton = fitting[0] if fitting else skeletons[0]
-        return fit_to_skeleton(clip, skeleton), skeleton
+        clip = fit_to_skeleton(clip, skeleton)
+        if skeleton.followers is not None:
+            clip = clip_from_qpos(clip.name, clip.fps, skeleton, qpos_from_clip(skeleton, clip))
+        return clip, skeleton
 
 
 def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings) -> MotionClip:
     """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
     joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order, up_b=skeleton.up_b)
+    following = skeleton.followers.names if skeleton.followers is not None else ()
     try:
-        joints = joints.fitted_to(skeleton.dof_names, settings.by_order)
+        joints = joints.fitted_to(skeleton.dof_names, settings.by_order, following)
     except MotionFileError as error:
         if shipped_humanoid_with(skeleton.body_names) is None:
             raise

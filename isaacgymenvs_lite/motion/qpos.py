@@ -8,6 +8,7 @@ that turns DOFs into rotations of bodies, and back.
 from __future__ import annotations
 
 import itertools
+import logging
 
 import mujoco
 import numpy as np
@@ -20,9 +21,11 @@ from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
+from isaacgymenvs_lite.robots.followers import TOLERANCE_RAD, Followers
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
+_log = logging.getLogger(__name__)
 _ROOT = 7  # numbers of the free joint: position, quaternion wxyz
 
 
@@ -82,6 +85,9 @@ class BodyPoses:
 def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) -> MotionClip:
     """Make a clip of any robot from its joint coordinates; MuJoCo's kinematics gives the poses.
 
+    Joints that follow others get their angles from their leaders; a warning names those that
+    differ. Angles of followers may be NaN: not known.
+
     Args:
         name: see `MotionClip`.
         fps: frames per second.
@@ -95,6 +101,8 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
     """
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
+    if skeleton.followers is not None and qpos.ndim == 2 and qpos.shape[1] >= num_columns:
+        qpos = _followed(name, skeleton.followers, qpos)
     if qpos.ndim != 2 or qpos.shape[1] < num_columns or not np.isfinite(qpos).all():
         raise MotionFileError(
             f"{name}: qpos has shape {qpos.shape}, expected finite numbers (frames, {num_columns}):"
@@ -104,6 +112,20 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
     root, dofs = qpos[:, :3], dofs_from_qpos(skeleton, qpos)
     names, parents = skeleton.body_names, skeleton.parent_indices
     return MotionClip.from_poses(name, fps, names, parents, offsets, turns, root, dofs)
+
+
+def _followed(name: str, followers: Followers, qpos: FloatArray) -> npt.NDArray[np.float64]:
+    """Return qpos with the followers in their places; log those that are elsewhere."""
+    placed = followers.placed(qpos)
+    for joint, column in zip(followers.names, followers.columns, strict=True):
+        off_rad = np.fmax.reduce(np.abs(placed[:, column] - qpos[:, column]), initial=0.0)
+        if off_rad > TOLERANCE_RAD:
+            _log.warning(
+                "%s: joint '%s', which follows another one in the model, is up to %.3g rad off;"
+                " its angle is computed from its leader's",
+                *(name, joint, off_rad),
+            )
+    return placed
 
 
 def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:

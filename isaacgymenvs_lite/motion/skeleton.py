@@ -17,6 +17,7 @@ import torch
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.kinematics import FloatArray, world_points
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
 # The model file, relative to the assets folder, of the humanoid with a number of DOFs.
@@ -57,6 +58,7 @@ class Skeleton:
         joint_anchors: (G, 3) m, points about which the joints rotate, in the child frame.
         joint_refs: (G,) rad, the angle of a hinge at rest (MuJoCo's `ref`); 0 for ball joints.
         model: the compiled model; None if made by hand.
+        followers: the joints that follow others; None without any.
     """
 
     body_names: tuple[str, ...]
@@ -73,6 +75,7 @@ class Skeleton:
     joint_anchors: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     joint_refs: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     model: mujoco.MjModel | None = None
+    followers: Followers | None = None
 
     def __post_init__(self) -> None:
         """Fill in what a skeleton made by hand leaves out."""
@@ -177,7 +180,7 @@ class Skeleton:
             name: of the model, for messages.
 
         Raises:
-            ConfigError: the first joint is not a free joint, or the robot has a slide.
+            ConfigError: the first joint is not a free joint, or the robot has a slide or a loop.
         """
         if model.njnt == 0 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
             raise ConfigError(
@@ -195,6 +198,10 @@ class Skeleton:
         dof_names, dof_limits = _names_and_limits(model, joints)
         rest = rotations.xyzw_from_wxyz(torch.from_numpy(model.body_quat[bodies].copy())).numpy()
         rest[0] = (0.0, 0.0, 0.0, 1.0)
+        try:
+            followers = Followers(model)
+        except ConfigError as error:
+            raise ConfigError(f"{name}: {error}") from error
         return cls(
             body_names=tuple(model.body(i).name or f"body{i}" for i in range(root, bodies.stop)),
             parent_indices=(-1, *(int(i) - root for i in model.body_parentid[bodies][1:])),
@@ -210,6 +217,7 @@ class Skeleton:
             joint_anchors=model.jnt_pos[joints].copy(),
             joint_refs=np.where(is_hinge, model.qpos0[model.jnt_qposadr[joints]], 0.0),
             model=model,
+            followers=followers if followers.joints else None,
         )
 
     def sole_corners(self, positions: FloatArray, rotation: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ The file is read by reading.py; what it lacks is added to the MjSpec, and never 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from isaacgymenvs_lite.robots.drives import (
     choose_drives,
     motors_of_file,
 )
+from isaacgymenvs_lite.robots.followers import TOLERANCE_RAD, Followers
 from isaacgymenvs_lite.robots.limbs import bodies_named, limb_ends, touching_bodies
 from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
@@ -148,6 +150,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     notes = structure.name_everything(spec)
     notes += structure.check_equalities(spec)
     keys = _compile(spec)
+    Followers(keys)  # refuses loops, also with what is left out below
     motors = motors_of_file(keys)
     notes += _make_robot(spec)
     model = _compile(spec)
@@ -202,13 +205,27 @@ def _start(
     height = settings.start_height
     qpos = start_pose(model, positions, height)
     if settings.start_pose is not None or keys.nkey > 0:
-        return qpos, []
+        return qpos, _moved_followers(model, positions, qpos)
     note = "start pose: no keyframe in the file: joints at zero within limits"
     bent = bend_legs(model, qpos)
     if bent is None:
         return qpos, [note]
     bent[2] = start_height(model, bent) if height is None else height
     return bent, [f"{note}, legs bent with each foot below its hip"]
+
+
+def _moved_followers(
+    model: mujoco.MjModel,
+    positions: Mapping[str, npt.NDArray[np.float64]],
+    qpos: npt.NDArray[np.float64],
+) -> list[str]:
+    """Return a note on each joint that its leader puts elsewhere than the user or the keyframe."""
+    notes = []
+    for name in Followers(model).names:
+        angle, given = float(qpos[model.joint(name).qposadr[0]]), float(positions[name][0])
+        if abs(angle - given) > TOLERANCE_RAD:
+            notes.append(f"start pose: '{name}' follows: {angle:.3f} rad, not {given:.3f}")
+    return notes
 
 
 def _key_bodies_and_contacts(

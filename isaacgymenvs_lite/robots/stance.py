@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.robots.limbs import limb_ends, touching_bodies
 
 _LEAST_LEGS = 4
@@ -67,6 +68,7 @@ def bend_legs(model: mujoco.MjModel, qpos: Vector) -> Vector | None:
         if angles is None:
             return None
         bent[model.jnt_qposadr[[leg.hip, leg.knee]]] = angles
+    bent = Followers(model).placed(bent)
     standing = touching_bodies(model, bent)
     stands = all(model.body(leg.end).name in standing for leg in legs)
     return bent if stands else None
@@ -95,12 +97,14 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, end: int) -> _Leg | None:
 
 
 def _hinges(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the hinges between the root and a body, from the root on."""
+    """Return the hinges that move freely between the root and a body, from the root on."""
     found: list[int] = []
+    followers = Followers(model).joints
     while model.body_parentid[body] != 0:
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         own = range(first, first + count)
-        found[:0] = [joint for joint in own if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE]
+        hinges = [j for j in own if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+        found[:0] = [joint for joint in hinges if joint not in followers]
         body = int(model.body_parentid[body])
     return found
 

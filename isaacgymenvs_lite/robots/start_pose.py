@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.schema import plain
 
 CLEARANCE = 0.001
@@ -91,7 +92,7 @@ def start_pose(
     positions: Mapping[str, npt.NDArray[np.float64]],
     height: float | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Return the start pose (Q,) of a robot with a free root, at x = y = 0.
+    """Return the start pose (Q,) of a robot with a free root, at x = y = 0; followers follow.
 
     Args:
         model: of the robot.
@@ -108,6 +109,7 @@ def start_pose(
     qpos[:2] = 0
     norm = np.linalg.norm(qpos[3:7])
     qpos[3:7] = qpos[3:7] / norm if norm > 0 else (1, 0, 0, 0)
+    qpos = Followers(model).placed(qpos)
     qpos[2] = start_height(model, qpos) if height is None else height
     return qpos
 

@@ -137,7 +137,12 @@ def _remove_joints(spec: mujoco.MjSpec, joints: Iterable[mujoco.MjsJoint]) -> No
     tendons = [t for t in spec.tendons if any(_name(wrap.target) in names for wrap in t.path)]
     gone = names | {tendon.name for tendon in tendons}
     things = [a for a in spec.actuators if a.target in gone]
-    things += [e for e in spec.equalities if {e.name1, e.name2} & gone]
+    for equality in spec.equalities:
+        of_joints = equality.type == _EQUALITY.mjEQ_JOINT
+        if equality.name1 in gone or (equality.name2 in gone and not of_joints):
+            things.append(equality)
+        elif equality.name2 in gone:
+            equality.name2 = ""  # its leader no longer moves: hold the follower
     for thing in [*things, *tendons, *joints]:
         spec.delete(thing)
 
@@ -147,14 +152,13 @@ def _name(element: object) -> str:
 
 
 def check_equalities(spec: mujoco.MjSpec) -> list[str]:
-    """Remove constraints that are off or hold the robot in the world; return notes on the others.
-
-    Raises:
-        ConfigError: a constraint closes a loop of bodies, which kinematics of trees cannot follow.
-    """
+    """Remove constraints that are off or hold the robot in the world; return notes on others."""
     notes = []
     for equality in list(spec.equalities):
-        names = [name for name in (equality.name1, equality.name2) if name and name != "world"]
+        names = [name for name in (equality.name1, equality.name2) if name]
+        if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
+            names = [spec.site(name).parent.name for name in names]
+        names = [name for name in names if name != "world"]
         if not equality.active:
             spec.delete(equality)
         elif equality.type == _EQUALITY.mjEQ_JOINT:
@@ -162,12 +166,7 @@ def check_equalities(spec: mujoco.MjSpec) -> list[str]:
             notes.append(f"joint '{joint}' follows '{other}'" if other else f"'{joint}' is held")
         elif equality.type == _EQUALITY.mjEQ_TENDON:
             notes.append(f"tendon '{names[0]}' is constrained")
-        elif len(names) == 2:
-            raise ConfigError(
-                f"has a loop: an <equality> joins '{names[0]}' and '{names[1]}', which the"
-                " kinematics of clips cannot follow; remove it, or use a model without the linkage"
-            )
-        else:
+        elif len(names) < 2:
             spec.delete(equality)
             notes.append(f"released '{names[0] if names else '?'}', which was held in the world")
     return notes

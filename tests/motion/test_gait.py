@@ -197,6 +197,29 @@ def test_legs_with_hinges_to_spare(tmp_path, ankles) -> None:
     assert np.abs(np.diff(clip.dof_pos, axis=0)).max() * 60 < 20.0
 
 
+def test_feet_reach_their_places_by_joints_that_follow(tmp_path) -> None:
+    places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
+    path = quadruped_of(tmp_path, places)
+    text, equalities = path.read_text(), ""
+    for name in places:
+        foot = f'<body name="{name}" pos="0 0 -0.2">'
+        text = text.replace(foot, f'{foot}<joint name="{name}_toe" axis="0 1 0" pos="0 0 0.1"/>')
+        equalities += f'<joint joint1="{name}_toe" joint2="{name}_knee" polycoef=".1 -.4 .2 0 0"/>'
+    path.write_text(text.replace("</mujoco>", f"<equality>{equalities}</equality></mujoco>"))
+    robot = load_robot(path)
+    clip = make_gait(robot, GaitSettings(speed=0.4, seconds=1.0, step_height=0.05))
+    knees, toes = clip.dof_pos[:, [2, 6, 10, 14]], clip.dof_pos[:, [3, 7, 11, 15]]
+    np.testing.assert_allclose(toes, 0.1 - 0.4 * knees + 0.2 * knees**2, atol=1e-12)
+    data, feet = mujoco.MjData(robot.model), [robot.model.body(name).id for name in places]
+    heights = []
+    for place, angles in zip(clip.root_pos, clip.dof_pos, strict=True):
+        data.qpos[:3], data.qpos[7:] = place, angles
+        mujoco.mj_kinematics(robot.model, data)
+        heights.append(data.xpos[feet, 2].copy())
+    assert np.min(heights, axis=0) == pytest.approx(0.02, abs=2e-6)  # the feet's balls
+    assert np.max(heights, axis=0) == pytest.approx(0.07, abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [

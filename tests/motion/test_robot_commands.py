@@ -168,6 +168,55 @@ def test_a_urdf_without_a_mapping(caplog) -> None:
     assert 0.04 < clip.global_poses()[0][:, feet, 2].min() < 0.06  # the sole is 0.05 m below
 
 
+def write_coupled_biped() -> Path:
+    """Write the walker with ankles that follow the knees: -0.5 knee + 0.1 rad."""
+    path = write_biped()
+    text = path.read_text()
+    for side in ("left", "right"):
+        child = f'<child link="{side}_foot"/>'
+        mimic = f'<mimic joint="{side}_knee" multiplier="-0.5" offset="0.1"/>'
+        text = text.replace(child, child + mimic)
+    path.write_text(text)
+    return path
+
+
+def test_coupled_joints_follow_in_retargeting() -> None:
+    pytest.importorskip("mink")
+    write_coupled_biped()
+    convert("walk", "biped.npz", "robot=biped.urdf", "end_s=0.5")
+    clip = read_joint_clip("biped.npz")
+    knees, ankles = clip.dof_pos[:, [1, 4]], clip.dof_pos[:, [2, 5]]
+    np.testing.assert_allclose(ankles, 0.1 - 0.5 * knees, atol=1e-6)
+    assert np.ptp(knees, axis=0).min() > 0.3
+    feet = [2 + 1, 5 + 1]
+    places = load_single_clip("biped.npz", [load_clip_robot("biped.urdf").skeleton])[0]
+    assert 0.03 < places.global_poses()[0][:, feet, 2].min() < 0.07
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_coupled_joints_of_a_file_come_from_their_leaders(names: bool, caplog) -> None:
+    write_coupled_biped()
+    time = np.linspace(0.0, 1.0, 20)
+    knees = 0.4 + 0.3 * np.stack([np.sin(time), np.cos(time)], axis=1)
+    hips, root = 0.1 * knees, np.tile((0.0, 0.0, 0.9), (20, 1))
+    upright = np.tile((0.0, 0.0, 0.0, 1.0), (20, 1))
+    leaders = [f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee")]
+    dofs = np.stack([hips[:, 0], knees[:, 0], hips[:, 1], knees[:, 1]], axis=1)
+    save_robot_npz("a.npz", JointClip("a", 30.0, root, upright, dofs, tuple(leaders)))
+    convert("a.npz", "b.npz", "robot=biped.urdf", *(() if names else ("by_order=True",)))
+    clip = read_joint_clip("b.npz")
+    np.testing.assert_allclose(clip.dof_pos[:, [2, 5]], 0.1 - 0.5 * knees, atol=1e-6)
+    assert "which follows another" not in caplog.text
+    wrong = clip.dof_pos.copy()
+    wrong[7, 5] += 0.25
+    save_robot_npz("c.npz", JointClip("c", 30.0, root, upright, wrong, clip.joint_names))
+    convert("c.npz", "d.npz", "robot=biped.urdf")
+    assert "joint 'right_ankle'" in caplog.text
+    assert "is up to 0.25 rad off" in caplog.text
+    assert "left_ankle" not in caplog.text
+    np.testing.assert_allclose(read_joint_clip("d.npz").dof_pos, clip.dof_pos, atol=1e-6)
+
+
 def test_a_robot_that_lies_in_its_file_is_stood_up(refused, caplog) -> None:
     pytest.importorskip("mink")
     write_biped(lies=True)

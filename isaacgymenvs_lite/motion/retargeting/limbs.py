@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.robots.limbs import limb_ends, touching_bodies
 from isaacgymenvs_lite.utils import rotations
 
@@ -49,7 +50,9 @@ def find_bend(
         The joint, angles (rad) over its range, and the distances (m) of both ends at them; None of
         a limb without a hinge between its ends.
     """
-    tried = [_distances(model, start, joint, top, end) for joint in _between(model, top, end)]
+    followers = Followers(model)
+    joints = [joint for joint in _between(model, top, end) if joint not in followers.joints]
+    tried = [_distances(model, followers, start, joint, top, end) for joint in joints]
     return max(tried, key=lambda entry: float(np.ptp(entry[2])), default=None)
 
 
@@ -69,13 +72,14 @@ def _between(model: mujoco.MjModel, top: int, end: int) -> list[int]:
 
 
 def _distances(
-    model: mujoco.MjModel, start: FloatArray, joint: int, top: int, end: int
+    model: mujoco.MjModel, followers: Followers, start: FloatArray, joint: int, top: int, end: int
 ) -> tuple[int, FloatArray, FloatArray]:
     """Return the joint, angles over its range, and the distances in m of two bodies at them."""
     low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
     angles = np.linspace(low, high, _ANGLES)
     poses = np.repeat(start[None], _ANGLES, axis=0)
     poses[:, model.jnt_qposadr[joint]] = angles
+    poses = followers.placed(poses)
     places, _ = body_poses(model, poses, [model.body(top).name, model.body(end).name])
     return joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
 

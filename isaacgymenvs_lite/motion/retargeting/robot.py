@@ -30,6 +30,7 @@ from isaacgymenvs_lite.motion.retargeting.solve import (
 )
 from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length, rotated_in_body
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
@@ -52,6 +53,7 @@ class Robot:
         hips: (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
         bends: (joint, lowest, highest) rad of the hinges that bend limbs, without the straight
             limb.
+        followers: the joints that follow others.
     """
 
     model: mujoco.MjModel
@@ -61,6 +63,7 @@ class Robot:
     frames: dict[str, FloatArray]
     hips: FloatArray
     bends: tuple[tuple[int, float, float], ...]
+    followers: Followers
 
     def soles(self, qpos: FloatArray) -> FloatArray:
         """Return the lowest places (T, 2, K, 3) m of both soles' points, qpos (T, nq)."""
@@ -100,7 +103,9 @@ def robot_from_model(
     """
     _check_joints(model)
     _check_bodies(model, mapping)
+    followers = Followers(model)
     start = _start_pose(model, mapping.start_pose) if start is None else start
+    start = followers.placed(start)
     names = [entry.body for entry in mapping.bodies.values()]
     found, turned = body_poses(model, start[None], names)
     places = dict(zip(mapping.bodies, found[0], strict=True))
@@ -121,6 +126,7 @@ def robot_from_model(
         frames=frames,
         hips=hips - pelvis,
         bends=tuple(_bends(model, mapping, start)),
+        followers=followers,
     )
 
 
@@ -296,6 +302,8 @@ def _limits(robot: Robot) -> JointLimits:
     hinges, balls = list[HingeLimit](), list[BallLimit]()
     for joint in range(1, model.njnt):
         place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+        if joint in robot.followers.joints:
+            continue
         limited = bool(model.jnt_limited[joint])
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
             longest = float(model.jnt_range[joint, 1]) if limited else math.inf
@@ -315,6 +323,7 @@ def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
         column = robot.model.jnt_qposadr[joint]
         if not low <= qpos[column] <= high or abs(qpos[column] - near) < FIRST_BEND_RAD:
             qpos[column] = near + math.copysign(min(FIRST_BEND_RAD, high - low), far - near)
+    qpos = robot.followers.placed(qpos)
     pelvis = robot.mapping.bodies["pelvis"].body
     place, turn = (
         torch.from_numpy(value[0]) for value in body_poses(robot.model, qpos[None], [pelvis])

@@ -21,6 +21,7 @@ import torch
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.targets import Targets
 from isaacgymenvs_lite.motion.skeleton import Skeleton
+from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
@@ -117,7 +118,7 @@ class IkProblem:
 def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     """Return the poses (T, nq) nearest to the goals within the limits of the joints.
 
-    Each search starts from the pose of the frame before.
+    Each search starts from the pose of the frame before. Joints that follow others do so exactly.
 
     Raises:
         MissingPackageError: mink is not installed.
@@ -130,6 +131,11 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     posture.set_target(problem.posture)
     steadiness = mink.PostureTask(model, cost=_joint_costs(model, _STEADINESS))
     limits = DofLimits(mink, model, problem.limits)
+    followers = Followers(model)
+    follow = []
+    if followers.joints:
+        coupled = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT).tolist()
+        follow.append(mink.EqualityConstraintTask(model, cost=1.0, equalities=coupled))
     frames = {
         body: mink.FrameTask(body, "body", place, turn)
         for body, (place, turn) in problem.weights.items()
@@ -145,9 +151,15 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
             limits.start_frame(solved[frame - 1], 1.0 / problem.fps)
         for _ in range(_ITERATIONS if frame else _FIRST_ITERATIONS):
             step = mink.solve_ik(
-                configuration, tasks, 1.0, solver=_SOLVER, damping=_DAMPING, limits=[limits]
+                configuration,
+                tasks,
+                1.0,
+                solver=_SOLVER,
+                damping=_DAMPING,
+                limits=[limits],
+                constraints=follow,
             )
-            configuration.integrate_inplace(step, 1.0)
+            configuration.update(followers.placed(configuration.integrate(step, 1.0)))
             if np.abs(step).max() < _CONVERGED_RAD:
                 break
         solved[frame] = configuration.q

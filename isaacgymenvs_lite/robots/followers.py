@@ -1,0 +1,163 @@
+"""Hinges that follow others: URDF's <mimic> and MJCF's <equality><joint>.
+
+The physics keeps such a hinge near its place; kinematics (start poses, clips, gaits, inverse
+kinematics) has to compute the angle from its leader's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from isaacgymenvs_lite.errors import ConfigError
+
+_Floats = npt.NDArray[np.floating]
+TOLERANCE_RAD = 0.005
+"""How far a follower may be from its place without a word: files are rounded."""
+_LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+
+
+@dataclass(frozen=True)
+class _Follower:
+    """A joint whose coordinate is a polynomial of its leader's: y - y0 = p(x - x0), as MuJoCo's.
+
+    Attributes:
+        joint: id of the joint.
+        leader: id of the other joint; None: the joint is held at y0 + p(0).
+        polynomial: p.
+        start: y0, the joint's coordinate in the model's initial pose.
+        leader_start: x0.
+    """
+
+    joint: int
+    leader: int | None
+    polynomial: np.polynomial.Polynomial
+    start: float
+    leader_start: float
+
+    def coordinate(self, leader: _Floats) -> _Floats:
+        """Return the joint's coordinates (...) where the leader's are (...)."""
+        return self.start + self.polynomial(leader - self.leader_start)
+
+    def slope(self, leader: float) -> float:
+        """Return how fast the joint moves by its leader's speed."""
+        return float(self.polynomial.deriv()(leader - self.leader_start))
+
+
+class Followers:
+    """The joints of a model that follow others.
+
+    Args:
+        model: compiled; Q coordinates, V degrees of freedom.
+
+    Raises:
+        ConfigError: an equality joins two bodies in a loop; a joint has two leaders, or joints
+            follow each other in a circle. The message names it.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        found: dict[int, _Follower] = {}
+        for equality in np.flatnonzero(model.eq_active0).tolist():
+            if model.eq_type[equality] in _LOOPS:
+                _refuse_loop(model, equality)
+            if model.eq_type[equality] != mujoco.mjtEq.mjEQ_JOINT:
+                continue
+            joint, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+            if joint in found:
+                raise ConfigError(
+                    f"joint '{model.joint(joint).name}' has two <equality> constraints; a joint can"
+                    " follow one other joint: remove one of them"
+                )
+            polynomial = np.polynomial.Polynomial(model.eq_data[equality, :5])
+            start, leader_start = model.qpos0[model.jnt_qposadr[[joint, leader]]].tolist()
+            leads = leader if leader >= 0 else None
+            found[joint] = _Follower(joint, leads, polynomial, start, leader_start)
+        self._in_order = _leaders_first(model, found)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The ids of the joints that follow others or are held."""
+        return tuple(follower.joint for follower in self._in_order)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of `joints`."""
+        return tuple(self._model.joint(joint).name for joint in self.joints)
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Where the coordinates of `joints` are in qpos."""
+        return tuple(int(self._model.jnt_qposadr[joint]) for joint in self.joints)
+
+    def placed(self, qpos: _Floats) -> npt.NDArray[np.float64]:
+        """Return poses (..., Q) in which the followers are where their leaders put them.
+
+        The coordinates of objects after the robot's may be left out.
+        """
+        address = self._model.jnt_qposadr
+        poses = np.array(qpos, dtype=np.float64)
+        for follower in self._in_order:
+            leader = follower.leader_start  # of a held joint: the polynomial's constant remains
+            if follower.leader is not None:
+                leader = poses[..., address[follower.leader]]
+            poses[..., address[follower.joint]] = follower.coordinate(np.asarray(leader))
+        return poses
+
+    def led(self, jacobian: _Floats, qpos: _Floats) -> npt.NDArray[np.float64]:
+        """Return a Jacobian (..., V) in which leaders' columns move their followers, too.
+
+        The followers' own columns are zero.
+
+        Args:
+            jacobian: (..., V), of joints that move independently.
+            qpos: (Q,), the pose.
+        """
+        dofs, address = self._model.jnt_dofadr, self._model.jnt_qposadr
+        columns = np.array(jacobian, dtype=np.float64)
+        for follower in reversed(self._in_order):
+            if follower.leader is not None:
+                slope = follower.slope(float(qpos[address[follower.leader]]))
+                columns[..., dofs[follower.leader]] += slope * columns[..., dofs[follower.joint]]
+            columns[..., dofs[follower.joint]] = 0.0
+        return columns
+
+
+def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tuple[_Follower, ...]:
+    """Return the followers in an order in which leaders that follow others come before theirs."""
+    placed: dict[int, _Follower] = {}
+    while len(placed) < len(followers):
+        ready = {
+            joint: follower
+            for joint, follower in followers.items()
+            if joint not in placed
+            and (follower.leader not in followers or follower.leader in placed)
+        }
+        if not ready:
+            names = [model.joint(joint).name for joint in followers if joint not in placed]
+            raise ConfigError(
+                f"joints {', '.join(names)} follow each other in a circle: remove one <equality>"
+                " or <mimic>"
+            )
+        placed |= ready
+    return tuple(placed.values())
+
+
+def _refuse_loop(model: mujoco.MjModel, equality: int) -> None:
+    """Refuse a constraint between two bodies of which one moves against the other."""
+    ids = (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+    if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+        ids = tuple(int(model.site_bodyid[site]) for site in ids)
+    if 0 in ids or model.body_weldid[ids[0]] == model.body_weldid[ids[1]]:
+        return
+    kind = mujoco.mjtEq(int(model.eq_type[equality])).name[5:].lower()
+    name = model.equality(equality).name
+    one, other = (model.body(body).name for body in ids)
+    raise ConfigError(
+        f"has a loop: the <{kind}>{f' {name!r}' if name else ''} in <equality> joins '{one}' and"
+        f" '{other}', which the kinematics of clips cannot follow; remove it, or use a model"
+        " without the linkage"
+    )
