@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import mujoco
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config, resolve_seed
+from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
 from isaacgymenvs_lite.motion.loader import (
@@ -136,7 +138,7 @@ def make_from_config(
     maker = find_task(str(task_cfg["name"]))
     if checkout := cfg.get(checkouts.KEY):
         _find_files(task_cfg["env"], Path(checkout).expanduser().absolute(), maker)
-    return maker(
+    task = maker(
         cfg=task_cfg,
         rl_device=rl_device,
         sim_device=sim_device,
@@ -145,6 +147,10 @@ def make_from_config(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
+    if limit := OmegaConf.select(cfg, ISAAC_LAB_ACTIONS):
+        # Isaac Lab's wrapper has this space, and rl_games scales actions to it.
+        task.act_space = gymnasium.spaces.Box(-limit, limit, task.act_space.shape, np.float32)
+    return task
 
 
 def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:

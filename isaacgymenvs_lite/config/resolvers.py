@@ -5,6 +5,7 @@
 - `${if:p,a,b}`: a if p is true in Python's sense, else b; the text "False" is true
 - `${resolve_default:d,x}`: d if x is '', else x
 - `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu; this project's own
+- `${default_seed:}`: the train file's own seed, else 42; this project's own
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.hydra_bridge import allow_registering_again, parse_interpolations
+
+_DEFAULT_SEED = 42  # as IsaacGymEnvs
 
 
 def equal(a: str, b: str) -> bool:
@@ -46,12 +49,22 @@ def default_rl_device() -> str:
     return "cuda:0" if torch.cuda.is_available() else "cpu"
 
 
+def default_seed(*, _root_: DictConfig) -> Any:
+    """Return the seed that the train file has as a value, as rl_games reads it, else 42."""
+    params = OmegaConf.select(_root_, "train.params")
+    if not isinstance(params, DictConfig) or OmegaConf.is_interpolation(params, "seed"):
+        return _DEFAULT_SEED
+    seed = params.get("seed")
+    return _DEFAULT_SEED if seed is None else seed
+
+
 RESOLVERS: dict[str, Callable[..., Any]] = {
     "eq": equal,
     "contains": contains,
     "if": choose,
     "resolve_default": resolve_default,
     "default_rl_device": default_rl_device,
+    "default_seed": default_seed,
 }
 """By name. None of them looks outside of the configuration: any file may use them."""
 

@@ -40,6 +40,8 @@ _WHERE = "train.params"
 # Section of `train.params` in Isaac Lab's train files: the limits that its wrapper keeps.
 _ISAAC_LAB_SECTION = "env"
 # Key of that section -> key of task.env.
+ISAAC_LAB_ACTIONS = f"train.params.{_ISAAC_LAB_SECTION}.clip_actions"
+"""Path of the largest action; without the key it is 1."""
 _LIMITS = {"clip_observations": "clipObservations", "clip_actions": "clipActions"}
 _PARAMS_KEYS = frozenset(
     (
@@ -146,15 +148,18 @@ def prepare_train_params(
             raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
-    recurrent = "rnn" in params["network"]
-    _translate_former_keys(config, recurrent)
+    critic = config.get("central_value_config") or {}
+    recurrent = ["rnn" in network for network in (params["network"], critic.get("network", {}))]
+    _translate_former_keys(config, any(recurrent))
     _check_ppo_keys(config, names.config_keys)
-    _fit_minibatches(config, num_envs, num_agents, recurrent)
+    _fit_minibatches(config, num_envs, num_agents, *recurrent)
     return params
 
 
 def apply_wrapper_limits(cfg: DictConfig) -> None:
     """Copy the limits of `train.params.env` into the task section, in place.
+
+    The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
 
     Raises:
         ConfigError: a limit is not a positive number.
@@ -367,16 +372,22 @@ def torch_compile_setting(setting: Any, device: str, can_compile: bool) -> Any:
 
 
 def _fit_minibatches(
-    config: dict[str, Any], num_envs: int, num_agents: int, recurrent: bool
+    config: dict[str, Any],
+    num_envs: int,
+    num_agents: int,
+    policy_has_rnn: bool,
+    critic_has_rnn: bool,
 ) -> None:
     """Make minibatch sizes divide the samples of an epoch, in place, with a line for each change.
+
+    Minibatches of a recurrent network hold whole sequences.
 
     Raises:
         ConfigError: an epoch has more samples than memory can hold, or the sequences of a recurrent
             network do not fit into the horizon.
     """
     horizon = config["horizon_length"]
-    sequence = config["seq_length"] if recurrent else 1
+    sequence = config["seq_length"]  # 1 without a recurrent network
     if horizon % sequence:
         raise ConfigError(
             f"{_WHERE}.config: seq_length {sequence} does not divide horizon_length {horizon}; "
@@ -390,11 +401,13 @@ def _fit_minibatches(
         )
     samples = f"{actors * horizon} samples ({num_envs} envs x {horizon} steps"
     samples += f" x {num_agents} agents)" if num_agents > 1 else ")"
-    _fit_minibatch(config, "", num_envs, actors * horizon, sequence, samples)
+    multiple = sequence if policy_has_rnn else 1
+    _fit_minibatch(config, "", num_envs, actors * horizon, multiple, samples)
     if isinstance(critic := config.get("central_value_config"), dict):
         # The central critic sees each environment once, however many agents share it.
         label = "central_value_config."
-        _fit_minibatch(critic, label, num_envs, num_envs * horizon, sequence, samples)
+        multiple = sequence if critic_has_rnn else 1
+        _fit_minibatch(critic, label, num_envs, num_envs * horizon, multiple, samples)
     limit = config["minibatch_size"]
     if isinstance(size := config.get("amp_minibatch_size"), int) and size > limit:
         _log.info("amp_minibatch_size %d exceeds the minibatch: using %d", size, limit)

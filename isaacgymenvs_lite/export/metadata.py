@@ -51,7 +51,7 @@ def describe(
         "observations": _observations(task),
         "observation_limit": _finite(task.clip_obs),
         "actions": _action_names(task),
-        "action_limit": _finite(min(task.clip_actions, 1.0 if player.clip_actions else math.inf)),
+        "action_limit": _action_limit(task, player.clip_actions),
         "action_scaling": _action_scaling(task),
         "drives": drives_of(task.simulation.model),
         **_robot(task),
@@ -60,6 +60,12 @@ def describe(
         described["llc_steps"] = player.llc_steps
         described["llc"] = player.llc.reference["checkpoint"]
     return described
+
+
+def _action_limit(task: VecTask, is_scaled: bool) -> float | None:
+    """Return the largest action that the policy gives the task, None without a limit."""
+    largest = float(task.act_space.high.max()) if is_scaled else math.inf
+    return _finite(min(task.clip_actions, largest))
 
 
 def _described(spec: TensorSpec) -> dict[str, Any]:

@@ -55,7 +55,9 @@ class PPOAgent(PPOSafeguards):
         self._meters = EpisodeMeters(self, ("game_rewards", "game_shaped_rewards", "game_lengths"))
         if self.normalize_advantage:
             self._check_batch_size()
-        self._sliced = on_cpu and not self.is_rnn
+        critic_has_rnn = self.has_central_value and self.central_value_net.is_rnn
+        self._has_sequences = self.is_rnn or critic_has_rnn
+        self._sliced = on_cpu and not self._has_sequences
         if on_cpu:
             take_models(self, device, precision)
 
@@ -99,11 +101,11 @@ class PPOAgent(PPOSafeguards):
         if kept is not None:
             flat = swap_and_flatten01(kept)
             self._enough_rows(int(flat.sum()))
-            if self.is_rnn:
+            if self._has_sequences:
                 batch_dict["rnn_masks"] = flat.float()
             else:
                 batch_dict = take_rows(batch_dict, flat)
-        if not self.is_rnn:
+        if not self._has_sequences:
             num_rows = current_group().smallest(len(batch_dict["returns"]))
             fit_datasets(self, num_rows)
         super().prepare_dataset(batch_dict)

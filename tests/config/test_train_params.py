@@ -8,7 +8,7 @@ from isaacgymenvs_lite import schema
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError
-from tests.tiny import ASYMMETRIC_CRITIC
+from tests.tiny import ASYMMETRIC_CRITIC, CONFIG
 
 AMP_KEYS = ("amp_minibatch_size",)
 NAMES = KnownNames(
@@ -107,6 +107,18 @@ def test_sequence_length_of_a_recurrent_network_is_kept_with_a_warning(prepare, 
     assert config["seq_length"] == 8
     assert "seq_len" not in config
     assert "seq_len is called seq_length now: using 8" in caplog.text
+
+
+def test_a_critic_alone_may_be_recurrent(prepare):
+    rnn = "rnn: {name: gru, units: 8, layers: 1}, name: actor_critic"
+    critic = ASYMMETRIC_CRITIC.replace("name: actor_critic", rnn).replace("32768", "100")
+    words = (f"+{CONFIG}.central_value_config={critic}", f"{CONFIG}.minibatch_size=100")
+    config = config_of(prepare(*words, f"{CONFIG}.seq_len=8", num_envs=25))
+    assert config["seq_length"] == 8
+    assert config["minibatch_size"] == 100  # of 400 samples
+    assert config["central_value_config"]["minibatch_size"] == 80  # whole sequences
+    with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
+        prepare(*words, f"{CONFIG}.seq_len=5", num_envs=25)
 
 
 @pytest.mark.parametrize(

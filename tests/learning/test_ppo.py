@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -181,3 +182,14 @@ def test_the_cart_learns_to_go_where_it_is_rewarded(make_agent):
     # standing still is worth -32 in 32 steps
     assert rewards[0] < -20.0
     assert rewards[-1] > rewards[0] + 5.0
+
+
+def test_isaac_labs_clip_actions_is_the_range_of_actions(
+    make_classic_agent: Callable[..., Any],
+) -> None:
+    limit = "+train.params.env={clip_actions: 0.25}"
+    agent = make_classic_agent("task=Ant", "num_envs=4", "max_iterations=1", limit)
+    actions = torch.tensor([[-3.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 0.25]])
+    expected = 0.25 * actions.clamp(-1, 1)  # rl_games: rescale_actions(low, high, clamped)
+    scaled = torch.as_tensor(agent.preprocess_actions(actions))
+    torch.testing.assert_close(scaled, expected)

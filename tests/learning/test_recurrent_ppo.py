@@ -52,6 +52,18 @@ def test_it_remembers_until_an_episode_ends(make_classic_runner: Callable[..., A
     assert (third[4] != first[4]).any()
 
 
+def test_a_recurrent_critic_beside_a_policy_without_memory(
+    make_classic_agent: Callable[..., Any],
+) -> None:
+    words = ("task=Cartpole", "num_envs=16", "max_iterations=2", *asymmetric(_RNN))
+    agent = make_classic_agent(*words, "+train.params.config.seq_length=8")
+    assert (agent.is_rnn, agent.seq_length, agent.central_value_net.seq_length) == (False, 8, 8)
+    before = weights(agent.central_value_net.model.a2c_network.rnn)
+    agent.train()
+    after = weights(agent.central_value_net.model.a2c_network.rnn)
+    assert not any(map(torch.equal, before, after))
+
+
 @pytest.mark.parametrize("rnn", ["", _RNN])
 def test_an_asymmetric_critic_learns(make_classic_agent: Callable[..., Any], rnn: str) -> None:
     agent = make_classic_agent(*TINY_LSTM, *asymmetric(rnn))

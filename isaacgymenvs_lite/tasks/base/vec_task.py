@@ -190,7 +190,7 @@ class Env:
 
     @property
     def action_space(self) -> gymnasium.Space:
-        """Box of one environment's action, -1..1."""
+        """Box of one environment's action; -1..1 except with a train file of Isaac Lab."""
         return self.act_space
 
     def get_task_obs_size(self) -> int:
