@@ -59,6 +59,7 @@ _TASKS_OF_ALGORITHMS = {
     "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
 }
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
+_NO_EFFECT = "no effect here"
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
 
 
@@ -116,9 +117,10 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
         lines += _describe_composed(cfg, kind, has_train) if known else _describe_unknown(cfg)
     for line in dict.fromkeys(logged):
         lines.append(f"note: {line}")
-    if known:
-        lines.append("nothing is wrong with it")
-    return lines
+    checked = "it" if known else "the rest of it"
+    if any(line.startswith((_NO_EFFECT, "note: nothing reads")) for line in lines):
+        return [*lines, f"{checked} can be used; the keys without effect are named above"]
+    return [*lines, f"nothing is wrong with {checked}"]
 
 
 def _has_class(cfg: DictConfig) -> bool:
@@ -133,9 +135,8 @@ def _describe_unknown(cfg: DictConfig) -> list[str]:
         f"the class of '{cfg.task.name}' is not here, so that the keys of task.env are not checked;"
         " install the package that has it, or register it in a script (docs/own_task.md)"
     ]
-    if unread := physx_only_keys(cfg):
-        lines.append(f"no effect here: {', '.join(unread)}")
-    lines.append("nothing is wrong with the rest of it")
+    if unread := physx_only_keys(cfg, with_defaults=True):
+        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
     return lines
 
 
@@ -165,9 +166,10 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
         lines += _train_lines(params)
     if path := checkpoint_in_file(cfg):
         lines.append(f"goes on from {resolve_checkpoint(path, 'runs', str(cfg.task.name))}")
-    unread = list(physx_only_keys(cfg)) if kind == "task" else _unread_train_keys(cfg)
+    is_task = kind == "task"
+    unread = physx_only_keys(cfg, with_defaults=True) if is_task else _unread_train_keys(cfg)
     if unread:
-        lines.append(f"no effect here: {', '.join(unread)}")
+        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
     if note := cpu_defaults_note(cfg):
         lines.append(note)
     return lines
@@ -254,9 +256,9 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
 def _train_file_of(path: Path, name: str) -> str | None:
     """Return the train file that goes with a task file, None if there is none."""
-    for stem in (path.stem, name):
-        if (cfg_dir() / "train" / f"{stem}PPO.yaml").is_file():
-            return f"{stem}PPO"
+    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # HumanoidSAC.yaml has both
+        if (cfg_dir() / "train" / f"{train}.yaml").is_file():
+            return train
     beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
     return str(beside) if beside.is_file() else None
 

@@ -83,6 +83,29 @@ def test_a_task_by_the_algorithm_if_the_name_is_no_help(tmp_path: Path) -> None:
     assert "task=HumanoidASE;" in describe(str(file))[0]
 
 
+def test_keys_without_effect_are_all_named(tmp_path: Path) -> None:
+    file = tmp_path / "AntMine.yaml"
+    player = "player: {games_num: 3, mine: True}"
+    file.write_text(
+        f"defaults: [AntPPO, _self_]\nparams: {{config: {{{player}}}, model: {{extra: 1}}}}\n"
+    )
+    lines = describe(str(file))
+    assert "note: nothing reads train.params.model.extra" in lines
+    assert "note: nothing reads train.params.config.player.mine" in lines
+    closing = "it can be used; the keys without effect are named above"
+    assert lines[-1] == closing
+    of_task = describe("Ant", ["num_envs=2048"])
+    (unread,) = (line for line in of_task if line.startswith("no effect here: "))
+    assert "task.env.envSpacing" in unread
+    assert "task.sim.physx.* (except num_threads)" in unread
+    assert of_task[-1] == closing
+
+
+def test_a_task_file_of_sac_is_described_with_its_train_file() -> None:
+    sac = str(cfg_dir() / "task" / "HumanoidSAC.yaml")
+    assert "algorithm: sac, model soft_actor_critic" in describe(sac)
+
+
 @pytest.mark.parametrize("name", sorted(set(TRAIN_FILES) - BASES))
 def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
     assert describe(name, ["num_envs=64"])[-1] == "nothing is wrong with it"
@@ -211,7 +234,7 @@ def test_a_file_for_an_asymmetric_critic_with_memory(tmp_path: Path) -> None:
         describe(str(file), ["task=Ant"])
     lines = describe(str(file), ["task=Ant", "task.env.asymmetric_observations=True"])
     assert "asymmetric critic: actor_critic, [512] relu, lstm of 1024 units" in lines
-    assert lines[-1] == "nothing is wrong with it"
+    assert lines[-1] == "it can be used; the keys without effect are named above"
     with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
         describe(
             str(file),
@@ -323,7 +346,7 @@ def test_a_task_file_of_ones_own_that_is_made_of_ours(tmp_path: Path, capsys) ->
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "SwingUp.yaml: a task file, of the task SwingUp"
     assert "the class of 'SwingUp' is not here, so that the keys of task.env are not" in lines[1]
-    assert lines[-1] == "nothing is wrong with the rest of it"
+    assert lines[-1] == "the rest of it can be used; the keys without effect are named above"
 
 
 def test_with_its_class_all_of_it_is_checked(tmp_path: Path, monkeypatch) -> None:
@@ -334,7 +357,7 @@ def test_with_its_class_all_of_it_is_checked(tmp_path: Path, monkeypatch) -> Non
     lines = describe(str(file))
     assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
     assert not any(line.startswith("algorithm") for line in lines)  # it has no train file yet
-    assert lines[-1] == "nothing is wrong with it"
+    assert lines[-1] == "it can be used; the keys without effect are named above"
     # A train file is checked with the task file that belongs to it.
     train = train_file(tmp_path / "cfg" / "train", "SwingUpPPO", "SwingUp")
     assert "checked with task=SwingUp;" in describe(str(train))[0]

@@ -160,6 +160,7 @@ def test_the_configuration_of_a_run_can_be_used_again(trained_run, walk_clip, in
     stored = OmegaConf.load(trained_run / "config.yaml")
     assert isinstance(stored, DictConfig)
     again = tiny(walk_clip, f"{CONFIG}.imitation_frequency=1")
+    again.seed = 42
     assert OmegaConf.to_container(stored) == OmegaConf.to_container(again)
     check_config(stored)
     run(stored)

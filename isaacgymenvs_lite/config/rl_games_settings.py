@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +89,10 @@ class PPOSettings(RunSettings):
     normalize_input: bool = setting()
     normalize_value: bool = setting(False)
     normalize_advantage: bool = setting()
-    normalize_rms_advantage: bool = setting(False)
+    normalize_rms_advantage: bool = setting(False, choices=(False,))
+    """rl_games 1.6.5 cannot make its statistics."""
+    use_action_masks: bool = setting(False, choices=(False,))
+    """Of discrete actions only."""
     clip_actions: bool = setting(True)
 
     # Optimiser
@@ -141,15 +144,13 @@ class RewardShaperSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PlayerSettings:
-    """The section player, beside the keys that a player class has of its own."""
+    """The keys of the section player that have an effect."""
 
     games_num: int = setting(32, minimum=1)
     """Episodes."""
     deterministic: bool = setting(True)
-    n_game_life: int = setting(1, minimum=1)
-    print_stats: bool = setting(True)
-    render: bool = setting(False)
-    render_sleep: float = setting(0.002, minimum=0)
+    n_game_life: int = setting(1, choices=(1,))
+    """Lives of a game; the tasks have no others."""
     record: str | None = setting(None)
     """File that environment 0 is recorded to."""
     latent: str | None = setting(None)
@@ -185,7 +186,6 @@ PPO_OTHER_KEYS = frozenset(
         "schedule_entropy",
         "self_play",
         "self_play_config",
-        "use_action_masks",
         "use_experimental_cv",
         "use_smooth_clamp",
         "value_size",
@@ -310,6 +310,10 @@ INITIALIZERS: dict[str, type[Any] | None] = {
 }
 
 
+# A fixed sigma is a vector, for which the others are not defined.
+_VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
+
+
 # Networks made of an `mlp` section, and the sections of hidden layers that they may have.
 _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
@@ -366,7 +370,7 @@ class StyleSettings:
 class RecurrentSettings:
     """The section rnn."""
 
-    name: str = setting(choices=("lstm", "gru", "identity"))
+    name: str = setting(choices=("lstm", "gru"))
     units: int = setting(minimum=1, maximum=_MAX_UNITS)
     layers: int = setting(minimum=1, maximum=_MAX_LAYERS)
     layer_norm: bool = setting(False)
@@ -376,7 +380,7 @@ class RecurrentSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _NetworkSettings:
+class NetworkSettings:
     """The keys of the network section itself."""
 
     separate: bool = setting(False)
@@ -433,7 +437,7 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
             _log.warning(
                 "%s.inputs: the tasks observe one vector, not named parts; no effect", where
             )
-    own = convert_keys(_NetworkSettings, network, where)
+    own = convert_keys(NetworkSettings, network, where)
     for section, settings in _SECTIONS.items():
         if section in network:
             layers = convert_section(settings, network[section], f"{where}.{section}")
@@ -459,7 +463,8 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
         path = f"{where}.space.continuous"
         gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")
-        _check_initializer(gaussian.sigma_init, f"{path}.sigma_init")
+        of_vector = None if gaussian.fixed_sigma in (False, "obs_cond") else _VECTOR_INITIALIZERS
+        _check_initializer(gaussian.sigma_init, f"{path}.sigma_init", of_vector)
 
 
 def num_weights(network: Mapping[str, Any], num_inputs: int = 1) -> int:
@@ -513,6 +518,9 @@ def check_central_value(section: dict[str, Any], where: str) -> None:
     settings = convert_keys(CentralValueSettings, section, where)
     if "name" not in settings.network:
         raise missing_key("name", settings.network, (), f"{where}.network", "expected actor_critic")
+    # rl_games needs the key, without which its network returns an actor's output.
+    if section["network"].setdefault("central_value", True) is not True:
+        raise ConfigError(f"{where}.network.central_value: expected True, or no such key")
     check_network(settings.network, f"{where}.network", is_critic=True)
 
 
@@ -529,7 +537,9 @@ def _refuse_other_keys(
             raise ConfigError(f"{where}: {unknown('key', str(key), keys_of(cls))}")
 
 
-def _check_initializer(initializer: dict[str, Any], where: str) -> None:
+def _check_initializer(
+    initializer: dict[str, Any], where: str, choices: Collection[str] | None = None
+) -> None:
     """Check name and arguments of an initialiser; convert numbers in place.
 
     Raises:
@@ -538,6 +548,11 @@ def _check_initializer(initializer: dict[str, Any], where: str) -> None:
     name = initializer.get("name")
     if name is None:
         raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(INITIALIZERS)}")
+    if choices is not None and name in INITIALIZERS and name not in choices:
+        raise ConfigError(
+            f"{where}.name={name}: made for matrices, and a fixed sigma is a vector; choices:"
+            f" {', '.join(choices)}"
+        )
     if str(name) not in INITIALIZERS:
         raise ConfigError(f"{where}.name: " + unknown("initializer", str(name), INITIALIZERS))
     arguments = INITIALIZERS[str(name)]

@@ -49,17 +49,24 @@ def startup_notes(cfg: DictConfig, check_command: str) -> list[str]:
     return notes
 
 
-def physx_only_keys(cfg: DictConfig) -> list[str]:
+def physx_only_keys(cfg: DictConfig, *, with_defaults: bool = False) -> list[str]:
     """Return the keys that have no effect here and were set by the user.
 
     Set means: unlike our own YAML file of that name, or, in a task that we ship no file for,
     present. Values are compared as written, before interpolation.
+
+    Args:
+        cfg: the composed tree.
+        with_defaults: return all keys of the task that have no effect, and none of the root.
     """
     tree, root = _as_written(cfg), _as_written(read_yaml(cfg_dir() / "config.yaml"))
-    found = [key for key in _ROOT_KEYS if _value_at(tree, key) != _value_at(root, key)]
-    task_file = cfg_dir() / "task" / f"{_value_at(tree, 'task.name')}.yaml"
-    shipped = _as_written(merge_defaults(task_file)) if task_file.is_file() else {}
     task = tree.get("task")
+    if with_defaults:
+        found, shipped = [], {}
+    else:
+        found = [key for key in _ROOT_KEYS if _value_at(tree, key) != _value_at(root, key)]
+        task_file = cfg_dir() / "task" / f"{_value_at(tree, 'task.name')}.yaml"
+        shipped = _as_written(merge_defaults(task_file)) if task_file.is_file() else {}
     found += [f"task.{key}" for key in _TASK_KEYS if _is_set(task, shipped, key)]
     for section in _TASK_SECTIONS:
         found += _set_keys(task, shipped, section)
@@ -107,13 +114,17 @@ def _short(value: Any) -> str:
 
 
 def _set_keys(task: Any, shipped: Any, section: str) -> list[str]:
-    """Return the keys of `task.<section>` that the user set; the section's name if it is all."""
+    """Return the keys of `task.<section>` that the user set; the section's name if it is all.
+
+    The task reads physx.num_threads.
+    """
     keys = _value_at(task, section)
-    if not isinstance(keys, dict) or not keys:
+    if not isinstance(keys, dict):
         return []
-    found = [str(key) for key in keys if _is_set(task, shipped, f"{section}.{key}")]
-    if len(found) == len(keys):
-        return [f"task.{section}.*"]
+    unread = [str(key) for key in keys if key != "num_threads"]
+    found = [key for key in unread if _is_set(task, shipped, f"{section}.{key}")]
+    if found and found == unread:
+        return [f"task.{section}.*" + (" (except num_threads)" if len(keys) > len(found) else "")]
     return [f"task.{section}.{key}" for key in found]
 
 

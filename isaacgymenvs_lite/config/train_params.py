@@ -27,7 +27,6 @@ from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
 from isaacgymenvs_lite.schema import (
     check_unknown_keys,
-    convert_keys,
     convert_section,
     keys_of,
     missing_key,
@@ -59,15 +58,27 @@ _FAMILIES = {
     "ppo": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
     "a2c": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
 }
+# Algorithms -> the registered models and networks that they run with. Forks' own names are not
+# checked.
+_GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "a2c_continuous": (
+        ("continuous_a2c_logstd", "continuous_a2c_tanh"),
+        ("actor_critic", "simplenet"),
+    ),
+    "sac": (("soft_actor_critic",), ("soft_actor_critic",)),
+    **dict.fromkeys(("amp", "amp_agent", "amp_continuous"), (("continuous_amp", "amp"), ("amp",))),
+    **dict.fromkeys(
+        ("gen_amp", "ase"), (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase"))
+    ),
+    **dict.fromkeys(("hrl", "hrl_continuous"), (("continuous_hrl", "hrl"), ("hrl",))),
+}
+# rl_games' own that no algorithm here runs with.
+_NOT_RUN = (
+    *("central_value", "continuous_a2c", "resnet_actor_critic", "rnd_curiosity"),
+    *("testnet", "testnet_aux_loss"),
+)
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+")
 _MAX_SAMPLES = 2**31 - 1  # of an epoch
-_PLAYER_DEFAULTS = {
-    "deterministic": True,
-    "render": False,
-    "render_sleep": 0.002,
-    "n_game_life": 1,
-    "print_stats": True,
-}
 
 
 @dataclass(frozen=True)
@@ -130,8 +141,8 @@ def prepare_train_params(
     shaper = check_reward_shaper(config.get("reward_shaper"), f"{_WHERE}.config.reward_shaper")
     config["reward_shaper"] = shaper
     player = config.get("player") or {}
-    convert_keys(PlayerSettings, player, f"{_WHERE}.config.player")
-    config["player"] = _PLAYER_DEFAULTS | player
+    convert_section(PlayerSettings, player, f"{_WHERE}.config.player", ("class_name",))
+    config["player"] = {"deterministic": True} | player
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
@@ -219,8 +230,11 @@ def _check_params(params: dict[str, Any], names: KnownNames) -> None:
             keys = value if isinstance(value, dict) else {}
             hint = f"choices: {', '.join(sorted(choices))}" if choices else "expected a name"
             raise missing_key("name", keys, ["name"], where, hint)
+        if section != "network":
+            check_unknown_keys(value, ("name",), where)
     _check_names(params, sections)
     _check_continuous(params)
+    _check_family(params)
     check_network(params["network"], f"{_WHERE}.network")
     if not isinstance(params.get("config"), dict):
         raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
@@ -251,6 +265,21 @@ def _check_names(params: dict[str, Any], sections: Mapping[str, Collection[str]]
         f"{_WHERE}: unknown {listed}, a fork's own names, it seems; for the published classes add"
         f" {overrides}"
     )
+
+
+def _check_family(params: dict[str, Any]) -> None:
+    """Refuse registered models and networks with which the algorithm cannot run."""
+    algo = str(params["algo"]["name"])
+    if algo not in _GOES_WITH:
+        return
+    for section, place in (("model", 0), ("network", 1)):
+        name, choices = str(params[section]["name"]), _GOES_WITH[algo][place]
+        others = {other for family in _GOES_WITH.values() for other in family[place]}
+        if name in others.difference(choices) or name in _NOT_RUN:
+            raise ConfigError(
+                f"{_WHERE}.{section}.name={name}: algo {algo} does not run with it; choices:"
+                f" {', '.join(choices)}"
+            )
 
 
 def _family_of(
@@ -333,6 +362,8 @@ def _translate_former_keys(config: dict[str, Any], recurrent: bool) -> None:
 def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     """Check and convert the keys of PPO in place; `agent_keys` are read elsewhere."""
     where = f"{_WHERE}.config"
+    if config.get("bounds_loss_coef") is None:
+        config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails without a number
     settings = convert_section(PPOSettings, config, where, PPO_OTHER_KEYS | set(agent_keys))
     config.setdefault("seq_length", settings.seq_length)
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:

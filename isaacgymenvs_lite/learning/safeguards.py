@@ -248,6 +248,11 @@ class Safeguards(Resuming):
             # PPO's networks are unchanged since their last check; SAC's may not be: save checks.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         good = self._good_checkpoint
+        if name == "rewards" and getattr(self.rewards_shaper, "log_val", False):
+            return self._end(
+                f"{where}: reward_shaper.log_val=True takes their logarithm, and they are not above"
+                " 0; raise train.params.config.reward_shaper.shift_value, or set log_val=False"
+            )
         message = f"{where}: the task returned a number that is not finite; fix its computation" + (
             f", and go on from the last good checkpoint, {good}" if good else ""
         )

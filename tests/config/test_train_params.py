@@ -70,7 +70,6 @@ def test_device_of_the_caller_wins(prepare):
 def test_players_own_settings_win(prepare):
     player = config_of(prepare("+train.params.config.player={deterministic: False}"))["player"]
     assert player["deterministic"] is False
-    assert player["n_game_life"] == 1
 
 
 def test_missing_reward_shaper_shapes_nothing(prepare):
