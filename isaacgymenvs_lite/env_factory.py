@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
 from isaacgymenvs_lite.config import checkouts
-from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
@@ -61,9 +61,9 @@ def make_task(
     check_device_name(sim_device, "sim_device")
     rl_device = check_device(rl_device, "rl_device")
     if cfg is None:
-        cfg = compose(
+        cfg = compose_task(
+            task,
             [
-                f"task={task}",
                 f"num_envs={num_envs}" if num_envs != "" else "num_envs=''",
                 f"seed={seed}",
                 f"sim_device={sim_device}",
@@ -72,7 +72,7 @@ def make_task(
                 f"headless={headless}",
                 f"multi_gpu={multi_gpu}",
                 f"force_render={force_render}",
-            ]
+            ],
         )
     else:
         cfg = _with_checkout(cfg)

@@ -110,8 +110,11 @@ class TrackingDemo:
 class TrackingEnv(AMPEnv, Protocol):
     """A task that shows how to follow its reference motions, for a warm start."""
 
-    def fetch_tracking_demo(self, num_samples: int) -> TrackingDemo | None:
-        """Return n moments, None if they are not known; called before a reset of all episodes."""
+    def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
+        """Return n moments, None if they are not known; called before a reset of all episodes.
+
+        Observations without the goal lack their last `get_task_obs_size()` entries.
+        """
         ...
 
 
@@ -197,6 +200,12 @@ class HierarchyEnv(AMPObsEnv, Protocol):
     def get_task_obs_size(self) -> int:
         """Return how many entries of an observation, the last ones, describe the task."""
         ...
+
+
+def goal_size(env: Any) -> int:
+    """Return how many of the last entries of an observation describe the goal of any task."""
+    size_of = getattr(env, "get_task_obs_size", None)
+    return 0 if size_of is None else int(size_of())
 
 
 class GoalEnv(Env, Protocol):

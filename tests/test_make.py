@@ -118,6 +118,14 @@ def _course(task: VecTask) -> bytes:
     return first.numpy().tobytes() + second.numpy().tobytes()
 
 
+def test_the_task_decides_its_goal(make) -> None:
+    env = make(task="HumanoidASE", num_envs=4)
+    assert env.get_task_obs_size() == 5  # heading
+    env.reset()
+    _, rewards, _, _ = env.step(torch.zeros(4, 28))
+    assert 0.0 <= rewards.min() < rewards.max() < 1.0
+
+
 def test_a_seed_gives_the_same_course_and_another_one_another(make) -> None:
     courses = [_course(make(seed=seed, num_envs=4)) for seed in (3, 3, 4)]
     assert courses[0] == courses[1]

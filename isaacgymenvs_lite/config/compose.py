@@ -59,9 +59,9 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
 def compose_task(
     task: str, overrides: Sequence[str] = (), config_dir: Path | str | None = None
 ) -> DictConfig:
-    """Compose the tree of a task that an agent of another library trains on; see `compose`.
+    """Compose the tree of a task that a program or another library makes; see `compose`.
 
-    Not every task has a train file. The tree gets one that always exists; nothing reads it.
+    Not every task has a train file. The tree gets PPO's, which nothing reads.
 
     Args:
         task: name of a task file.

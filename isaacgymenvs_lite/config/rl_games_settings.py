@@ -448,7 +448,8 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
     if "mlp" in network and "initializer" not in network["mlp"]:
         hint = "expected a mapping with its name, such as default"
         raise missing_key("initializer", network["mlp"], (), f"{where}.mlp", hint)
-    if (network.get("disc") or {}).get("conditional") and network["name"] not in _LATENT_NETWORKS:
+    has_no_latents = network["name"] in _MLP_NETWORKS.difference(_LATENT_NETWORKS)
+    if (network.get("disc") or {}).get("conditional") and has_no_latents:
         raise ConfigError(
             f"{where}.disc.conditional=True: the network {network['name']} has no latents that a"
             f" discriminator could receive; expected {where}.name: {' or '.join(_LATENT_NETWORKS)}"

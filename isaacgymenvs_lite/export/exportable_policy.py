@@ -152,11 +152,13 @@ class SkillGraph(PolicyGraph):
     def __init__(self, player: Any) -> None:
         super().__init__(player)
         self._actor = _actor_of(player)
+        self._num_policy_obs = player.num_policy_obs
         self.inputs += (TensorSpec("latent", (player.latent_dim,)),)
 
     def forward(self, obs: Tensor, latent: Tensor) -> Tensor:
         """Return `outputs` of `inputs`."""
-        action = self._actor(self._clamped_obs(obs), F.normalize(latent, dim=-1))
+        own = self._clamped_obs(obs)[:, : self._num_policy_obs]  # without an ignored goal
+        action = self._actor(own, F.normalize(latent, dim=-1))
         return self._clamped_action(action)
 
 

@@ -118,6 +118,7 @@ class AMPAgent(StyleRewards, CommonAgent):
     _normalize_amp_input = ReadOnly("_amp.normalize_amp_input")
     _enable_eps_greedy = ReadOnly("_amp.enable_eps_greedy")
     _amp_input_mean_std = ReadOnly("discriminator.normalizer", "the agent's discriminator")
+    _observes_goal = True
     _amp_observation_space = ReadOnly("_env.amp_observation_space", "the task")
 
     # --- constructor -----------------------------------------------------------------------
@@ -240,7 +241,7 @@ class AMPAgent(StyleRewards, CommonAgent):
     def _fetch_tracking_demo(self) -> TrackingDemo | None:
         """Return moments of the clips as the networks receive them; None if there are none."""
         fetch = getattr(self._env, "fetch_tracking_demo", None)
-        fetched = None if fetch is None else fetch(NUM_SAMPLES)
+        fetched = None if fetch is None else fetch(NUM_SAMPLES, self._observes_goal)
         if fetched is None:
             return None
         inputs: Any = self._preproc_obs(fetched.obs.to(self.ppo_device))

@@ -104,7 +104,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         )
 
     def _build_net_config(self) -> dict[str, Any]:
-        return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
+        return {**super()._build_net_config(), **self._sizes_of_inputs(self._env)}
 
     def _build_modules(self) -> None:
         super()._build_modules()

@@ -66,7 +66,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         self.skills: SkillResult | None = None
 
     def _build_net_config(self) -> dict[str, Any]:
-        return {**super()._build_net_config(), "amp_latent_shape": (self._amp.latent_dim,)}
+        return {**super()._build_net_config(), **self._sizes_of_inputs(self.env)}
 
     @property
     def latent_dim(self) -> int:

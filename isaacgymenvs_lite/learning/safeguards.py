@@ -49,6 +49,7 @@ class Safeguards(Resuming):
     """Checkpoints that fit and that are finite, for every agent; a base before rl_games' class."""
 
     game_rewards: Any
+    rewards_shaper: Any
     nn_dir: str
     _restored_from = ""
     _last_saved: Path | None = None
@@ -248,7 +249,7 @@ class Safeguards(Resuming):
             # PPO's networks are unchanged since their last check; SAC's may not be: save checks.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
         good = self._good_checkpoint
-        if name == "rewards" and getattr(self.rewards_shaper, "log_val", False):
+        if name == "rewards" and self.rewards_shaper.log_val:
             return self._end(
                 f"{where}: reward_shaper.log_val=True takes their logarithm, and they are not above"
                 " 0; raise train.params.config.reward_shaper.shift_value, or set log_val=False"

@@ -18,6 +18,17 @@ from tests.learning.test_gen_amp import CONFIG, GEN_AMP, LATENT_DIM
 STEPS = 3
 
 
+def save_train_file(agent: Any, file: Path) -> None:
+    """Write the train file of an agent, without the sections of its configuration."""
+    config = {
+        key: value
+        for key, value in agent.config.items()
+        if isinstance(value, (bool, int, float, str)) or value is None
+    }
+    params = {"network": agent.network.network_builder.params, "config": config}
+    OmegaConf.save(OmegaConf.create({"params": params}), file)
+
+
 def train_low_level(
     make_agent: Callable[..., Any], folder: Path, *more: str
 ) -> tuple[Any, str, str]:
@@ -25,15 +36,7 @@ def train_low_level(
     agent = make_agent(*GEN_AMP, "max_iterations=2", f"{CONFIG}.learning_rate=1e-3", *more)
     agent.train()
     agent.save(str(folder / "llc"))
-    params = {
-        "network": agent.network.network_builder.params,
-        "config": {
-            key: value
-            for key, value in agent.config.items()
-            if isinstance(value, (bool, int, float, str)) or value is None
-        },
-    }
-    OmegaConf.save(OmegaConf.create({"params": params}), folder / "llc.yaml")
+    save_train_file(agent, folder / "llc.yaml")
     return agent, str(folder / "llc.yaml"), str(folder / "llc.pth")
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from rl_games.algos_torch import model_builder
+from rl_games.common.algo_observer import DefaultAlgoObserver
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.config.train_files import load_train_file
@@ -15,9 +17,10 @@ from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
-from isaacgymenvs_lite.registration import register
+from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
+from isaacgymenvs_lite.registration import register, register_env
 from tests.learning.test_gen_amp import CONFIG, GEN_AMP
-from tests.learning.test_hrl import llc, overrides  # noqa: F401  a fixture
+from tests.learning.test_hrl import llc, overrides, save_train_file  # noqa: F401  a fixture
 
 ONE_EPOCH = "max_iterations=1"
 
@@ -106,6 +109,62 @@ def test_a_resolved_train_file_trains(make_runner, tmp_path):
     runner.load(loaded)
     runner.run({"train": True})
     assert list(tmp_path.glob("*/nn/*.pth"))
+
+
+class CountingBuilder(GenAMPBuilder):
+    """A user's own network, which says how often it was built."""
+
+    built = 0
+
+    def build(self, name: str, **kwargs: Any) -> Any:
+        type(self).built += 1
+        return super().build(name, **kwargs)
+
+
+def train_own(file: str, folder: Path, **more: Any) -> Any:
+    """Train one small epoch of a shipped file in an own Runner on HumanoidASE; return the agent."""
+    loaded = load_train_file(file, num_envs=8)
+    network, config = loaded["params"]["network"], loaded["params"]["config"]
+    for section in {"mlp", "disc", "enc", "style"} & set(network):
+        network[section]["units"] = [16, 8]
+    config |= {
+        **{"device": "cpu", "device_name": "cpu", "train_dir": str(folder), "max_epochs": 1},
+        **{"horizon_length": 4, "minibatch_size": 32, "mini_epochs": 1, "mixed_precision": False},
+        **{"env_config": {"task": "HumanoidASE", "num_envs": 8, "rl_device": "cpu"}, **more},
+    }
+    agents: list[Any] = []
+
+    class Observer(DefaultAlgoObserver):
+        def after_init(self, algo: Any) -> None:
+            agents.append(algo)
+            super().after_init(algo)
+
+    runner = Runner(Observer())
+    register(runner)
+    register_env()
+    runner.load(loaded)
+    runner.run({"train": True})
+    return agents[0]
+
+
+def test_skills_and_a_hierarchy_on_a_task_by_its_name(tmp_path):
+    """The task has its goal; skills, which no goal rewards, do not observe it."""
+    small = {"amp_minibatch_size": 8, "amp_batch_size": 16, "amp_replay_buffer_size": 64}
+    small |= {"amp_obs_demo_buffer_size": 32, "warm_start_steps": 2}
+    skills = train_own("HumanoidASEPPO", tmp_path / "skills", **small)
+    task = skills.vec_env.env
+    assert task.get_task_obs_size() == 5  # heading
+    assert skills.num_policy_obs == task.num_obs - 5
+    assert task.rew_buf.std() > 0.0
+    (file,) = (tmp_path / "skills").glob("*/nn/*.pth")
+    skills.network.network_builder.params["name"] = "own"
+    save_train_file(skills, tmp_path / "llc.yaml")
+    keys = {"llc_config": str(tmp_path / "llc.yaml"), "llc_checkpoint": str(file)}
+    model_builder.register_network("own", CountingBuilder)
+    hierarchy = train_own("HumanoidASEHRLPPO", tmp_path / "hrl", **keys)
+    assert CountingBuilder.built == 1
+    assert hierarchy.llc.num_task_obs == 5
+    assert hierarchy.llc.num_character_obs == skills.num_policy_obs
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import goal_size
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
@@ -102,8 +103,26 @@ class SkillRewards:
     model: Any
     encoder: SkillEncoder
     # AMP's class has them.
+    _amp: Any
     _calc_disc_rewards: Any
     _reward_latents: Any
+    obs_shape: Any
+
+    @property
+    def _observes_goal(self) -> bool:
+        """Whether the policy observes the task's goal: not if its reward does not count."""
+        return self._amp.task_reward_w != 0.0
+
+    def _sizes_of_inputs(self, env: Any) -> dict[str, Any]:
+        """Return the network's sizes of latents, and of observations without an ignored goal."""
+        of_goal = 0 if self._observes_goal else goal_size(env)
+        self.num_policy_obs = self.obs_shape[0] - of_goal
+        return {"amp_latent_shape": (self._amp.latent_dim,), "input_shape": (self.num_policy_obs,)}
+
+    def _preproc_obs(self, obs: Any) -> Any:
+        """As rl_games, of observations (..., O) without an ignored goal."""
+        base: Any = super()
+        return base._preproc_obs(obs[..., : self.num_policy_obs])
 
     @property
     def _disc_is_conditional(self) -> bool:

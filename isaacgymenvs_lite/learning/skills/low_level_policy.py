@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 import torch
 import torch.nn.functional as F
+from rl_games.algos_torch import model_builder
 from rl_games.algos_torch.players import rescale_actions
 from torch import Tensor
 
@@ -27,7 +28,6 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_agent_params
 from isaacgymenvs_lite.learning.cpu.parallel import parallelize
 from isaacgymenvs_lite.learning.gen_amp import GenAMPAgent
-from isaacgymenvs_lite.learning.gen_amp_models import ModelGenAMPContinuous
 from isaacgymenvs_lite.learning.gen_amp_network_builder import GenAMPBuilder
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
@@ -38,7 +38,6 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normaliz
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 
-_NETWORKS = ("gen_amp", "ase")
 _RL_DEVICES = ("cpu", "cuda:0")
 
 
@@ -104,20 +103,13 @@ class LowLevelPolicy:
         file = find_llc_checkpoint(llc_checkpoint)
         state = checkpoints.load_checkpoint(file)
         train_params = _train_params(llc_config, state)
-        network = train_params.get("network") or {}
-        if network.get("name") not in _NETWORKS or "latent_dim" not in train_params["config"]:
-            raise ConfigError(
-                f"llc_config={llc_config}: no skill policy (network: name:"
-                f" {network.get('name')}); expected the train file of a low-level controller, with"
-                f" network: name: {' or '.join(_NETWORKS)} and config: latent_dim"
-            )
-        check_network(network, f"llc_config={llc_config}: network")
+        builder = _model_builder(train_params, llc_config)
         self.params = read_agent_params(train_params["config"], GenAMPParams)
         self.latent_dim = self.params.latent_dim
         self._sizes = sizes
         self._disc_obs_size = disc_obs_size(sizes.amp_obs, self.params)
         self._device = torch.device(device)
-        self.model = self._build_model(network, train_params["config"])
+        self.model = self._build_model(builder, train_params["config"])
         trained_in = train_params["config"].get("mixed_precision", False)
         parallelize(self.model, self._device, precision if trained_in == "auto" else trained_in)
         self.discriminator = StyleDiscriminator(
@@ -135,10 +127,8 @@ class LowLevelPolicy:
         self._low = torch.from_numpy(sizes.action_space.low.copy()).to(self._device)
         self._high = torch.from_numpy(sizes.action_space.high.copy()).to(self._device)
 
-    def _build_model(self, network: dict[str, Any], config: dict[str, Any]) -> Any:
-        builder = GenAMPBuilder()
-        builder.load(network)
-        model = ModelGenAMPContinuous(builder).build(
+    def _build_model(self, builder: Any, config: dict[str, Any]) -> Any:
+        model = builder.build(
             {
                 "actions_num": self._sizes.action_space.shape[0],
                 "input_shape": (self.num_character_obs,),
@@ -249,6 +239,29 @@ class LowLevelPolicy:
         if latents is None:
             latents = self.encoder.read(amp_obs)
         return self.discriminator.reward(amp_obs, latents)
+
+
+def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
+    """Return the model that a train file names, not built yet; a user may have registered its own.
+
+    Raises:
+        ConfigError: the file is of no policy with skill latents.
+    """
+    network, registered = train_params.get("network") or {}, model_builder.ModelBuilder()
+    try:
+        builder = registered.network_builder.network_factory.create(network.get("name"))
+    except ValueError:
+        builder = None
+    if not isinstance(builder, GenAMPBuilder) or "latent_dim" not in train_params["config"]:
+        raise ConfigError(
+            f"llc_config={llc_config}: no skill policy (network: name: {network.get('name')});"
+            " expected the train file of a low-level controller, with network: name: gen_amp, ase"
+            " or a registered GenAMPBuilder, and config: latent_dim"
+        )
+    check_network(network, f"llc_config={llc_config}: network")
+    builder.load(network)
+    model = (train_params.get("model") or {}).get("name", "gen_amp")
+    return registered.model_factory.create(model, network=builder)
 
 
 def find_llc_checkpoint(llc_checkpoint: str) -> Path:

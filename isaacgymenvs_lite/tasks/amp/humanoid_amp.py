@@ -450,7 +450,7 @@ class HumanoidAMP(HumanoidAMPBase):
         ]
         return torch.cat(windows).to(self.rl_device)
 
-    def fetch_tracking_demo(self, num_samples: int) -> TrackingDemo | None:
+    def fetch_tracking_demo(self, num_samples: int, with_goal: bool = True) -> TrackingDemo | None:
         """Sample moments of the clips, and actions that go on with them.
 
         A drive with target q + kd / kp * v has no force at position q and velocity v. The targets
@@ -460,6 +460,7 @@ class HumanoidAMP(HumanoidAMPBase):
 
         Args:
             num_samples: n, any number.
+            with_goal: the observations end with the goal.
 
         Returns:
             Tensors on rl_device; None if the policy observes what clips do not show, or acts by
@@ -476,7 +477,7 @@ class HumanoidAMP(HumanoidAMPBase):
         obs = self._observe_clip((root, dof_pos, dof_vel, key_pos))
         if obs is None:
             return None
-        if self.goal.num_task_obs > 0:
+        if with_goal and self.goal.num_task_obs > 0:
             goal = self.goal.observe_clip(self._roots_ahead_of(motion_ids, times))
             if goal is None:
                 return None
