@@ -202,6 +202,20 @@ class HierarchyEnv(AMPObsEnv, Protocol):
         ...
 
 
+def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
+    """Return (N,) 1 where an episode ended by a failure: no future to bootstrap from.
+
+    Args:
+        dones: (N,) 1 where an episode ended.
+        infos: of the step; without `terminate` and `time_outs` (N,) every end is a failure.
+    """
+    if "terminate" in infos:
+        return infos["terminate"].to(dones.device)
+    if "time_outs" in infos:
+        return dones.bool() & ~infos["time_outs"].to(dones.device).bool()
+    return dones
+
+
 def goal_size(env: Any) -> int:
     """Return how many of the last entries of an observation describe the goal of any task."""
     size_of = getattr(env, "get_task_obs_size", None)

@@ -65,7 +65,7 @@ from isaacgymenvs_lite.pbt.observer import (
 )
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.registration import build_runner, known_names
-from isaacgymenvs_lite.run import ImitationObserver, TrainingObservers
+from isaacgymenvs_lite.run import MeasurementObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
@@ -89,7 +89,8 @@ _SAME_VERSIONS = ("isaacgymenvs_lite", "rl_games", "torch", "mujoco")
 _OF_MACHINES = ("rl_device", "sim_device", "graphics_device_id", "num_threads")
 # What only the main one does.
 _QUIET = {"headless": True, "viewer": "", "capture_video": False, "wandb_activate": False}
-_IMITATION_EPISODES = 16
+_MEASURED_EPISODES = 16
+_MEASUREMENTS = 20
 # More take seconds to make: one is made first, to estimate the memory of all.
 _MANY_ENVS = 100_000
 
@@ -195,8 +196,9 @@ def _train(
         if group.is_main:
             _save_best(observers.agent, launch)
             if best is not None:
-                log.info("%s", training.objective.describe(best))
-            _report_end(launch, command, stop.requested)
+                how = observers.how_best_was_measured
+                log.info("%s%s", training.objective.describe(best), how)
+            _report_end(launch, command, stop.requested, observers.chooses_best)
         if interrupt is not None:
             raise interrupt
         _check_saved(launch.folder)
@@ -213,14 +215,16 @@ def _set_up_training(
     """Make the task and the observers of a training; mistakes show here."""
     viewers = Viewers(launch.settings)
     task, params = _make_task(launch, make_task)
-    imitation = _imitation_observer(params["config"], task, make_task)
-    objective = objective_of(params["config"], imitation is not None)
+    measurement = _measurement_observer(params["config"], task, make_task)
+    objective = objective_of(
+        params["config"], measurement is not None and hasattr(task, "motion_lib")
+    )
     objective.check_direction(direction, str(launch.cfg.task.name))
     observers = TrainingObservers(
         launch.cfg,
         launch.settings,
         launch.folder.name,
-        imitation,
+        measurement,
         task.max_episode_length,
         stop,
         pbt,
@@ -243,7 +247,8 @@ def _run_training(
         with stop, _output_to_log(), group.lost_peers_explained():
             runner = _load_runner(training.params, training.task, observers)
             runner.run({"train": True, "play": False, **launch.overrides})
-            if group.is_main and training.objective is POSE_ERROR and not stop.requested:
+            measures_end = training.objective is POSE_ERROR or observers.chooses_best
+            if group.is_main and measures_end and not stop.requested:
                 observers.evaluate_end()
     except NotFiniteError:
         raise  # the run folder shows how it happened
@@ -633,25 +638,34 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
     return player
 
 
-def _imitation_observer(
+def _measurement_observer(
     config: dict[str, Any], task: VecTask, make_task: Callable[[int], VecTask]
-) -> ImitationObserver | None:
-    """Return what measures the pose error in a training; None without reference motions."""
+) -> MeasurementObserver | None:
+    """Return what measures the mean policy in a training; None if nothing does.
+
+    Without reference motions it also chooses the best checkpoint: by some 20 measurements, where
+    there is time for so many.
+    """
+    has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
     if not isinstance(frequency, int) or frequency < 0:
         raise ConfigError(
             f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
             " evaluations, 0 for none"
         )
-    if frequency == 0 or not hasattr(task, "motion_lib"):
+    if frequency == 0:
         return None
+    if not has_motions and (epochs := config.get("max_epochs", -1)) > 0:
+        frequency = max(1, min(frequency, epochs // _MEASUREMENTS))
 
     def make_quietly(num_envs: int) -> VecTask:
         # The training's own task has logged what its files contain.
         with _quiet("isaacgymenvs_lite"):
             return make_task(num_envs)
 
-    return ImitationObserver(make_quietly, frequency, _IMITATION_EPISODES)
+    return MeasurementObserver(
+        make_quietly, frequency, _MEASURED_EPISODES, chooses_best=not has_motions
+    )
 
 
 # --- the end of a run ---------------------------------------------------------------------------
@@ -684,13 +698,17 @@ def _save_best(agent: Any, launch: _Launch) -> None:
         _save(agent, launch, "")
 
 
-def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> None:
-    """Log where the newest checkpoint is, and the commands that play it or go on with it."""
-    newest = launch.folder.newest_checkpoint()
+def _report_end(
+    launch: _Launch, command: TypedCommand, was_stopped: bool, plays_best: bool
+) -> None:
+    """Log where the best or newest checkpoint is, and the commands that play it or go on."""
+    best, newest = launch.checkpoint_file(""), launch.folder.newest_checkpoint()
     if newest is None:
         return
     task = str(launch.cfg.task.name)
-    log.info("saved %s; play it: %s", newest, command.play(task, newest))
+    played = best if plays_best and best.exists() else newest
+    play = command.play(task, played.absolute(), is_newest=played == newest)
+    log.info("saved %s; play it: %s", played, play)
     if was_stopped:
         resume = command.resume(launch.folder.path, current_group().size)
         log.info("go on with it: %s", resume)

@@ -49,14 +49,15 @@ class TypedCommand:
         added = [word for word in self.words if _key(word) != "resume"]
         return dataclasses.replace(self, words=(*first, *added))
 
-    def play(self, task: str, checkpoint: Path) -> str:
-        """Return the command that plays the run's newest checkpoint, for a shell.
+    def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
+        """Return the command that plays a checkpoint of the run, for a shell.
 
         Args:
             task: name of the task, for a command line without `task=`.
-            checkpoint: the newest one.
+            checkpoint: the file.
+            is_newest: whether `checkpoint=last` finds it after this run.
         """
-        named = checkpoint if self.is_job else "last"
+        named = "last" if is_newest and not self.is_job else checkpoint
         played = ["test=True", f"checkpoint={named}", f"num_envs={_NUM_PLAYED}"]
         return shlex.join([*self.program, *self._task_words(task), *self._details(), *played])
 

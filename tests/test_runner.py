@@ -36,11 +36,12 @@ from isaacgymenvs_lite.errors import (
     NotFiniteError,
     StoppedAtOnceError,
 )
+from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.registration import register_env
 from isaacgymenvs_lite.runner import load_player, run
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
-from tests.tiny import CONFIG, TINY_AMP, TINY_PPO
+from tests.tiny import CONFIG, ONE_THREAD, TINY_AMP, TINY_LSTM, TINY_PPO, TINY_SAC
 
 TINY = (
     "task=HumanoidAMP",
@@ -613,7 +614,25 @@ def test_the_newest_checkpoints_stay_and_what_was_there_before(in_tmp):
     names = {path.name for path in earlier.parent.iterdir()} - {earlier.name}
     assert "Cartpole.pth" in names
     epochs = [re.search(r"_ep_(\d+)_", name) for name in names]
-    assert {found[1] for found in epochs if found} == {"5", "6"}
+    assert sorted(found[1] for found in epochs if found) == ["5", "6"]  # one file an epoch
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "lstm", "sac"])
+def test_the_best_checkpoint_earns_what_was_measured(algorithm, in_tmp, caplog):
+    words = {
+        "ppo": ["task=Cartpole", *TINY_PPO, "max_iterations=4"],
+        "lstm": [*TINY_LSTM, *ONE_THREAD],
+        "sac": [*TINY_SAC, *ONE_THREAD, "max_iterations=6", "task.env.episodeLength=30"],
+    }[algorithm]
+    with caplog.at_level("INFO"):
+        best = run(compose(words))
+    (played,) = re.findall(r"checkpoint=(\S+\.pth|last)", caplog.text)[-1:]
+    play = ["test=True", f"checkpoint={played}", "num_envs=16"]
+    with load_player(compose([*words, *play])) as player:
+        torch.manual_seed(1234)  # as measurements
+        result = evaluate(player.env, player.act, 16, on_step=player.on_step)
+    assert result.reward == pytest.approx(best, rel=1e-3)
+    assert f"best mean reward {best:.4g} after epoch" in caplog.text
 
 
 def start_training(clip: Path, *before: str, **kwargs: Any) -> subprocess.Popen[str]:

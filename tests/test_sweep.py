@@ -189,20 +189,26 @@ def test_a_job_trains_what_a_run_of_its_own_trains(words, train_here, tmp_path):
     assert any(not torch.equal(networks_of(runs[2])[name], alone[name]) for name in alone)
 
 
-def test_a_run_returns_its_best_mean_reward(tmp_path, monkeypatch):
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_run_returns_its_best_mean_reward(measured, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [*CARTPOLE, f"{CONFIG}.horizon_length=32", "max_iterations=6"]
+    words += [] if measured else [f"+{CONFIG}.imitation_frequency=0"]
     number = runner.run(compose(words))
     (run,) = tmp_path.glob("runs/*")
     log = EventAccumulator(str(run / "summaries"), {"scalars": 0})
     log.Reload()
-    rewards = [event.value for event in log.Scalars("rewards/iter")]
+    tag = "measured/reward" if measured else "rewards/iter"
+    rewards = [event.value for event in log.Scalars(tag)]
     assert number == pytest.approx(max(rewards))
     assert len(set(rewards)) > 1
+    if measured:  # the best checkpoint is the policy of the best measurement
+        assert len(list(run.glob("nn/last_*"))) == 1
+        return
     played = runner.run(compose([*CARTPOLE, "test=True", "checkpoint=last"]))
     assert played is not None and played > 0
     short = [f"{CONFIG}.horizon_length=2", "max_iterations=1"]  # no episode ends
-    assert runner.run(compose([*CARTPOLE, *short])) is None
+    assert runner.run(compose([*words, *short])) is None
 
 
 @pytest.mark.parametrize("imitation_frequency", [0, 50])

@@ -17,6 +17,7 @@ from isaacgymenvs_lite.env_interface import (
     GoalEnv,
     ReferenceEnv,
     diverged_in,
+    failures,
     fits,
 )
 from isaacgymenvs_lite.evaluation.body_tracks import tracks_of_clips
@@ -45,6 +46,7 @@ class EvaluationResult:
         style_reward: discriminator's reward per step, None without a discriminator.
         imitation: pose error and falls, None for tasks without reference motions.
         goal_errors: means over all steps of the errors of the task's goal; {} without any.
+        falls: share of the episodes that ended before the time limit, 0 to 1.
     """
 
     num_episodes: int
@@ -53,6 +55,7 @@ class EvaluationResult:
     style_reward: float | None
     imitation: ImitationResult | None
     goal_errors: dict[str, float] = field(default_factory=dict)
+    falls: float = 0.0
 
     def __str__(self) -> str:
         """Return one line for users."""
@@ -64,8 +67,10 @@ class EvaluationResult:
         if self.style_reward is not None:
             parts.append(f"style reward {self.style_reward:.3f} per step")
         parts += [f"{name} {mean:.3f}" for name, mean in self.goal_errors.items()]
-        if self.imitation is not None:
-            parts.append(str(self.imitation))
+        if self.imitation is None:
+            parts.insert(3, f"falls {self.falls:.0%}")
+        else:
+            parts.append(str(self.imitation))  # with its own share of falls
         return "; ".join(parts)
 
 
@@ -92,7 +97,7 @@ class _ImitationProbe:
     def record(self, dones: Tensor, infos: dict[str, Any]) -> None:
         self._recorder.record(self._sim.body_pos, self._sim.root_states[:, 3:7])
         ids = dones.to(self._device).nonzero().flatten()
-        fell = infos["terminate"].to(self._device).bool()
+        fell = failures(dones, infos).to(self._device).bool()
         if (diverged := diverged_in(infos, self._device)) is not None:
             fell = fell | diverged  # the last pose is not the policy's
         starts_s = getattr(self._env, "clip_starts_s", None)
@@ -146,7 +151,7 @@ def evaluate(
     probe = _ImitationProbe(env, episodes_per_env) if fits(env, ReferenceEnv) else None
     goal = _GoalProbe(env) if fits(env, GoalEnv) else None
     left = torch.full((env.num_envs,), episodes_per_env, device=env.rl_device)
-    totals = torch.zeros(3, dtype=torch.float64)  # reward, steps, style reward
+    totals = torch.zeros(4, dtype=torch.float64)  # reward, steps, style reward, falls
     with _evaluated(env):
         env.reset()
         while bool((left > 0).any()):
@@ -154,6 +159,7 @@ def evaluate(
             playing = left > 0
             totals[0] += rewards[playing].double().sum().item()
             totals[1] += int(playing.sum())
+            totals[3] += int(failures(dones, infos).bool()[playing].sum())
             if style_reward is not None:
                 totals[2] += style_reward(infos["amp_obs"])[playing].double().sum().item()
             if probe is not None:
@@ -171,6 +177,7 @@ def evaluate(
         style_reward=None if style_reward is None else (totals[2] / totals[1]).item(),
         imitation=None if probe is None else probe.result(),
         goal_errors={} if goal is None else goal.result(),
+        falls=totals[3].item() / count,
     )
 
 

@@ -61,7 +61,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.env_interface import Env, diverged_in
+from isaacgymenvs_lite.env_interface import Env, diverged_in, failures
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
@@ -842,20 +842,6 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
         settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
     )
     return mixed_precision
-
-
-def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
-    """Return (N,) 1 where an episode ended by a failure: no future to bootstrap from.
-
-    Args:
-        dones: (N,) 1 where an episode ended.
-        infos: of the step; without `terminate` and `time_outs` (N,) every end is a failure.
-    """
-    if "terminate" in infos:
-        return infos["terminate"].to(dones.device)
-    if "time_outs" in infos:
-        return dones.bool() & ~infos["time_outs"].to(dones.device).bool()
-    return dones
 
 
 def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:

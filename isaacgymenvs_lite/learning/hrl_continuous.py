@@ -21,10 +21,10 @@ from isaacgymenvs_lite.checkpoints.llc_reference import (
 )
 from isaacgymenvs_lite.config.train_files import load_train_file
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
-from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, require
+from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, failures, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
-from isaacgymenvs_lite.learning.common_agent import CommonAgent, failures
+from isaacgymenvs_lite.learning.common_agent import CommonAgent
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.skills.latents import latent_space

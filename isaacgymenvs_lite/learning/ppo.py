@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.env_interface import diverged_in
+from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.central_value import fit_datasets, take_models
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
@@ -79,6 +80,39 @@ class PPOAgent(PPOSafeguards):
         self._mask.add(diverged)
         self._meters.leave_out(diverged, dones)
         return result
+
+    def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return the policy for `env`, another task of the same kind: mean actions without noise.
+
+        Args:
+            env: where the policy will act, from its first reset on.
+        """
+        self.set_eval()
+        of_training: Any = self.rnn_states or []
+        states: Any = [  # (layers, N, units)
+            torch.zeros(len(state), env.num_envs, state.shape[2], device=self.ppo_device)
+            for state in of_training
+        ]
+
+        def act(obs: dict[str, Tensor]) -> Tensor:
+            nonlocal states
+            tensors: Any = self.obs_to_tensors(obs)
+            if states:  # new episodes remember nothing
+                lasting = (env.progress_buf > 0).to(self.ppo_device).view(1, -1, 1)
+                states = [state * lasting for state in states]
+            result = self.model(
+                {
+                    "is_train": False,
+                    "prev_actions": None,
+                    "obs": self._preproc_obs(tensors["obs"]),
+                    "rnn_states": states,
+                }
+            )
+            states = result["rnn_states"]
+            actions: Any = self.preprocess_actions(result["mus"].float())
+            return actions
+
+        return act
 
     def discount_values(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
-from isaacgymenvs_lite.env_interface import diverged_in
+from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
@@ -192,6 +192,11 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         """
         with self._acting_on(obs, self._step % self.num_steps_per_episode):
             return super().act(obs, action_dim, sample)
+
+    def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
+        """Return mean actions (N, A) for observations of `env`, another task of the same kind."""
+        self.set_eval()
+        return lambda obs: self.act(self.obs_to_tensors(obs), self.actions_num)
 
     def _steadier_settings(self) -> str:
         keys = ("actor_lr", "critic_lr", "alpha_lr")

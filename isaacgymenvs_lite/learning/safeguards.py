@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
@@ -53,6 +54,9 @@ class Safeguards(Resuming):
     nn_dir: str
     _restored_from = ""
     _last_saved: Path | None = None
+    _last_periodic = ""
+    best_is_measured = False
+    """Whether `save_best` alone writes the best checkpoint."""
     _has_learned = False
 
     def _parts(self) -> Parts:
@@ -125,15 +129,31 @@ class Safeguards(Resuming):
         Raises:
             NotFiniteError: the networks are not finite; nothing is written.
         """
+        if self.best_is_measured and os.path.basename(fn) == self.config["name"]:
+            return  # rl_games chooses the best by noisy episodes that may be old
+        self._write_checkpoint(fn)
+
+    def save_best(self) -> None:
+        """Write the run's best checkpoint."""
+        self._write_checkpoint(os.path.join(self.nn_dir, self.config["name"]))
+
+    def _write_checkpoint(self, fn: str) -> None:
         if not current_group().is_main:
             return
         self._check_learned()
+        # At the last epoch rl_games writes `..._rew__1.5_` after the periodic `..._rew_1.5`.
+        of_epoch = f"last_{self.config['name']}_ep_{self.epoch_num}_rew_"
+        if os.path.basename(fn).startswith(of_epoch):
+            if self._last_periodic.startswith(of_epoch):
+                return
+            fn = re.sub(r"_rew__(\S+)_$", r"_rew_\1", fn)
         state: Any = self.get_full_state_weights()
         saved = save_checkpoint(fn, state)
         if saved is None:
             return
         self._last_saved = saved
         if saved.name.startswith(f"last_{self.config['name']}_"):
+            self._last_periodic = saved.name
             self._retention.written(saved, self.epoch_num)
 
     @cached_property

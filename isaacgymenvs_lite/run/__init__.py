@@ -4,7 +4,7 @@ The observers are rl_games' `AlgoObserver`s; `TrainingObservers` are all of them
 """
 
 from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
-from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 from isaacgymenvs_lite.run.observers import MultiObserver, TrainingObservers
 from isaacgymenvs_lite.run.progress import ProgressObserver
@@ -13,7 +13,7 @@ from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 __all__ = [
     "DiagnosticsObserver",
     "EpochMetrics",
-    "ImitationObserver",
+    "MeasurementObserver",
     "MetricsObserver",
     "MultiObserver",
     "ProgressObserver",

@@ -20,7 +20,7 @@ from typing import Any
 from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment
-from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 log = logging.getLogger(__name__)
@@ -511,7 +511,7 @@ class DiagnosticsObserver(AlgoObserver):
     def __init__(
         self,
         metrics: MetricsObserver,
-        imitation: ImitationObserver | None,
+        imitation: MeasurementObserver | None,
         max_episode_steps: int,
         clip_limits: Collection[str] = (),
     ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from omegaconf import DictConfig
@@ -12,12 +13,14 @@ from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.run.diagnostics import CLIP_LIMITS, DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
-from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
 from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
+
+log = logging.getLogger(__name__)
 
 
 class MultiObserver(AlgoObserver):
@@ -68,7 +71,7 @@ class TrainingObservers(MultiObserver):
         cfg: the composed tree.
         settings: its root.
         run_name: name of the run folder.
-        imitation: measures the pose error, if the task has reference motions.
+        measurement: plays the mean policy now and then; None: never.
         max_episode_steps: the task's time limit in control steps.
         stop: the user's request to end the training.
         population: compares the policy with others, if there are any.
@@ -82,16 +85,16 @@ class TrainingObservers(MultiObserver):
         cfg: DictConfig,
         settings: LaunchSettings,
         run_name: str,
-        imitation: ImitationObserver | None,
+        measurement: MeasurementObserver | None,
         max_episode_steps: int,
         stop: StopRequest,
         population: AlgoObserver | None = None,
     ) -> None:
         self._metrics = metrics = MetricsObserver()
-        self._imitation = imitation
+        self._measurement = measurement
         self.agent: Any = None
         self._stop = stop
-        self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
+        self._progress = ProgressObserver(stop, metrics, measurement, settings.progress_interval)
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
         if settings.wandb_activate:
@@ -99,10 +102,10 @@ class TrainingObservers(MultiObserver):
 
             self._wandb = WandbObserver(cfg, settings, run_name)
             observers.append(self._wandb)
-        if imitation is not None:
-            observers.append(imitation)
+        if measurement is not None:
+            observers.append(measurement)
         clip_limits = [key for key in CLIP_LIMITS if cfg.task.env.get(key)]
-        diagnostics = DiagnosticsObserver(metrics, imitation, max_episode_steps, clip_limits)
+        diagnostics = DiagnosticsObserver(metrics, measurement, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes
             observers = []
@@ -121,15 +124,33 @@ class TrainingObservers(MultiObserver):
         super().after_steps()
 
     def evaluate_end(self) -> None:
-        """Measure the pose error of the last policy, if pose errors are measured at all."""
-        if self._imitation is not None:
-            self._imitation.evaluate_end()
+        """Measure the last policy, if policies are measured at all; warn if it has got worse."""
+        if self._measurement is not None:
+            self._measurement.evaluate_end()
+            if worsened := self._measurement.worsened():
+                log.warning("%s", worsened)
 
     def best(self, objective: Objective) -> float | None:
         """Return the best number of the run; None if nothing could be measured."""
+        measured = self._measurement
         if objective is POSE_ERROR:
-            return None if self._imitation is None else self._imitation.best_pose_error_m
+            return None if measured is None else measured.best_pose_error_m
+        if measured is not None and measured.chooses_best and measured.best_reward is not None:
+            return measured.best_reward
         return self._metrics.best_reward
+
+    @property
+    def how_best_was_measured(self) -> str:
+        """Words after the best number of the run; '' if it is of training episodes."""
+        measured = self._measurement
+        if measured is None or not measured.chooses_best:
+            return ""
+        return f" after epoch {measured.best_epoch}, without exploration noise"
+
+    @property
+    def chooses_best(self) -> bool:
+        """Whether a measured reward has chosen the best checkpoint."""
+        return self._measurement is not None and self._measurement.chooses_best
 
     def close_log(self) -> None:
         """End the display of progress, and write the scalars that wait."""

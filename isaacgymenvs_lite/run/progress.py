@@ -13,7 +13,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from tqdm import tqdm
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.run.imitation import ImitationObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 
@@ -41,7 +41,7 @@ class ProgressObserver(AlgoObserver):
         self,
         stop: StopRequest,
         metrics: MetricsObserver,
-        imitation: ImitationObserver | None = None,
+        imitation: MeasurementObserver | None = None,
         line_interval_s: float = 10.0,
     ) -> None:
         super().__init__()
@@ -105,8 +105,13 @@ class ProgressObserver(AlgoObserver):
     def _measured_values(self) -> dict[str, str]:
         """Return the newest measurement as texts, if there is one."""
         result = self._imitation.last if self._imitation is not None else None
-        if result is None or result.imitation is None:
+        if result is None:
             return {}
+        if result.imitation is None:
+            return {
+                "measured reward": f"{result.reward:.2f}",
+                "measured falls": f"{result.falls:.0%}",
+            }
         measured = result.imitation
         return {
             "pose error": f"{measured.pose_error_m:.3f} m",

@@ -1,4 +1,4 @@
-"""ImitationObserver with a real agent and simulations of its own."""
+"""MeasurementObserver with a real agent and simulations of its own."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import ImitationObserver
+from isaacgymenvs_lite.run import MeasurementObserver
 
 
 @pytest.fixture
-def observed(make_agent, make_runner) -> tuple[Any, ImitationObserver]:
+def observed(make_agent, make_runner) -> tuple[Any, MeasurementObserver]:
     """An agent in the middle of an episode, and its observer with four environments."""
     agent = make_agent("max_iterations=1", "task.env.episodeLength=12")
 
@@ -19,13 +19,13 @@ def observed(make_agent, make_runner) -> tuple[Any, ImitationObserver]:
         runner = make_runner("task.env.episodeLength=12", num_envs=num_envs)
         return runner.create_player().env
 
-    observer = ImitationObserver(make_env, 1, 4)
+    observer = MeasurementObserver(make_env, 1, 4)
     observer.after_init(agent)
     agent.train()
     return agent, observer
 
 
-def numbers(observer: ImitationObserver) -> tuple[float, float, float]:
+def numbers(observer: MeasurementObserver) -> tuple[float, float, float]:
     result = observer.measure()
     assert result.imitation is not None
     return result.steps, result.reward, result.imitation.pose_error_m

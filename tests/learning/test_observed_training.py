@@ -9,7 +9,7 @@ from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.run import (
     DiagnosticsObserver,
-    ImitationObserver,
+    MeasurementObserver,
     MetricsObserver,
     MultiObserver,
 )
@@ -29,7 +29,7 @@ class Counter(AlgoObserver):
 
 
 @pytest.fixture
-def observed(make_agent, make_runner) -> tuple[Any, Counter, MetricsObserver, ImitationObserver]:
+def observed(make_agent, make_runner) -> tuple[Any, Counter, MetricsObserver, MeasurementObserver]:
     """An agent after three epochs of short episodes, with what observed it."""
     counter, figures = Counter(), MetricsObserver()
 
@@ -37,7 +37,7 @@ def observed(make_agent, make_runner) -> tuple[Any, Counter, MetricsObserver, Im
         runner = make_runner("task.env.episodeLength=10", num_envs=num_envs)
         return runner.create_player().env
 
-    imitation = ImitationObserver(make_env, 1, 4)
+    imitation = MeasurementObserver(make_env, 1, 4)
     advice = DiagnosticsObserver(figures, imitation, max_episode_steps=10)
     agent = make_agent(
         "max_iterations=3",

@@ -11,7 +11,7 @@ from rl_games.algos_torch.torch_ext import AverageMeter
 
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.evaluation.pose_error import ImitationResult
-from isaacgymenvs_lite.run import diagnostics, imitation, progress
+from isaacgymenvs_lite.run import diagnostics, measurement, progress
 
 
 class Writer:
@@ -44,7 +44,7 @@ class Agent:
         self.ppo_device = "cpu"
         self.games_to_track = 3
         self.max_epochs = 20
-        self.curr_frames = 1000
+        self.curr_frames = self.frame = 1000
         self.game_lengths = AverageMeter(1, 100)
         self.game_rewards = AverageMeter(1, 100)
         self.train_info = {
@@ -83,6 +83,6 @@ def clock(monkeypatch) -> Any:
     """Seconds that pass only when a test adds them."""
     fake = types.SimpleNamespace(now_s=100.0)
     fake.monotonic = lambda: fake.now_s
-    for module in (diagnostics, imitation, progress):
+    for module in (diagnostics, measurement, progress):
         monkeypatch.setattr(module, "time", fake)
     return fake

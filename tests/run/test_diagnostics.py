@@ -14,7 +14,7 @@ from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment
 from isaacgymenvs_lite.run import (
     DiagnosticsObserver,
     EpochMetrics,
-    ImitationObserver,
+    MeasurementObserver,
     MetricsObserver,
 )
 from isaacgymenvs_lite.run.diagnostics import (
@@ -595,8 +595,8 @@ def epoch_metrics(agent) -> MetricsObserver:
 
 
 @pytest.fixture
-def imitation() -> ImitationObserver:
-    return ImitationObserver(lambda num_envs: None, 0, 16)
+def imitation() -> MeasurementObserver:
+    return MeasurementObserver(lambda num_envs: None, 0, 16)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.run import (
-    ImitationObserver,
+    MeasurementObserver,
     MetricsObserver,
     MultiObserver,
     ProgressObserver,
@@ -131,7 +131,7 @@ def test_a_resumed_training_counts_its_own_epochs(progress, agent, clock, caplog
 
 def test_the_pose_error_is_shown_once_known(agent, clock, result, monkeypatch, caplog):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
-    imitation = ImitationObserver(lambda num_envs: None, 0, 16)
+    imitation = MeasurementObserver(lambda num_envs: None, 0, 16)
     observer = make_progress(agent, imitation=imitation, line_interval_s=0.0)
     with caplog.at_level(logging.INFO):
         end_epoch(observer, clock, 1, 1.0)

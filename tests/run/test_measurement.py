@@ -9,11 +9,11 @@ import torch
 
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
-from isaacgymenvs_lite.run import ImitationObserver
-from isaacgymenvs_lite.run.imitation import clip_spread_m
+from isaacgymenvs_lite.run import MeasurementObserver
+from isaacgymenvs_lite.run.measurement import clip_spread_m
 
 
-class TimedImitation(ImitationObserver):
+class TimedImitation(MeasurementObserver):
     """An evaluation that takes `cost_s` of the fake clock."""
 
     def __init__(self, clock: Any, result: EvaluationResult, frequency: int, cost_s: float) -> None:
@@ -87,9 +87,32 @@ def test_frequency_zero_means_never(clock, agent, result):
 
 def test_a_task_without_references_has_no_pose_error(clock, agent, result):
     observer = TimedImitation(clock, result, 1, 0.0)
-    observer.measure = lambda: EvaluationResult(16, 100.0, 90.5, None, None)
+    observer.measure = lambda: EvaluationResult(16, 100.0, 90.5, None, None, falls=0.25)
     train(observer, agent, epochs=1, epoch_s=1.0)
-    assert set(agent.writer.scalars) == {"imitation/episode_steps"}
+    written = {tag: values for tag, values in agent.writer.scalars.items()}
+    assert {tag: value for tag, [(_, value)] in written.items()} == {
+        "measured/reward": 100.0,
+        "measured/episode_steps": 90.5,
+        "measured/fall_rate": 0.25,
+    }
+
+
+@pytest.mark.parametrize(
+    ("last", "word"), [(40.0, "less than the best one (50, after epoch 2)"), (49, "")]
+)
+def test_the_highest_reward_is_the_best_checkpoint(clock, agent, result, last, word):
+    observer = TimedImitation(clock, result, 1, 0.0)
+    observer.chooses_best = True
+    saved: list[int] = []
+    agent.save_best = lambda: saved.append(observer.best_epoch)
+    rewards = iter([10.0, 50.0, 30.0, last])
+    observer.measure = lambda: EvaluationResult(16, next(rewards), 90.5, None, None)
+    train(observer, agent, epochs=4, epoch_s=1.0)
+    assert agent.best_is_measured
+    assert saved == [1, 2]
+    assert (observer.best_reward, observer.best_epoch) == (50.0, 2)
+    assert observer.worsened().endswith(word)
+    assert bool(observer.worsened()) == bool(word)
 
 
 def test_spread_is_the_mean_distance_from_the_average_pose():

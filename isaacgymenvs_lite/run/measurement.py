@@ -1,4 +1,4 @@
-"""Measures the pose error of the policy now and then during a training."""
+"""Measures the mean policy now and then during a training, and keeps the best one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import torch
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
+from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
 
@@ -26,45 +27,65 @@ def clip_spread_m(reference: ReferencePoses) -> float:
     return min((clip - clip.mean(dim=0)).norm(dim=-1).mean().item() for clip in reference.clips)
 
 
-class ImitationObserver(AlgoObserver):
+_NOTABLE = 0.1
+"""Share of the best reward that a last policy may lose without a word."""
+
+
+class MeasurementObserver(AlgoObserver):
     """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
 
-    The errors of a task's goal are written beside it, `goal/velocity_error_m_s` for one.
+    The errors of a task's goal are written beside it, `goal/velocity_error_m_s` for one. Without
+    reference motions it writes `measured/reward`, and the policy with the highest reward is the
+    run's best checkpoint: rl_games chooses by the last training episodes, which can be many epochs
+    old and end together.
 
     The episodes have their own simulation, so that the training is not disturbed, and a fixed seed,
     so that they start from the same states each time and numbers compare over time. An evaluation
-    is put off while all of them together would take more than 2% of the training time; the cost is
-    estimated from the ones before.
+    is put off while all of them together would take more than a small share of the training time;
+    the cost is estimated from the ones before.
 
     Args:
         make_env: receives a number of environments and returns the evaluation's task.
         frequency: epochs between evaluations; 0 = never.
         num_episodes: episodes of one evaluation, all at the same time.
+        chooses_best: whether the measured reward decides which checkpoint is the best.
 
     Attributes:
         last: the newest result, None before the first evaluation.
         last_frame: environment steps trained before it.
         best_pose_error_m: lowest of all results, None before the first one that has a pose error.
+        best_reward: highest of all results, None before the first one.
+        best_epoch: epoch of `best_reward`.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
         implausible: what is implausible in the clips, '' before the first evaluation.
     """
 
     MAX_TIME_SHARE = 0.02
+    _SHARE_TO_CHOOSE = 0.1  # a few of the 20 measurements of a training of seconds
     _SEED = 1234
     best_pose_error_m: float | None = None
-    stored = ("best_pose_error_m",)
+    best_reward: float | None = None
+    best_epoch = 0
+    stored = ("best_pose_error_m", "best_reward", "best_epoch")
 
-    def __init__(self, make_env: Callable[[int], Any], frequency: int, num_episodes: int) -> None:
+    def __init__(
+        self,
+        make_env: Callable[[int], Any],
+        frequency: int,
+        num_episodes: int,
+        chooses_best: bool = False,
+    ) -> None:
         super().__init__()
         self._make_env = make_env
         self._frequency = frequency
         self._num_episodes = num_episodes
+        self.chooses_best = chooses_best
         self._env: Any = None
         self._spent_s = 0.0
         self._evaluations = 0
         self._epochs = 0
         self._measured_epochs = 0
-        self._frame = 0
+        self._frame = self._epoch = 0
         self._due = False
         self.last: EvaluationResult | None = None
         self.last_frame: int | None = None
@@ -75,18 +96,23 @@ class ImitationObserver(AlgoObserver):
         """Store the agent and start the clock."""
         self._algo = algo
         self._start_s = time.monotonic()
+        # Agents of other projects lack what measures and keeps them.
+        self.chooses_best &= hasattr(algo, "save_best")
+        if self.chooses_best:
+            algo.best_is_measured = True
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         """Evaluate if it is time."""
         if self._frequency == 0:
             return
         self._epochs += 1
-        self._frame = frame
+        self._frame, self._epoch = frame, epoch_num
         self._due |= self._epochs % self._frequency == 0
         trained_s = time.monotonic() - self._start_s - self._spent_s
         # The next one will cost what the others cost on average.
         expected_s = self._spent_s / max(1, self._evaluations)
-        if not self._due or self._spent_s + expected_s > self.MAX_TIME_SHARE * trained_s:
+        share = self._SHARE_TO_CHOOSE if self.chooses_best else self.MAX_TIME_SHARE
+        if not self._due or self._spent_s + expected_s > share * trained_s:
             return
         self._due = False
         start = time.monotonic()
@@ -106,16 +132,33 @@ class ImitationObserver(AlgoObserver):
         if measured is not None and math.isfinite(measured.pose_error_m):
             best = self.best_pose_error_m
             self.best_pose_error_m = min(measured.pose_error_m, math.inf if best is None else best)
+        if self.best_reward is None or result.reward > self.best_reward:
+            self.best_reward, self.best_epoch = result.reward, self._epoch
+            if self.chooses_best:
+                self._algo.save_best()
         self._write(result, frame)
+
+    def worsened(self) -> str:
+        """Return a sentence about a last policy that is worse than the best, '' if it is not."""
+        if self.last is None or self.best_reward is None or not self.chooses_best:
+            return ""
+        lost = self.best_reward - self.last.reward
+        if lost <= _NOTABLE * abs(self.best_reward):
+            return ""
+        return (
+            f"the last policy earns {self.last.reward:.4g}, less than the best one"
+            f" ({self.best_reward:.4g}, after epoch {self.best_epoch})"
+        )
 
     def measure(self) -> EvaluationResult:
         """Play the episodes of one evaluation with the mean policy, on the simulation for them."""
         with torch.random.fork_rng(enabled=True):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)
-                reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
-                self.clip_spread_m = clip_spread_m(reference)
-                self.implausible = "; ".join(env.motion_lib.implausible.values())
+                if fits(env, ReferenceEnv):
+                    reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
+                    self.clip_spread_m = clip_spread_m(reference)
+                    self.implausible = "; ".join(env.motion_lib.implausible.values())
             torch.manual_seed(self._SEED)
             return evaluate(self._env, self._policy(), self._num_episodes)
 
@@ -131,12 +174,18 @@ class ImitationObserver(AlgoObserver):
 
     def _write(self, result: EvaluationResult, frame: int) -> None:
         writer = self._algo.writer
-        writer.add_scalar("imitation/episode_steps", result.steps, frame)
         if result.imitation is not None:
+            writer.add_scalar("imitation/episode_steps", result.steps, frame)
             writer.add_scalar("imitation/pose_error_m", result.imitation.pose_error_m, frame)
             writer.add_scalar("imitation/no_fall_share", result.imitation.no_fall_share, frame)
             writer.add_scalar("imitation/tempo", result.imitation.tempo, frame)
             writer.add_scalar("imitation/motion_shown", result.imitation.motion_shown, frame)
+        else:
+            writer.add_scalar("measured/reward", result.reward, frame)
+            writer.add_scalar("measured/episode_steps", result.steps, frame)
+            writer.add_scalar("measured/fall_rate", result.falls, frame)
         for name, error in result.goal_errors.items():
             writer.add_scalar(f"goal/{name}", error, frame)
-        log.info("after %d frames: %s", frame, result)
+        # rl_games writes scalars under the frames before the epoch.
+        trained = self._algo.frame // getattr(self._algo, "num_agents", 1)
+        log.info("after %d frames, without exploration noise: %s", trained, result)
