@@ -93,7 +93,8 @@ def load_bvh_source(
     fps: float | None = None,
 ) -> SourceMotion:
     """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`."""
-    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)
+    joints = [source.joint for source in mapping.sources.values()]
+    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m, joints), start_s, end_s)
     _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)
