@@ -42,27 +42,71 @@ _POSITIONS = ("Xposition", "Yposition", "Zposition")
 _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
 
 
-def load_bvh(
-    path: str | Path, to_z_up: FloatArray, unit_m: float, joints: Collection[str] = ()
-) -> MotionClip:
-    """Read a BVH file as a clip of its own skeleton, in our axes and in metres.
+@dataclass(frozen=True, eq=False)
+class BvhMotion:
+    """T frames of a skeleton of J joints, in the axes and the unit of its file.
+
+    Attributes:
+        name: the file.
+        fps: frames per second.
+        joint_names: J names, parents first.
+        parent_indices: J ids, -1 for the root.
+        offsets: (J, 3), places of the joints in their parents; the root's is not used.
+        turns: (T, J, 4) xyzw, relative to the parent; the root's to the world.
+        places: (T, 3), of the root in the world.
+    """
+
+    name: str
+    fps: float
+    joint_names: tuple[str, ...]
+    parent_indices: tuple[int, ...]
+    offsets: FloatArray
+    turns: FloatArray
+    places: FloatArray
+
+    def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
+        """Return the motion as a clip of its own skeleton, in our axes and in metres.
+
+        Args:
+            to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
+            unit_m: m per unit of length of the file.
+
+        Raises:
+            MotionFileError: see `MotionClip.validate`.
+        """
+        up = torch.from_numpy(to_z_up).expand(len(self.turns), 4)
+        turns = self.turns.copy()
+        turns[:, 0] = rotations.quat_mul(up, torch.from_numpy(turns[:, 0])).numpy()
+        places = rotations.quat_apply(up, torch.from_numpy(self.places)).numpy()
+        with reading(self.name, "BVH file"):
+            return MotionClip.from_poses(
+                self.name,
+                self.fps,
+                self.joint_names,
+                self.parent_indices,
+                self.offsets * unit_m,
+                turns,
+                places * unit_m,
+            )
+
+
+def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
+    """Read a BVH file.
 
     Args:
         path: of the file. Its joints have three rotation channels or none, in any order. Positions
-            of joints below the clip's root stay the same.
-        to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
-        unit_m: m per unit of length of the file.
+            of joints below the root of the motion stay the same.
         joints: names of joints that the caller needs. The lowest joint above all of them, or one of
-            them, becomes the root of the clip, with the motion of all joints above it. None: ROOT.
+            them, becomes the root, with the motion of all joints above it. None: ROOT.
 
     Raises:
         MissingPackageError: pybvh is not installed.
         MotionFileError: the file is missing, truncated, damaged or is no BVH file; a number is NaN
-            or infinite; there are fewer than two frames.
+            or infinite.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
-        return _clip(pybvh, Path(path), to_z_up, unit_m, joints)
+        return _motion(pybvh, Path(path), joints)
 
 
 def bvh_joint_names(path: str | Path) -> list[str]:
@@ -81,9 +125,7 @@ def bvh_joint_names(path: str | Path) -> list[str]:
         return names
 
 
-def _clip(
-    pybvh: Any, path: Path, to_z_up: FloatArray, unit_m: float, joints: Collection[str]
-) -> MotionClip:
+def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
     _check_size(text)
     text, positions = _split_positions(text)
@@ -99,25 +141,23 @@ def _clip(
     above = _shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
     steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
     turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
-    up = torch.from_numpy(to_z_up).expand(len(turns), 4)
-    turn = rotations.quat_mul(up, turns[:, 0])
-    if not root.any():
-        root = root + offsets[0]  # without positions, or with zeros, the offset is the place
-    place = rotations.quat_apply(up, torch.from_numpy(root))
+    # Without positions of ROOT, or with zeros, its offset is its place.
+    place = torch.from_numpy(root if root.any() else root + offsets[0])
+    turn = turns[:, 0]
     for joint, step in zip(above[1:], steps, strict=True):
-        place = place + rotations.quat_apply(turn, torch.from_numpy(step))
+        place = place + rotations.quat_apply(turn, torch.from_numpy(step).expand_as(place))
         turn = rotations.quat_mul(turn, turns[:, joint])
     kept = above[-1:]
     kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in _chain(parents, i)]
     turns[:, kept[0]] = turn
-    return MotionClip.from_poses(
+    return BvhMotion(
         str(path),
         1.0 / motion.frame_time,
-        [names[i] for i in kept],
-        [-1, *(kept.index(parents[i]) for i in kept[1:])],
-        offsets[kept] * unit_m,
+        tuple(names[i] for i in kept),
+        (-1, *(kept.index(parents[i]) for i in kept[1:])),
+        offsets[kept],
         turns[:, kept].numpy(),
-        place.numpy() * unit_m,
+        place.numpy(),
     )
 
 

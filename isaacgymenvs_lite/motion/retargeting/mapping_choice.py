@@ -10,13 +10,14 @@ import mujoco
 
 from isaacgymenvs_lite.errors import ConfigError, listed
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.bvh import bvh_joint_names
+from isaacgymenvs_lite.motion.retargeting.bvh import bvh_joint_names, read_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import (
     SkeletonMapping,
     load_mapping,
     read_mapping_keys,
     shipped_mappings,
 )
+from isaacgymenvs_lite.motion.retargeting.mapping_fit import fitted
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import (
     RobotMapping,
     guess_robot_mapping,
@@ -77,11 +78,13 @@ def _is_of_robot(name: str) -> bool:
 
 
 def recognise_skeleton(path: str | Path) -> SkeletonMapping:
-    """Return the shipped mapping for the joints of a BVH file, and log which one it is.
+    """Return the shipped mapping for the joints of a BVH file, as `fitted`; log which one it is.
 
     Raises:
+        MissingPackageError: pybvh is not installed.
         MotionFileError: the file cannot be read.
-        ConfigError: no shipped mapping is made for its joints; the message lists them.
+        ConfigError: no shipped mapping is made for its joints; the message lists them. Or its axes
+            fit none.
     """
     joints = bvh_joint_names(path)
     for name, marks in _MARKS.items():
@@ -89,7 +92,7 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
         used = {source.joint for source in mapping.sources.values()}
         if set(joints) >= marks | used:
             _log.info("%s: has the joints of mapping=%s, which is used", path, name)
-            return mapping
+            return fitted(read_bvh(path, used), mapping)
     raise ConfigError(
         f"{path}: has the joints of no shipped mapping ({listed(joints)}); give mapping=, one of "
         f"{', '.join(shipped_mappings())} or a YAML file (docs/motion_formats.md)"

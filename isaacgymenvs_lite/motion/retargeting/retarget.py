@@ -16,10 +16,11 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, replanted
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
+from isaacgymenvs_lite.motion.retargeting.mapping_fit import check_fit
 from isaacgymenvs_lite.motion.retargeting.report import (
     KEY_BODIES,
     RetargetReport,
@@ -94,7 +95,9 @@ def load_bvh_source(
 ) -> SourceMotion:
     """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`."""
     joints = [source.joint for source in mapping.sources.values()]
-    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m, joints), start_s, end_s)
+    motion = read_bvh(path, joints)
+    check_fit(motion, mapping)
+    source = cut(motion.clip(mapping.to_z_up, mapping.unit_m), start_s, end_s)
     _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import MissingPackageError, MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 
 
@@ -23,7 +23,7 @@ def walk_file(tmp_path: Path, write_bvh) -> Path:
 
 def read(path: Path, mapping: str = "lafan1"):
     chosen = load_mapping(mapping)
-    return load_bvh(path, chosen.to_z_up, chosen.unit_m), chosen
+    return read_bvh(path).clip(chosen.to_z_up, chosen.unit_m), chosen
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ Frame Time: 0.1
 1 2 3 4 5 6 2.5 8 9 10
 1 2 3 4 5 6 2.5 8 9 10
 """)
-    clip = load_bvh(path, np.array((0.0, 0.0, 0.0, 1.0)), 1.0)
+    clip = read_bvh(path).clip(np.array((0.0, 0.0, 0.0, 1.0)), 1.0)
     np.testing.assert_allclose(clip.local_translation[1], (1, 2.5, 3))
     b = Rotation.from_euler("ZYX", (8, 9, 10), degrees=True).as_quat()
     np.testing.assert_allclose(clip.local_rotation[:, 1], (b, b), atol=1e-9)
@@ -173,7 +173,7 @@ def test_joints_above_the_hips_are_part_of_the_roots_motion(
     text = below_other_joints(walk_file.read_text(), rotate_root, root_channels, sway)
     walk_file.write_text(text)
     joints = [source.joint for source in mapping.sources.values()]
-    after = load_bvh(walk_file, mapping.to_z_up, mapping.unit_m, joints)
+    after = read_bvh(walk_file, joints).clip(mapping.to_z_up, mapping.unit_m)
     assert after.body_names == before.body_names
     (places, turns), (before_places, before_turns) = after.global_poses(), before.global_poses()
     np.testing.assert_allclose(places, before_places, atol=1e-6)
