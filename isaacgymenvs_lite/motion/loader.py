@@ -267,7 +267,13 @@ def _load_file(
 
 def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings) -> MotionClip:
     """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
-    joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order, up_b=skeleton.up_b)
+    joints = read_joint_clip(
+        path,
+        settings.fps,
+        quat_order=settings.quat_order,
+        up_b=skeleton.up_b,
+        root_body=skeleton.body_names[0],
+    )
     try:
         joints = joints.fitted_to(skeleton.dof_names, settings.by_order)
     except MotionFileError as error:

@@ -54,6 +54,7 @@ def read_joint_clip(
     joint_names: Sequence[str] | None = None,
     quat_order: QuatOrder | None = None,
     up_b: Sequence[float] = UP,
+    root_body: str | None = None,
 ) -> JointClip:
     """Read a robot's clip by the content of its file; what looks odd is logged as a warning.
 
@@ -64,6 +65,7 @@ def read_joint_clip(
         quat_order: of the file's quaternions; None: as usual for its form, or as its bodies show.
         up_b: (3,) the upward direction in the frame of the robot's root, for the warning about a
             root that lies down.
+        root_body: name of the robot's root, which is looked for in a file with names of bodies.
 
     Raises:
         MotionFileError: the file is missing, hostile, damaged, none of these forms, or not valid.
@@ -79,7 +81,7 @@ def read_joint_clip(
         if path.suffix == ".csv":
             clip = load_robot_csv(path, fps)
         elif path.suffix == ".npz":
-            clip = load_robot_npz(path, joint_names)
+            clip = load_robot_npz(path, joint_names, root_body)
         else:
             clip = load_robot_pickle(path)
         if joint_names is not None:
