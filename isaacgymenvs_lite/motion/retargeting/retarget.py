@@ -237,15 +237,23 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
     """Return what remains between a clip of a humanoid and its targets."""
     positions, turns = clip.global_poses()
     errors = np.linalg.norm(positions - targets.positions, axis=-1)
-    corners = skeleton.sole_corners(positions, turns)
+    feet = [clip.body_names.index(foot) for foot in FEET]
+    points = np.stack(
+        [
+            sole.places(positions[:, foot], turns[:, foot])
+            for sole, foot in zip(humanoid_figure(skeleton).soles.values(), feet, strict=True)
+        ],
+        axis=1,
+    )
+    contact = np.stack([targets.contacts[foot] for foot in FEET], axis=1)
     dofs = dofs_of_clip(skeleton, clip)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
     return RetargetReport(
         scale=targets.scale,
         errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
-        deepest_m=deepest(corners),
-        slide_m_s=sliding_speeds(corners, clip.fps),
+        deepest_m=deepest(points),
+        slide_m_s=sliding_speeds(points, clip.fps, contact),
         limited_share=float(near.any(axis=1).mean()),
         fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
     )
