@@ -258,7 +258,7 @@ def _load_file(
         ".npz": load_npz,
         ".npy": load_poselib_npy,
         ".json": lambda path: _load_json(path, skeletons),
-        ".txt": lambda path: deepmimic.load_deepmimic(path, _humanoid_of(skeletons, path)),
+        ".txt": lambda path: _load_json(path, skeletons),
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
     if suffix not in readers:
@@ -300,8 +300,9 @@ def _clips_of_joints(
 
 
 def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
+    """Read a `.txt` or `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
     data = read_json(path)
-    if "Frames" in data:
+    if "Frames" in data or path.suffix == ".txt":
+        deepmimic.check_columns(data, str(path))
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))
