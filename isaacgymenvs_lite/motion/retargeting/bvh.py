@@ -36,7 +36,7 @@ _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
 # A joint may move in its parent by this part of the longest bone: rounding, and markers' noise.
 _TOLERANCE = 0.01
-_JOINT = re.compile(r"^\s*(ROOT|JOINT)\s+(.*\S)")
+_JOINT = re.compile(r"^\s*(ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
 _CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
@@ -109,8 +109,8 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
         return _motion(pybvh, Path(path), joints)
 
 
-def bvh_joint_names(path: str | Path) -> list[str]:
-    """Return the names of the joints of a BVH file; its frames are not read.
+def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
+    """Return the names of the joints of a BVH file and their parents' ids; no frames are read.
 
     Raises:
         MotionFileError: the file is missing, too long, or has no joints.
@@ -118,11 +118,23 @@ def bvh_joint_names(path: str | Path) -> list[str]:
     with reading(path, "BVH file"):
         text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
         _check_size(text)
-        header = text.partition("MOTION")[0].splitlines()
-        names = [match[2] for line in header if (match := _JOINT.match(line))]
-        if not names:
-            raise ValueError("it has no joints")
-        return names
+        return _hierarchy(text)
+
+
+def _hierarchy(text: str) -> tuple[list[str], list[int]]:
+    names, parents, open_joints = list[str](), list[int](), [-1]
+    for line in text.partition("MOTION")[0].splitlines():
+        if match := _JOINT.match(line):
+            names.append(match[2])
+            parents.append(open_joints[-1])
+        for brace in re.findall("[{}]", line):
+            if brace == "{":  # of a joint, or of the end site below the newest one
+                open_joints.append(len(names) - 1)
+            elif len(open_joints) > 1:
+                open_joints.pop()
+    if not names:
+        raise ValueError("it has no joints")
+    return names, parents
 
 
 def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
@@ -134,11 +146,10 @@ def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
     except ValueError as error:
         raise ValueError(_PLACE.sub("", one_line(error))) from error
     nodes = [node for node in motion.nodes if not node.is_end_site()]
-    names = [node.name for node in nodes]
-    parents = [names.index(node.parent.name) if node.parent else -1 for node in nodes]
+    names, parents = _hierarchy(text)  # the library ends names at a space
     offsets = np.array([node.offset for node in nodes], dtype=np.float64)
     _check_numbers(path, root, wxyz, offsets, *(given for _, given in positions.values()))
-    above = _shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
+    above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
     steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
     turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
     # Without positions of ROOT, or with zeros, its offset is its place.
@@ -148,7 +159,7 @@ def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
         place = place + rotations.quat_apply(turn, torch.from_numpy(step).expand_as(place))
         turn = rotations.quat_mul(turn, turns[:, joint])
     kept = above[-1:]
-    kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in _chain(parents, i)]
+    kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in chain(parents, i)]
     turns[:, kept[0]] = turn
     return BvhMotion(
         str(path),
@@ -161,17 +172,17 @@ def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
     )
 
 
-def _chain(parents: Sequence[int], joint: int) -> list[int]:
+def chain(parents: Sequence[int], joint: int) -> list[int]:
     """Return the joints from the first one down to `joint`."""
-    chain = [joint]
-    while parents[chain[0]] >= 0:
-        chain.insert(0, parents[chain[0]])
-    return chain
+    found = [joint]
+    while parents[found[0]] >= 0:
+        found.insert(0, parents[found[0]])
+    return found
 
 
-def _shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
+def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
     """Return the joints from the first one down to the last that is above, or one of, `joints`."""
-    levels = zip(*(_chain(parents, joint) for joint in joints), strict=False)
+    levels = zip(*(chain(parents, joint) for joint in joints), strict=False)
     return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
 
 

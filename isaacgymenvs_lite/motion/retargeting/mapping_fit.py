@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -30,8 +29,6 @@ from isaacgymenvs_lite.motion.retargeting.source import (
     rotate,
 )
 from isaacgymenvs_lite.utils import rotations
-
-_log = logging.getLogger(__name__)
 
 _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
 # Thigh and shin of people between 1.1 m and 2.2 m; the mean of adults. Units of BVH files in m.
@@ -150,15 +147,8 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
     if problems := _problems(motion, dataclasses.replace(found, up=up, unit_m=unit_m)):
         raise ConfigError(
             f"{motion.name} has the joints of mapping={mapping.name}, but does not fit it: "
-            f"{problems}; give a mapping file of its own (docs/motion_formats.md)"
+            f"{problems}; give mapping=FILE (docs/motion_formats.md)"
         )
-    notes = [
-        *([f"up: {up}"] if up != mapping.up else []),
-        *([f"unit_m: {unit_m:g}"] if unit_m != mapping.unit_m else []),
-        *(["x and z of its joints"] if found is not mapping else []),
-    ]
-    if notes:
-        _log.info("%s: differs from mapping=%s: %s", motion.name, mapping.name, ", ".join(notes))
     return dataclasses.replace(found, up=up, unit_m=unit_m)
 
 
