@@ -40,9 +40,10 @@ _MAX_FRAMES = 1000
 _STANDS, _STRAIGHT, _ALIGNED, _FOOT_UP = 0.7, 0.8, 0.3, -0.3
 # Knees that bend backward by this share of a leg's length on average are no knees.
 _BACKWARD = 0.02
-# In lengths of a leg: how high the lowest joint of a body on the ground is, and how much farther
-# from there it may be along the mapping's axis than along others.
-_LOWEST_JOINT, _PREFERRED = 0.1, 0.15
+# In lengths of a leg: how high the lowest joint of a body on the ground is, how much farther from
+# there it may be along the mapping's axis than along others, and how far along an axis for which
+# nothing else speaks.
+_LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +215,11 @@ def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
         heights = np.stack(list(skeleton.places.values())) @ axis_vector(axis) / leg
         lowest = heights.min(axis=0)
         off = float(lowest.std()) + abs(float(np.median(lowest)) - _LOWEST_JOINT)
+        if off > _GROUNDED and axis not in (mapped, stands, rest_axis):
+            return np.inf
         return off - _PREFERRED * (axis == mapped)
 
-    return min(filter(None, (mapped, stands, rest_axis)), key=cost)
+    return min(AXES, key=cost)
 
 
 def _nearest_axis(vector: FloatArray, least: float) -> str:
