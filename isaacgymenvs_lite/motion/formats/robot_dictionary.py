@@ -36,7 +36,7 @@ _EXPECTED = "dictionary of a robot's clip (GMR's, PHC's or MimicKit's)"
 # The names of each part, the first ones are GMR's.
 _POSITION = ("root_pos", "root_trans_offset", "root_trans", "root_translation", "root_position")
 _ROTATION = ("root_rot", "root_rotation", "root_quat")
-_JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions")
+_JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
 _JOINT_NAMES = ("joint_names", "dof_names")
 _FRAMES, _FPS = "frames", "fps"
 # Of an array: joints and the root's numbers.
@@ -115,10 +115,16 @@ def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
     names = next((_texts(data, key, name) for key in _JOINT_NAMES if key in data), None)
     if not any(key in data for key in _POSITION):
         return _mimickit(data, name, fps, names)
-    position, rotation, joints = (
-        _floats(data, next(key for key in part if key in data), name)
-        for part in (_POSITION, _ROTATION, _JOINTS)
+    position_key, rotation_key, joints_key = (
+        next(key for key in part if key in data) for part in (_POSITION, _ROTATION, _JOINTS)
     )
+    position, rotation = _floats(data, position_key, name), _floats(data, rotation_key, name)
+    angles = data[joints_key]
+    if isinstance(angles, dict) and angles:  # by the names of the joints
+        names = tuple(map(str, angles))
+        joints = np.stack([_floats(angles, key, name).ravel() for key in angles], axis=-1)
+    else:
+        joints = _floats(data, joints_key, name)
     if joints.ndim == 3 and joints.shape[2] == 1:
         joints = joints[..., 0]
     return JointClip(name, fps, position, rotation, joints, names)

@@ -12,6 +12,7 @@ import torch
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion import kinematics
+from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.bvh import BvhMotion
 from isaacgymenvs_lite.motion.retargeting.mapping import (
@@ -129,9 +130,9 @@ def check_fit(motion: BvhMotion, mapping: SkeletonMapping) -> None:
             axes, or left and right are exchanged; the line has what to write.
     """
     mapping.check_joints(motion.joint_names, motion.name)
-    problems = _problems(motion, mapping)
-    if problems:
-        raise ConfigError(f"{motion.name} does not fit mapping={mapping.name}: {problems}")
+    with reading(motion.name, "BVH file"):
+        if problems := _problems(motion, mapping):
+            raise ConfigError(f"{motion.name} does not fit mapping={mapping.name}: {problems}")
 
 
 def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
@@ -140,6 +141,11 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
     Raises:
         ConfigError: a mapping that fits cannot be found; the line has what to write.
     """
+    with reading(motion.name, "BVH file"):
+        return _fitted(motion, mapping)
+
+
+def _fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
     skeleton = _Skeleton.of(motion, mapping)
     fitting = (one for one in _variants(motion, mapping) if not _wrong_axes(skeleton, one))
     found = next(fitting, mapping)
@@ -147,8 +153,8 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
     unit_m = _unit_m(skeleton, mapping.unit_m) or mapping.unit_m
     if problems := _problems(motion, dataclasses.replace(found, up=up, unit_m=unit_m)):
         raise ConfigError(
-            f"{motion.name} has the joints of mapping={mapping.name}, but does not fit it: "
-            f"{problems}; give mapping=FILE (docs/motion_formats.md)"
+            f"{motion.name} does not fit the mapping {mapping.name}: {problems}; give mapping=FILE "
+            "(docs/motion_formats.md)"
         )
     return dataclasses.replace(found, up=up, unit_m=unit_m)
 
@@ -176,17 +182,18 @@ def _variants(motion: BvhMotion, mapping: SkeletonMapping) -> Iterator[SkeletonM
 def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
     """Return what does not fit, and what to write; "" if all fits."""
     skeleton, found = _Skeleton.of(motion, mapping), list[str]()
+    unit_m = _unit_m(skeleton, mapping.unit_m)
+    if unit_m != mapping.unit_m:
+        leg_m = leg_length(skeleton.places) * mapping.unit_m
+        size = (
+            f"its legs are {leg_m:.3g} m long, expected {_SHORTEST_LEG_M:g} to {_LONGEST_LEG_M:g}"
+        )
+        if unit_m is None:
+            return f"{size}: check unit_m"
+        found.append(f"{size}: write unit_m: {unit_m:g}")
     up = _up_axis(skeleton, _rest_axis(motion, mapping), mapping.up)
     if up != mapping.up:
         found.append(f"its head is above its feet along {up}, not {mapping.up}: write up: {up}")
-    unit_m = _unit_m(skeleton, mapping.unit_m)
-    if unit_m != mapping.unit_m:
-        write = f"write unit_m: {unit_m:g}" if unit_m else "check unit_m"
-        leg_m = leg_length(skeleton.places) * mapping.unit_m
-        found.append(
-            f"its legs are {leg_m:.3g} m long, expected {_SHORTEST_LEG_M:g} to "
-            f"{_LONGEST_LEG_M:g}: {write}"
-        )
     if skeleton.knees_bend_backward():
         found.append("its knees bend backward: exchange the joints of left and right")
     elif axes := _wrong_axes(skeleton, mapping):

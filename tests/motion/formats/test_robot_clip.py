@@ -139,14 +139,18 @@ def test_motions_by_name(tmp_path, how, suffix):
 
 
 @pytest.mark.parametrize("as_array", [True, False])
-@pytest.mark.parametrize("key", ["joint_names", "dof_names"])
+@pytest.mark.parametrize("key", ["joint_names", "dof_names", ""])
 @pytest.mark.parametrize(("how", "suffix"), [("pickle", "pkl"), ("numpy", "npy")])
 def test_names_of_joints_in_a_dictionary(tmp_path, how, suffix, key, as_array):
     position, rotation, dofs = arrays(3)
     names = ["c", "a", "b"]
     data = {"root_pos": position, "root_rot": rotation, "dof_pos": dofs[:, [2, 0, 1]]}
+    if key:
+        data[key] = np.array(names) if as_array else names
+    else:
+        data["dof_pos"] = dict(zip(names, data["dof_pos"].T, strict=True))
     path = tmp_path / f"a.{suffix}"
-    dump(path, data | {key: np.array(names) if as_array else names}, how)
+    dump(path, data, how)
     with pytest.raises(MotionFileError, match=r"has no fps; give file_fps="):
         read_joint_clip(path)
     clip = read_joint_clip(path, fps=25.0)
