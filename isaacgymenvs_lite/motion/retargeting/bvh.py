@@ -97,7 +97,7 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
         path: of the file. Its joints have three rotation channels or none, in any order. Positions
             of joints below the root of the motion stay the same.
         joints: names of joints that the caller needs. The lowest joint above all of them, or one of
-            them, becomes the root, with the motion of all joints above it. None: ROOT.
+            them, becomes the root, with the motion of all joints above it. Empty: ROOT.
 
     Raises:
         MissingPackageError: pybvh is not installed.
@@ -181,7 +181,7 @@ def chain(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
-    """Return the joints from the first one down to the last that is above, or one of, `joints`."""
+    """Return the joints from the first one down to the last one that all `joints` share."""
     levels = zip(*(chain(parents, joint) for joint in joints), strict=False)
     return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
 

@@ -136,8 +136,9 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
 def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str]:
     """Return the joint of each body by the names of feet, hands and head, {} if one is missing.
 
-    Limbs are the two joints above an end, helpers for twist left out. Pelvis and torso are the last
-    joints above both legs and both arms. An ankle counts before a foot, which may be the toes.
+    The two joints above a foot or a hand are its limb; helper joints for twist are left out. Pelvis
+    and torso are the last joints above both legs and both arms. Ankles and wrists are tried before
+    feet and hands: in a skeleton with both, foot and hand are the toes and the fingers.
     """
     found: dict[str, int] = {}
     for side in SIDES:
@@ -159,7 +160,7 @@ def _guess_joints(names: Sequence[str], parents: Sequence[int]) -> dict[str, str
 
 
 def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> int | None:
-    """Return the first joint, parents first, whose name has a pattern, the first that any has."""
+    """Return the first joint with the first pattern that any name has; None: no name has one."""
     fitting = (
         i for pattern in patterns for i, name in enumerate(names) if names_body(name, pattern, side)
     )

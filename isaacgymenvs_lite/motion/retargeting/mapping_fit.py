@@ -40,10 +40,10 @@ _MAX_FRAMES = 1000
 # joint's axis against the body's. Feet are stretched in crawls and dances, their axis up may tilt.
 _STANDS, _STRAIGHT, _ALIGNED, _FOOT_UP = 0.7, 0.8, 0.3, -0.3
 # Knees that bend backward by this share of a leg's length on average are no knees.
-_BACKWARD = 0.02
-# In lengths of a leg: how high the lowest joint of a body on the ground is, how much farther from
-# there it may be along the mapping's axis than along others, and how far along an axis for which
-# nothing else speaks.
+_BACKWARD = 0.03
+# In lengths of a leg: the height of the lowest joint of a body on the ground; how much farther from
+# this height it may be along the mapping's axis than along others; and how far it may be along an
+# axis that neither the mapping nor the pose suggests.
 _LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
 
 
@@ -96,7 +96,7 @@ class _Skeleton:
                 place[body.replace("foot", below)] - place[body.replace("foot", above)]
                 for above, below in (("thigh", "shin"), ("shin", "foot"))
             )
-            # The axis of the knee; of a straight leg the one of the hips.
+            # The axis of the knee; a straight leg has none, then the axis of the hips counts.
             left, up = np.cross(_unit(thigh), _unit(shin)) + 0.1 * self.left, -shin
         else:
             shoulders = place["left_upper_arm"] - place["right_upper_arm"]
@@ -204,8 +204,8 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
     """Return the axis of the file that points up.
 
-    Where the body stands in most frames, it shows the axis, if the mapping or the rest pose agrees.
-    Bodies also lie, crawl and stand on their hands; then the axis is the one along which the
+    It is the axis along which the body stands on average, if the mapping or the rest pose has the
+    same axis. Bodies also lie, crawl and stand on their hands; then it is the axis along which the
     lowest joint stays at the height of the ground.
 
     Args:

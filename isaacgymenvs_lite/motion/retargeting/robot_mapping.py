@@ -276,7 +276,7 @@ def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | 
 
 
 def names_body(text: str, pattern: str, side: str) -> bool:
-    """Return whether a name has the pattern of a body, and its side, "" of the middle."""
+    """Return whether a name has the pattern of a body, and the side; "" is the middle."""
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False
