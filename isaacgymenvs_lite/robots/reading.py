@@ -149,29 +149,32 @@ def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
 
 
 def _put_includes(root: ET.Element, path: Path) -> None:
-    """Replace every <include> by the content of its file, as MuJoCo would."""
+    """Replace every <include> by the content of its file.
+
+    As MuJoCo does, look beside the main file first, then beside the file that includes.
+    """
     folders, seen = robot_folders(path), {path.resolve()}
-    todo, elements = [root], 0
+    todo, elements = [(root, folders[0])], 0
     while todo:
-        parent = todo.pop()
-        children: list[ET.Element] = []
-        waiting = list(parent)[::-1]
+        parent, folder = todo.pop()
+        children: list[tuple[ET.Element, Path]] = []
+        waiting = [(child, folder) for child in reversed(parent)]
         while waiting:
-            child = waiting.pop()
+            child, folder = waiting.pop()
             if child.tag != "include":
-                children.append(child)
+                children.append((child, folder))
                 continue
             name = child.get("file", "")
             what = f'{path}: <include file="{name}">'
-            file = find_below(folders, [folders[0] / name], what)
+            file = find_below(folders, [folders[0] / name, folder / name], what)
             if file in seen or len(seen) > _MAX_INCLUDES:
                 raise ConfigError(f"{what} is included twice; expected every file once")
             seen.add(file)
-            waiting += list(read_xml(file))[::-1]
+            waiting += [(inner, file.parent) for inner in reversed(read_xml(file))]
             elements += len(waiting)
         if elements > MAX_ELEMENTS:
             raise ConfigError(f"{path}: has more than {MAX_ELEMENTS} elements")
-        parent[:] = children
+        parent[:] = [child for child, _ in children]
         todo += children
 
 
