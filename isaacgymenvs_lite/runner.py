@@ -184,8 +184,8 @@ def _train(
                 if launch.settings.resume:
                     command = command.after(launch.folder.typed())
                 launch.folder.create(launch.repeatable, command.words)
-                mark_run(launch.folder.path)
         task, observers = training.task, training.observers
+        observers.begin = launch.begin
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
@@ -381,6 +381,11 @@ class _Launch:
     def overrides(self) -> dict[str, Any]:
         """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
+
+    def begin(self) -> None:
+        """Note in the run folder that the training runs with these settings."""
+        self.folder.begin()
+        mark_run(self.folder.path)
 
     def checkpoint_file(self, suffix: str) -> Path:
         """Return the path of a checkpoint of the run."""

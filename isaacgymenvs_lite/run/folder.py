@@ -153,7 +153,9 @@ class RunFolder:
     # --- making ----------------------------------------------------------------------------
 
     def create(self, cfg: DictConfig, typed: Sequence[str] = ()) -> None:
-        """Make the folders and write the composed tree with its interpolations unresolved.
+        """Make the folders and config.yaml: the composed tree, its interpolations unresolved.
+
+        The config.yaml of a run that goes on stays until `begin`.
 
         Args:
             cfg: the tree.
@@ -168,8 +170,17 @@ class RunFolder:
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
             (self.path / "summaries").mkdir(exist_ok=True)
-            self._write_config()
+            if not (self.path / _CONFIG_FILE).exists():
+                self._write_config()
         _OPEN.append(self)
+
+    def begin(self) -> None:
+        """Replace config.yaml, once the training runs with these settings."""
+        try:
+            self._write_config()
+        except OSError as error:
+            reason = error.strerror or error
+            log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
 
     def make_again(self) -> None:
         """Make the folder once more if somebody removed it since `create`, config.yaml included.

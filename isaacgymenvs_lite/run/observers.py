@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from omegaconf import DictConfig
@@ -75,6 +76,7 @@ class TrainingObservers(MultiObserver):
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.
+        begin: called after the first rollout, in the main process: nothing can be refused by then.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class TrainingObservers(MultiObserver):
         self._metrics = metrics = MetricsObserver()
         self._imitation = imitation
         self.agent: Any = None
+        self.begin: Callable[[], None] | None = None
         self._stop = stop
         self._progress = ProgressObserver(stop, metrics, imitation, settings.progress_interval)
         self._wandb = None
@@ -118,6 +121,9 @@ class TrainingObservers(MultiObserver):
     def after_steps(self) -> None:
         """After each rollout; a request to end in one process ends all."""
         self._stop.requested = current_group().any(self._stop.requested)
+        begin, self.begin = self.begin, None
+        if begin is not None and current_group().is_main:
+            begin()
         super().after_steps()
 
     def evaluate_end(self) -> None:

@@ -53,6 +53,10 @@ def state_of(run_folder: Path, epoch: int) -> dict[str, Any]:
     return {"checkpoint": state.checkpoint, "memory": state.memory, "buffers": state.buffers}
 
 
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def assert_same(one: Any, other: Any, where: str = "") -> None:
     if isinstance(one, dict):
         assert one.keys() == other.keys(), where
@@ -230,8 +234,14 @@ def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
             "resume=.*: its last epoch was 2, and max_epochs is 2; to go on give more",
         ),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
+        (
+            ["resume=last", "max_iterations=3", "train.params.network.mlp.units=[8]"],
+            "resume=.*expected 8x",
+        ),
     ],
 )
-def test_mistakes_are_one_line(words, message, stopped):
+def test_mistakes_are_one_line_and_change_nothing(words, message, stopped):
+    before = contents(stopped)
     with pytest.raises(UserError, match=message):
         run(resumed_tree(words))
+    assert contents(stopped) == before

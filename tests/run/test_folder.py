@@ -87,6 +87,7 @@ def test_after_the_run_the_next_may_begin(tmp_path):
     for task in ("Ant", "Humanoid"):
         with RunFolder(tmp_path, "walk") as folder:
             folder.create(OmegaConf.create({"task": {"name": task}}))
+            folder.begin()
         assert task in (folder.path / "config.yaml").read_text()
         assert {path.name for path in folder.path.iterdir()} == {"config.yaml", "nn", "summaries"}
 
