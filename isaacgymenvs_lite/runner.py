@@ -9,11 +9,12 @@ with load_player(cfg) as player:    # a policy and its task, for a loop of one's
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import logging
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -179,6 +180,8 @@ def _train(
         with group.together():
             pbt = stack.enter_context(_population(launch, group, stop))
             training = _set_up_training(launch, make_task, pbt, stop, direction)
+            if pbt is not None:
+                pbt.check_settings = functools.partial(_check_settings, launch, training.task)
         with group.together():
             if group.is_main:
                 if launch.settings.resume:
@@ -516,6 +519,21 @@ def _population(
                 group.from_main(request.content if request is not None else None)
             )
         yield pbt
+
+
+def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
+    """Check a training whose settings change, numbers by path, as its start would.
+
+    Raises:
+        UserError: it could not begin with them.
+    """
+    changed = replace(launch, cfg=launch.cfg.copy())
+    for path, value in settings.items():
+        OmegaConf.update(changed.cfg, path, value)
+    check_config(changed.cfg)
+    with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
+        make_task(1)
+        _read_params(changed, task)
 
 
 def _with_decided_precision(launch: _Launch) -> _Launch:

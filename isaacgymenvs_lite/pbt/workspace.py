@@ -153,8 +153,9 @@ class Workspace:
                 f" go on with it: resume={self._folder.parent / run}, choose another"
                 f" pbt.workspace, or remove {self._own}"
             )
+        self._check_experiments(but_own=is_new)
         if is_new:
-            self._check_files()
+            self._check_records()
         try:
             with atomic_write(self._own / _POLICY_FILE) as partial:
                 partial.write_text(_as_yaml(self._experiment), encoding="utf-8")
@@ -163,21 +164,25 @@ class Workspace:
         # Once more: of two that begin at the same time, one at least finds the other.
         self._check_experiments()
 
-    def _check_files(self) -> None:
-        self._check_experiments()
+    def _check_records(self) -> None:
         for index in self._others:
             for iteration in self._iterations(index):
                 with contextlib.suppress(FileNotFoundError):  # its policy removes old ones
                     self._read_record(index, iteration)
 
-    def _check_experiments(self) -> None:
+    def _check_experiments(self, but_own: bool = False) -> None:
         """Check that all policies train the same.
+
+        Args:
+            but_own: not the file of this policy, which begins.
 
         Raises:
             ConfigError: one does not, or its file is broken.
         """
         own = parse_yaml(_as_yaml(self._experiment), _POLICY_FILE).content
         for file in sorted(self._folder.glob(f"[0-9]*/{_POLICY_FILE}")):
+            if but_own and file.parent == self._own:
+                continue
             try:
                 other = self._read_yaml(file)
             except FileNotFoundError:

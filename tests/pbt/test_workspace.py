@@ -103,6 +103,14 @@ def test_a_policy_that_was_trained(tmp_path):
     assert "policy 0 has been trained there; go on with it: resume=" in refusal(tmp_path, index=0)
     with workspace(tmp_path, 0) as own:
         own.join(is_new=False)
+    description = (tmp_path / "runs/ws/000/policy.yaml").read_text()
+    other = plain(compose([*WORDS, "train.params.network.mlp.units=[8]"]))
+    with (
+        pytest.raises(ConfigError, match="of another experiment"),
+        workspace(tmp_path, 0, other) as own,
+    ):
+        own.join(is_new=False)
+    assert (tmp_path / "runs/ws/000/policy.yaml").read_text() == description
 
 
 @pytest.mark.parametrize(
