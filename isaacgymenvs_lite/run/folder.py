@@ -61,8 +61,14 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere."""
+        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere.
+
+        The path of a rescued run means the run folder that could not be written.
+        """
         root = train_dir.absolute()
+        for rescued in rescue_dirs(root):
+            if path.is_relative_to(rescued):
+                return cls(root, str(path.relative_to(rescued)))
         if not path.is_relative_to(root):
             root = path.parent
         return cls(root, str(path.relative_to(root)))
@@ -241,10 +247,21 @@ class RunFolder:
 
     # --- finding ---------------------------------------------------------------------------
 
+    def files(self, pattern: str) -> list[Path]:
+        """Return files of the run by a pattern such as `nn/*.pth`, rescued ones included."""
+        rescued = (folder / self.name for folder in rescue_dirs(self._real_train_dir))
+        return [file for place in (self.path, *rescued) for file in place.glob(pattern)]
+
     def newest_checkpoint(self) -> Path | None:
         """Return the checkpoint that was written last, also a rescued one; None without one."""
-        rescued = (folder / self.name for folder in rescue_dirs(self._real_train_dir))
-        return newest(file for run in (self.path, *rescued) for file in run.glob("nn/*.pth"))
+        return newest(self.files("nn/*.pth"))
+
+    def report_rescued(self, file: Path, key: str) -> None:
+        """Log that a file of the run, which `key` means, is a rescued one, if it is."""
+        if not file.is_relative_to(self.path):
+            log.warning(
+                "%s takes a rescued checkpoint, %s: its run folder could not be written", key, file
+            )
 
 
 # The folders into which this process trains.
@@ -281,6 +298,15 @@ def run_folders(train_dir: Path) -> Iterator[Path]:
             yield Path(folder)
         elif len(Path(folder).relative_to(train_dir).parts) >= MAX_LEVELS:
             below.clear()
+
+
+def runs_below(train_dir: Path) -> list[RunFolder]:
+    """Return the runs at any depth below `train_dir`, also those that only a rescue has left."""
+    places = (
+        (root, run) for root in (train_dir, *rescue_dirs(train_dir)) for run in run_folders(root)
+    )
+    names = dict.fromkeys(str(run.relative_to(root)) for root, run in places)
+    return [RunFolder(train_dir, name) for name in names]
 
 
 def run_of_checkpoint(checkpoint: str) -> Path | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import shutil
 import time
 from collections.abc import Sequence
@@ -13,7 +15,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from isaacgymenvs_lite.checkpoints import files, training_state
 from isaacgymenvs_lite.checkpoints.archive import read_archive
+from isaacgymenvs_lite.checkpoints.files import write_atomically
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
 from isaacgymenvs_lite.config.launch import check_config
@@ -184,6 +188,40 @@ def test_one_line_says_what_starts_again(change, words, line, stopped, caplog):
     (warning,) = [r.getMessage() for r in caplog.records if "never stopped" in r.getMessage()]
     assert line in warning
     assert (stopped / "resume/3.pth").is_file()
+
+
+def test_a_full_disk_does_not_set_the_run_back(stopped, tmp_path, monkeypatch, caplog):
+    """Checkpoints of the third epoch were rescued; its training state could not be written."""
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+
+    def full(path: Path, state: dict[str, Any]) -> None:
+        if path.is_relative_to(stopped):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_atomically(path, state)
+
+    with monkeypatch.context() as patch:
+        for module in (files, training_state):
+            patch.setattr(module, "write_atomically", full)
+        go_on("resume=last")
+    rescued = files.resolve_checkpoint("last", tmp_path / "runs", "HumanoidAMP")
+    assert rescued.startswith(str(tmp_path / "tmp"))
+    caplog.clear()
+    run(resumed_tree([f"resume={stopped}", "max_iterations=4"]))
+    assert f"resume={stopped} takes a rescued checkpoint, " in caplog.text
+    assert [file.name for file in stopped.glob("resume/*_buffers.pth")] == ["4_buffers.pth"]
+
+
+def test_one_line_names_a_checkpoint_that_is_newer_than_the_state(stopped, tmp_path, caplog):
+    states = shutil.copytree(stopped / "resume", tmp_path / "states")
+    go_on("resume=last")
+    shutil.rmtree(stopped / "resume")
+    states.rename(stopped / "resume")
+    caplog.set_level(logging.INFO)
+    caplog.clear()
+    go_on("resume=last")
+    assert "resumed after epoch 2" in caplog.text
+    assert caplog.text.count("is of epoch 3, but has networks and optimisers alone") == 1
 
 
 def test_buffers_can_be_left_out(stopped, caplog):
