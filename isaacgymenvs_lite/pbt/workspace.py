@@ -29,7 +29,7 @@ from isaacgymenvs_lite.config.pbt_settings import PBTSettings
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
 from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
-from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write
+from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 log = logging.getLogger(__name__)
@@ -104,8 +104,10 @@ class Workspace:
         """Lock the folder of this policy.
 
         Raises:
-            ConfigError: it cannot be written, or another process trains this policy.
+            ConfigError: it cannot be written, another process trains this policy, or the workspace
+                has a link below it.
         """
+        check_no_links(self._folder)
         missing = [path for path in (self._own, *self._own.parents) if not path.exists()]
         try:
             self._own.mkdir(parents=True, exist_ok=True)

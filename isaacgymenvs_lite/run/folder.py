@@ -18,7 +18,7 @@ from isaacgymenvs_lite.config.run_names import MAX_LEVELS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderLock
 from isaacgymenvs_lite.run.rescue import rescue_dir, rescue_dirs
-from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write
+from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 
 log = logging.getLogger(__name__)
 
@@ -89,8 +89,8 @@ class RunFolder:
         """Reserve the folder, and remove files that a killed run left half written.
 
         Raises:
-            ConfigError: the folder cannot be written, is part of another run, or another run
-                writes into it.
+            ConfigError: the folder cannot be written, is part of another run, has a link below
+                it, or another run writes into it.
         """
         for folder in self.path.relative_to(self.train_dir).parents:
             if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
@@ -100,6 +100,7 @@ class RunFolder:
                 )
         with self._errors_explained():
             self._make_path()
+            check_no_links(self.path)
             self._lock = FolderLock(self.path)
             self._remove_partial_files()
         return self
@@ -135,9 +136,8 @@ class RunFolder:
                 folder.rmdir()
 
     def _remove_partial_files(self) -> None:
-        """Remove what a kill left; only in folders of this run, not behind links to others."""
-        folders = [self.path, *(path for path in self.path.iterdir() if path.is_dir())]
-        for folder in (folder for folder in folders if not folder.is_symlink()):
+        """Remove what a kill left."""
+        for folder in [self.path, *(path for path in self.path.iterdir() if path.is_dir())]:
             for file in folder.iterdir():
                 if re.fullmatch(PARTIAL_FILE, file.name):
                     with contextlib.suppress(OSError):

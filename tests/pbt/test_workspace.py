@@ -142,6 +142,14 @@ def test_policies_may_differ_in_everything_else(tmp_path):
         own.join(is_new=True)
 
 
+@pytest.mark.parametrize("name", ["000", "best2", "002/000001.pth"])
+def test_a_workspace_with_a_link_below_it(tmp_path, name):
+    link = tmp_path / "runs/ws" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(tmp_path)
+    assert f"{link} is a link, " in refusal(tmp_path)
+
+
 RECORD = (
     "iteration: 1\ntrue_objective: 1.0\nframe: 10\nexperiment_name: x\n"
     f"params: {dict.fromkeys(PARAMS, 0.5)}\n"
