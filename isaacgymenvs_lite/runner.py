@@ -184,9 +184,7 @@ def _train(
                 pbt.check_settings = functools.partial(_check_settings, launch, training.task)
         with group.together():
             if group.is_main:
-                if launch.settings.resume:
-                    command = command.after(launch.folder.typed())
-                launch.folder.create(launch.repeatable, command.words)
+                launch.folder.create(launch.repeatable)
         task, observers = training.task, training.observers
         observers.begin = launch.begin
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
@@ -713,7 +711,11 @@ def _report_end(launch: _Launch, command: TypedCommand, was_stopped: bool) -> No
     if newest is None:
         return
     task = str(launch.cfg.task.name)
-    log.info("saved %s; play it: %s", newest, command.play(task, newest))
+    if launch.settings.resume:  # the words that started it are known to the user alone
+        play = "repeat the command that started the run with test=True checkpoint=last"
+    else:
+        play = command.play(task, newest)
+    log.info("saved %s; play it: %s", newest, play)
     if was_stopped:
         resume = command.resume(launch.folder.path, current_group().size)
         log.info("go on with it: %s", resume)

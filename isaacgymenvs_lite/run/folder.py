@@ -7,9 +7,8 @@ import itertools
 import logging
 import os
 import re
-import shlex
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -23,9 +22,6 @@ from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_l
 log = logging.getLogger(__name__)
 
 _CONFIG_FILE = "config.yaml"
-# Its first line, with the settings that were typed; a comment, as old files have none.
-_TYPED = "# typed: "
-_MAX_TYPED_CHARS = 10_000
 
 
 class RunFolder:
@@ -158,21 +154,18 @@ class RunFolder:
 
     # --- making ----------------------------------------------------------------------------
 
-    def create(self, cfg: DictConfig, typed: Sequence[str] = ()) -> None:
+    def create(self, cfg: DictConfig) -> None:
         """Make the folders and config.yaml: the composed tree, its interpolations unresolved.
 
         The config.yaml of a run that goes on stays until `begin`.
 
         Args:
             cfg: the tree.
-            typed: the settings of the command line, kept for `typed`.
 
         Raises:
             ConfigError: the folder cannot be written.
         """
-        line = f"{_TYPED}{shlex.join(typed)}\n"
-        is_short = len(line) < _MAX_TYPED_CHARS and line.count("\n") == 1
-        self._config = (line if typed and is_short else "") + OmegaConf.to_yaml(cfg)
+        self._config = OmegaConf.to_yaml(cfg)
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
             (self.path / "summaries").mkdir(exist_ok=True)
@@ -235,15 +228,6 @@ class RunFolder:
     def _write_config(self) -> None:
         with atomic_write(self.path / _CONFIG_FILE) as partial:
             partial.write_text(self._config, encoding="utf-8")
-
-    def typed(self) -> tuple[str, ...]:
-        """Return the settings of the command line that started the run; () if not known."""
-        with contextlib.suppress(OSError, ValueError):
-            with (self.path / _CONFIG_FILE).open(encoding="utf-8") as file:
-                line = file.readline(_MAX_TYPED_CHARS).rstrip("\n")
-            if line.startswith(_TYPED) and line.isprintable():
-                return tuple(shlex.split(line.removeprefix(_TYPED)))
-        return ()
 
     # --- finding ---------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.checkpoints.files import write_atomically
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
-from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
@@ -240,14 +240,35 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
         go_on("resume=last")
 
 
-def test_a_run_does_not_decide_who_looks_on(stopped):
-    cfg = OmegaConf.load(stopped / "config.yaml")
-    cfg.viewer, cfg.viewer_host, cfg.wandb_logcode_dir = "web", "0.0.0.0", "/"
-    OmegaConf.save(cfg, stopped / "config.yaml")
+LOOKED_ON = {"viewer": "web", "viewer_host": "0.0.0.0", "headless": False, "capture_video": True}
+SENT_AWAY = {"wandb_activate": True, "wandb_entity": "stranger", "wandb_logcode_dir": "/"}
+
+
+def test_a_run_does_not_decide_who_looks_on_and_what_is_sent_away(stopped, monkeypatch, caplog):
+    monkeypatch.setattr("isaacgymenvs_lite.config.launch.require", lambda *_, **__: None)
+    caplog.set_level(logging.INFO)
+    file = stopped / "config.yaml"
+    cfg = OmegaConf.load(file)
+    cfg.update({**LOOKED_ON, **SENT_AWAY})
+    file.write_text(f"# typed: task=Ant --config-dir=/stranger\n{OmegaConf.to_yaml(cfg)}")
+    default = LaunchSettings(task_name="HumanoidAMP")
     settings = check_config(resumed_tree(["resume=last"]))
-    assert (settings.viewer, settings.viewer_host) == ("", "localhost")
-    assert settings.wandb_logcode_dir == ""
-    assert check_config(resumed_tree(["resume=last", "viewer=web"])).viewer == "web"
+    for key in (*LOOKED_ON, *SENT_AWAY):
+        assert getattr(settings, key) == getattr(default, key)
+    assert "type again what you want: wandb_activate, viewer, capture_video" in caplog.text
+    typed = ["viewer=web", "headless=False", "capture_video=True", "wandb_activate=True"]
+    settings = check_config(resumed_tree(["resume=last", *typed, "wandb_tags=[a]"]))
+    assert (settings.viewer, settings.headless, settings.capture_video) == ("web", False, True)
+    assert (settings.wandb_activate, settings.wandb_entity, settings.wandb_tags) == (
+        True,
+        "",
+        ["a"],
+    )
+    off = ["viewer=", "headless=True", "capture_video=False", "wandb_activate=False"]
+    assert not check_config(resumed_tree(["resume=last", *off])).wandb_activate
+    caplog.clear()
+    go_on("resume=last")
+    assert "stranger" not in caplog.text + file.read_text()
 
 
 def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):

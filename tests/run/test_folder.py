@@ -308,21 +308,3 @@ def test_a_disk_that_is_full_in_the_middle(open_run, tmp_dir, monkeypatch):
     assert load_checkpoint(rescued)["epoch"] == 2
     assert save(folder, "c", 3) == folder.checkpoints / "c.pth"
     assert sorted(path.name for path in folder.checkpoints.iterdir()) == ["a.pth", "c.pth"]
-
-
-def test_what_was_typed_is_kept(tmp_path: Path) -> None:
-    words = ["task=Ant", "train.x=[1, 2]", "experiment=it's"]
-    with RunFolder(tmp_path, "run") as folder:
-        folder.create(OmegaConf.create({"task": {"name": "Ant"}}), words)
-    assert RunFolder(tmp_path, "run").typed() == tuple(words)
-    assert OmegaConf.load(tmp_path / "run/config.yaml").task.name == "Ant"
-
-
-@pytest.mark.parametrize(
-    "first", ["task: 1", "# typed: 'a", "# typed: a\x1b[2J", "# typed: \x00", "", "# typed: \udc80"]
-)
-def test_files_without_what_was_typed(tmp_path: Path, first: str) -> None:
-    (tmp_path / "run").mkdir()
-    text = f"{first}\n".encode("utf-8", "surrogateescape")
-    (tmp_path / "run/config.yaml").write_bytes(text)
-    assert RunFolder(tmp_path, "run").typed() == ()
