@@ -121,6 +121,8 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         with open_dict(cfg):
             # A restarted policy of a population has another checkpoint to begin with.
             cfg.resume = "" if "pbt_restart" in given else str(file)
+            # The file does not choose where a workspace is.
+            OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)))
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(
             f"{' '.join(settings)}: {one_line(error)}; these words change settings of the run"
