@@ -25,6 +25,7 @@ from isaacgymenvs_lite.checkpoints.archive import (
 )
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
 from isaacgymenvs_lite.run.lock import FolderInUseError
 from isaacgymenvs_lite.utils.files import atomic_write
@@ -302,7 +303,7 @@ def resolve_checkpoint(
     if checkpoint == "last":
         return str(_newest(Path(train_dir), task_name, network_name))
     policies = shipped_policies()
-    path = policies.get(checkpoint) or Path(checkpoint).expanduser()
+    path = policies.get(checkpoint) or user_path(checkpoint)
     if not path.is_file():
         hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
         names = f", or a shipped policy: {', '.join(policies)}" if policies else ""

@@ -29,6 +29,7 @@ from isaacgymenvs_lite.checkpoints.files import (
     write_atomically,
 )
 from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, newest, run_of_checkpoint
 
 log = logging.getLogger(__name__)
@@ -216,7 +217,7 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
     Raises:
         CheckpointError: there is nothing to go on from.
     """
-    given = Path(resume).expanduser()
+    given = user_path(resume)
     if resume == "last":
         run = _newest_run(train_dir, wanted)
     elif given.is_dir():

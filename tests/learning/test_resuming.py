@@ -6,6 +6,7 @@ import errno
 import logging
 import os
 import shutil
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from isaacgymenvs_lite import train as train_py
 from isaacgymenvs_lite.checkpoints import files, training_state
 from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.checkpoints.files import write_atomically
@@ -222,6 +224,18 @@ def test_one_line_names_a_checkpoint_that_is_newer_than_the_state(stopped, tmp_p
     go_on("resume=last")
     assert "resumed after epoch 2" in caplog.text
     assert caplog.text.count("is of epoch 3, but has networks and optimisers alone") == 1
+
+
+def test_names_of_folders_are_printed_without_control_characters(stopped, monkeypatch, capsys):
+    """On a command line of its own, whose log goes to stderr."""
+    renamed = stopped.rename(stopped.with_name("a\nb\x1b[31m\udcff"))
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    monkeypatch.setattr(sys, "argv", ["train.py", f"resume={renamed}", "max_iterations=3"])
+    train_py.main()
+    shown = capsys.readouterr().err
+    assert r"runs/a\nb\x1b[31m\udcff/nn/" in shown
+    assert "\x1b[31m" not in shown
+    assert (renamed / "resume/3.pth").is_file()
 
 
 def test_buffers_can_be_left_out(stopped, caplog):
