@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
+from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.robots.mesh_files import AssetFiles, png_texels
 from isaacgymenvs_lite.robots.xml_files import (
     MAX_DEPTH,
@@ -95,7 +96,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
         ConfigError: the file or one that it names is missing, too large or elsewhere, has elements
             that a robot does not need, or MuJoCo refuses it. The message names the file.
     """
-    path = Path(path).expanduser()
+    path = user_path(path)
     root = read_xml(path)
     files, notes = AssetFiles(path), []
     if root.tag == "mujoco":
