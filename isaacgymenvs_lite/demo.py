@@ -181,7 +181,9 @@ def perform(name: str, seconds: float) -> Performance:
             tuple(tracks),
             _LABELS if imitates else (),
             () if imitates else tuple(recorder.markers()),
-            str(result.imitation) if imitates else _summary(result, cfg),
+            f"{result.num_episodes} episodes: {result.imitation}"
+            if imitates
+            else _summary(result, cfg),
         )
 
 
