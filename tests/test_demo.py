@@ -73,7 +73,7 @@ def test_every_shipped_policy_is_played_measured_and_filmed(tmp_path, monkeypatc
         assert frames[0].shape == (64, 96, 3)
         assert min(frame.mean() for frame in frames) > 100
         assert np.abs(frames[8].astype(int) - frames[0]).max() > 60
-        assert f"{name}: pose error 0." in caplog.text
+        assert f"{name}: 16 episodes: pose error 0." in caplog.text
         assert f"{name}: wrote demo/{name}.mp4" in caplog.text
     assert "without a fall" in caplog.text
     assert not (tmp_path / "runs").exists()
