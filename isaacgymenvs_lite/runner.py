@@ -737,8 +737,13 @@ def _save(agent: Any, launch: _Launch, suffix: str) -> None:
 
 def _save_best(agent: Any, launch: _Launch) -> None:
     """Write the best checkpoint unless rl_games has: it does after `save_best_after` epochs."""
-    if not launch.checkpoint_file("").exists():
-        _save(agent, launch, "")
+    if agent is None or launch.checkpoint_file("").exists():
+        return
+    with _output_to_log():
+        if hasattr(agent, "save_best"):
+            agent.save_best()
+        else:  # of another project
+            agent.save(str(launch.checkpoint_file("").with_suffix("")))
 
 
 def _report_end(
