@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from isaacgymenvs_lite import __version__
-from isaacgymenvs_lite.errors import EXIT_USER_ERROR, unknown
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, UserError, unknown
+from isaacgymenvs_lite.paths import check_working_folder
 from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT, PACKAGE
 
 COMMANDS = {
@@ -65,6 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     module = COMMANDS.get(command, command)
     if module not in (*COMMANDS.values(), *DOORS):
         sys.stderr.write(f"error: {unknown('command', command, COMMANDS)}\n")
+        return EXIT_USER_ERROR
+    try:
+        check_working_folder()
+    except UserError as error:
+        sys.stderr.write(f"error: {error}\n")
         return EXIT_USER_ERROR
     sys.argv[1:] = words
     runpy.run_module(f"{PACKAGE}.{module}", run_name="__main__", alter_sys=True)

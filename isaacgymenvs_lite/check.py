@@ -44,7 +44,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import cfg_dir, user_path
 from isaacgymenvs_lite.schema import select
 
 EXIT_DOES_NOT_WORK = 1
@@ -176,7 +176,7 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
 
 
 def _find(file: str) -> Path:
-    given = Path(file).expanduser()
+    given = user_path(file)
     if given.is_file():
         return given.resolve()
     named = [cfg_dir() / group / f"{given.stem}.yaml" for group in ("train", "task")]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import logging
 from collections.abc import Callable, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING, TypeVar
 
 from omegaconf import OmegaConf
@@ -16,6 +18,7 @@ from isaacgymenvs_lite.errors import (
     EXIT_USER_ERROR,
     ConfigError,
     UserError,
+    printable,
     unknown,
 )
 from isaacgymenvs_lite.schema import read_section
@@ -24,6 +27,30 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
+
+
+class EscapingFormatter(logging.Formatter):
+    """Writes text and paths that a message quotes without control characters.
+
+    A stranger's run folder may have them in its name.
+    """
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the message."""
+        if isinstance(record.args, tuple):
+            record = copy.copy(record)
+            record.args = tuple(
+                printable(str(value)) if isinstance(value, (str, PurePath)) else value
+                for value in record.args or ()
+            )
+        return super().format(record)
+
+
+def log_messages() -> None:
+    """Send the log to stderr, messages only."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(EscapingFormatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def run_command(
@@ -51,7 +78,7 @@ def run_command(
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
     given = parser.parse_args(arguments, words or argparse.Namespace()).settings
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    log_messages()
     try:
         action(read_settings(cls, given))
     except UserError as error:

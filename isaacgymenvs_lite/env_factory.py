@@ -30,7 +30,7 @@ from isaacgymenvs_lite.motion.loader import (
     shipped_motions_dir,
     shipped_robot_motions_dir,
 )
-from isaacgymenvs_lite.paths import assets_dir
+from isaacgymenvs_lite.paths import assets_dir, user_path
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.tasks import find_task
@@ -137,7 +137,7 @@ def make_from_config(
     task_cfg: Any = OmegaConf.to_container(cfg.task, resolve=True)
     maker = find_task(str(task_cfg["name"]))
     if checkout := cfg.get(checkouts.KEY):
-        _find_files(task_cfg["env"], Path(checkout).expanduser().absolute(), maker)
+        _find_files(task_cfg["env"], user_path(checkout).absolute(), maker)
     task = maker(
         cfg=task_cfg,
         rl_device=rl_device,

@@ -1,12 +1,15 @@
-"""Finds the folders of the configuration and of the assets.
+"""Finds the folders of the configuration and of the assets, and reads paths that a user gives.
 
-In a checkout they are `<repository>/cfg` and `<repository>/assets`; an installed wheel carries them
-inside the package. The working directory plays no part.
+In a checkout the folders are `<repository>/cfg` and `<repository>/assets`; an installed wheel
+carries them inside the package. The working directory plays no part.
 """
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+from isaacgymenvs_lite.errors import ConfigError
 
 _PACKAGE_DIR = Path(__file__).resolve().parent
 
@@ -19,6 +22,33 @@ def cfg_dir() -> Path:
 def assets_dir() -> Path:
     """Return the folder that holds mjcf/ and amp/motions/."""
     return _data_dir("assets", marker="mjcf")
+
+
+def user_path(given: str | Path) -> Path:
+    """Return a path that a user gives, with `~` and `~name` replaced by the home folder.
+
+    Raises:
+        ConfigError: there is no such home folder.
+    """
+    try:
+        return Path(given).expanduser()
+    except RuntimeError as error:
+        home = Path(given).parts[0]
+        raise ConfigError(
+            f"{given}: no home folder of '{home}' is known; give the whole path"
+        ) from error
+
+
+def check_working_folder() -> None:
+    """Check that the working folder exists: without it torch ends the process while it loads.
+
+    Raises:
+        ConfigError: somebody has removed it.
+    """
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise ConfigError("the working folder was removed; change to one that exists") from error
 
 
 def _data_dir(name: str, marker: str) -> Path:

@@ -9,11 +9,12 @@ with load_player(cfg) as player:    # a policy and its task, for a loop of one's
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import logging
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -180,13 +181,13 @@ def _train(
         with group.together():
             pbt = stack.enter_context(_population(launch, group, stop))
             training = _set_up_training(launch, make_task, pbt, stop, direction)
+            if pbt is not None:
+                pbt.check_settings = functools.partial(_check_settings, launch, training.task)
         with group.together():
             if group.is_main:
-                if launch.settings.resume:
-                    command = command.after(launch.folder.typed())
-                launch.folder.create(launch.repeatable, command.words)
-                mark_run(launch.folder.path)
+                launch.folder.create(launch.repeatable)
         task, observers = training.task, training.observers
+        observers.begin = launch.begin
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
@@ -387,6 +388,11 @@ class _Launch:
         """What replaces the first parameters of the networks, as arguments of rl_games' Runner."""
         return {"checkpoint": self.checkpoint or None, "sigma": self.settings.sigma}
 
+    def begin(self) -> None:
+        """Note in the run folder that the training runs with these settings."""
+        self.folder.begin()
+        mark_run(self.folder.path)
+
     def checkpoint_file(self, suffix: str) -> Path:
         """Return the path of a checkpoint of the run."""
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
@@ -516,6 +522,21 @@ def _population(
                 group.from_main(request.content if request is not None else None)
             )
         yield pbt
+
+
+def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
+    """Check a training whose settings change, numbers by path, as its start would.
+
+    Raises:
+        UserError: it could not begin with them.
+    """
+    changed = replace(launch, cfg=launch.cfg.copy())
+    for path, value in settings.items():
+        OmegaConf.update(changed.cfg, path, value)
+    check_config(changed.cfg)
+    with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
+        make_task(1)
+        _read_params(changed, task)
 
 
 def _with_decided_precision(launch: _Launch) -> _Launch:
@@ -707,7 +728,11 @@ def _report_end(
         return
     task = str(launch.cfg.task.name)
     played = best if plays_best and best.exists() else newest
-    play = command.play(task, played.absolute(), is_newest=played == newest)
+    if launch.settings.resume:  # the words that started it are known to the user alone
+        name = "last" if played == newest else played.absolute()
+        play = f"repeat the command that started the run with test=True checkpoint={name}"
+    else:
+        play = command.play(task, played.absolute(), is_newest=played == newest)
     log.info("saved %s; play it: %s", played, play)
     if was_stopped:
         resume = command.resume(launch.folder.path, current_group().size)

@@ -24,6 +24,7 @@ from omegaconf import DictConfig
 from tqdm import tqdm
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments, inherited_settings
+from isaacgymenvs_lite.command_line import EscapingFormatter
 from isaacgymenvs_lite.config.compose import checked_program, make_loader
 from isaacgymenvs_lite.config.hydra_bridge import (
     CONFIG_NAME,
@@ -43,11 +44,12 @@ from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
     EXIT_USER_ERROR,
     ConfigError,
+    PeerError,
     PeerMistakeError,
     StoppedAtOnceError,
     UserError,
 )
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import cfg_dir, check_working_folder
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 from isaacgymenvs_lite.sweep import (
     Sweep,
@@ -78,6 +80,7 @@ def main() -> None:
     """
     configure_logging()
     try:
+        check_working_folder()
         _run_hydra()
     except UserError as error:
         _fail(error)
@@ -227,7 +230,7 @@ def _check_options(arguments: Sequence[str]) -> None:
 
 
 def _fail(error: UserError) -> NoReturn:
-    if started_by_torchrun():
+    if started_by_torchrun() and not isinstance(error, PeerError):
         from isaacgymenvs_lite.distributed.group import first_of_all  # imports torch
 
         error = first_of_all(error)
@@ -248,7 +251,7 @@ class _ProgressBarHandler(logging.Handler):
             tqdm.write(self.format(record), file=sys.stderr)
 
 
-class _MessageFormatter(logging.Formatter):
+class _MessageFormatter(EscapingFormatter):
     """The message; from warnings upwards with the level before it."""
 
     def format(self, record: logging.LogRecord) -> str:

@@ -44,10 +44,9 @@ class TypedCommand:
         """Return the command that says all about a run: `first`, and what was added.
 
         Args:
-            first: the settings that a resumed run was started with, or that it has from a policy.
+            first: the settings that the run has from a policy.
         """
-        added = [word for word in self.words if _key(word) != "resume"]
-        return dataclasses.replace(self, words=(*first, *added))
+        return dataclasses.replace(self, words=(*first, *self.words))
 
     def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
         """Return the command that plays a checkpoint of the run, for a shell.

@@ -14,6 +14,7 @@ import pytest
 from omegaconf import DictConfig
 
 from isaacgymenvs_lite import train
+from isaacgymenvs_lite.__main__ import main
 from isaacgymenvs_lite.errors import MotionFileError, StoppedAtOnceError
 from isaacgymenvs_lite.typed_command import TypedCommand
 from tests.train_command import make_train_command
@@ -103,6 +104,14 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
         (["-m", "task=Humanoids,HumanoidAMP"], "error: unknown task 'Humanoids'"),
         (["--cfg", "job", "num_env=1"], "error: unknown key 'num_env'"),
         (["task=3"], "error: 'task=3' names no file"),
+        (
+            ["train=~nosuchuser/x.yaml"],
+            "error: ~nosuchuser/x.yaml: no home folder of '~nosuchuser'",
+        ),
+        (
+            ["resume=~nosuchuser/x"],
+            "error: ~nosuchuser/x: no home folder of '~nosuchuser' is known",
+        ),
     ],
 )
 def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys, arguments, expected):
@@ -111,6 +120,16 @@ def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys, ar
     assert output.err.startswith(expected)
     assert len(output.err.splitlines()) == 1
     assert output.out == ""
+    assert runner.runs == []
+
+
+def test_a_working_folder_that_was_removed(call: Call, runner, capsys, tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    for command in (lambda: call("task=Ant"), lambda: main(["check", "Ant"])):
+        assert command() == train.EXIT_USER_ERROR
+        assert capsys.readouterr().err.startswith("error: the working folder was removed")
     assert runner.runs == []
 
 

@@ -32,7 +32,7 @@ from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping, shipped_mappings
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 
@@ -209,7 +209,7 @@ def _bvh(inner_positions: bool) -> str:
 
 def _load_bvh(path: Path) -> MotionClip:
     mapping = load_mapping("lafan1")
-    return load_bvh(path, mapping.to_z_up, mapping.unit_m)
+    return read_bvh(path).clip(mapping.to_z_up, mapping.unit_m)
 
 
 def _written(path: Path, text: str) -> Path:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,9 @@ from isaacgymenvs_lite.checkpoints.archive import (
 )
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, run_folders
+from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
 from isaacgymenvs_lite.run.lock import FolderInUseError
-from isaacgymenvs_lite.run.rescue import rescue_dirs
 from isaacgymenvs_lite.utils.files import atomic_write
 
 log = logging.getLogger(__name__)
@@ -303,7 +303,7 @@ def resolve_checkpoint(
     if checkpoint == "last":
         return str(_newest(Path(train_dir), task_name, network_name))
     policies = shipped_policies()
-    path = policies.get(checkpoint) or Path(checkpoint).expanduser()
+    path = policies.get(checkpoint) or user_path(checkpoint)
     if not path.is_file():
         hint = f"; did you mean {path}.pth?" if Path(f"{path}.pth").is_file() else ""
         names = f", or a shipped policy: {', '.join(policies)}" if policies else ""
@@ -317,30 +317,48 @@ def resolve_checkpoint(
 def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     wanted = {"task.name": task_name, "train.params.network.name": network_name}
     wanted = {key: value for key, value in wanted.items() if value}
-    rescued = [run for folder in rescue_dirs(train_dir) for run in run_folders(folder)]
-    runs = [*run_folders(train_dir), *rescued]
-    matching = [run for run in runs if settings_of_run(run, wanted) == wanted]
-    file = newest(file for run in matching for file in run.glob("nn/*.pth"))
-    if file is None:
+    run = newest_run(train_dir, wanted, ["nn/*.pth"])
+    file = None if run is None else run.newest_checkpoint()
+    if run is None or file is None:
         task = f"task={task_name}" if task_name else "any task"
         command = f"python train.py task={task_name or 'HumanoidAMP'}"
-        others = _tasks_of_checkpoints(runs) - {task_name}
+        others = _tasks_of_checkpoints(train_dir) - {task_name}
         hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
             f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
             f" train one first: {command}"
         )
-    if file.parents[1] in rescued:
-        log.warning(
-            "checkpoint=last takes a rescued checkpoint, %s: its run folder could not be written",
-            file,
-        )
+    run.report_rescued(file, "checkpoint=last")
     return file.absolute()
 
 
-def _tasks_of_checkpoints(runs: Iterable[Path]) -> set[str]:
-    names = [settings_of_run(run, ["task.name"]) for run in runs if any(run.glob("nn/*.pth"))]
+def newest_run(
+    train_dir: Path, wanted: Mapping[str, str], patterns: Sequence[str]
+) -> RunFolder | None:
+    """Return the run with the file that was written last; None if no run has such a file.
+
+    Args:
+        train_dir: folder of the runs.
+        wanted: values that config.yaml of the run has, by their paths.
+        patterns: of the files, `nn/*.pth`; rescued ones count.
+    """
+    runs = {
+        file: run
+        for run in runs_below(train_dir)
+        if any(settings_of_run(file.parent, wanted) == wanted for file in run.files("config.yaml"))
+        for pattern in patterns
+        for file in run.files(pattern)
+    }
+    file = newest(runs)
+    return None if file is None else runs[file]
+
+
+def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
+    runs = [run for run in runs_below(train_dir) if run.newest_checkpoint() is not None]
+    names = [
+        settings_of_run(f.parent, ["task.name"]) for run in runs for f in run.files("config.yaml")
+    ]
     return {str(found["task.name"]) for found in names if found and found["task.name"]}
 
 

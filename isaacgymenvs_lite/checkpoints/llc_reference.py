@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
@@ -17,6 +16,7 @@ from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.files import LLC_KEY
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.paths import user_path
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def make_reference(llc_checkpoint: str, weights: Mapping[str, Tensor]) -> dict[s
         weights: of its model.
     """
     is_shipped = llc_checkpoint in shipped_policies()
-    path = llc_checkpoint if is_shipped else str(Path(llc_checkpoint).expanduser().absolute())
+    path = llc_checkpoint if is_shipped else str(user_path(llc_checkpoint).absolute())
     return {"checkpoint": path, "fingerprint": _fingerprint(weights)}
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import logging
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from isaacgymenvs_lite.checkpoints.training_state import resume_file, run_of_fil
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
+from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.rl_games_settings import UnitsSettings, scale_units
 from isaacgymenvs_lite.config.run_names import TRAIN_DIR, train_dir_of
@@ -23,12 +25,20 @@ from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.schema import read_keys, select
 
+log = logging.getLogger(__name__)
+
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
-# What a run's file, perhaps a stranger's, does not decide: who looks on, and what is sent away.
-_TYPED_AGAIN = frozenset(
-    ("viewer", "viewer_host", "viewer_port", "viewer_allowed_hosts", "wandb_logcode_dir")
+# All that config.yaml of a run, perhaps a stranger's, decides when the run goes on: how it trains.
+# Who looks on and what is sent away is typed again.
+_OF_RUN = frozenset(
+    (
+        *("task", "train", "pbt", "task_name", "task_checkout", "experiment"),
+        *("full_experiment_name", "checkpoint", "sigma", "num_envs", "max_iterations", "seed"),
+        *("torch_deterministic", "sim_device", "rl_device", "pipeline", "num_threads"),
+        *("physics_engine", "solver_type", "num_subscenes", "graphics_device_id"),
+    )
 )
 _RL_DEVICES = ("cpu", "cuda:0")
 # Hidden layers: section of the network -> pattern of the name in the model.
@@ -101,11 +111,7 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     file = resume_file(values["resume"], train_dir_of(words), wanted)
     cfg = read_yaml(run_of_file(file) / "config.yaml")
     check_expansion(cfg)
-    for key in _TYPED_AGAIN:
-        cfg.pop(key, None)
-    cfg.multi_gpu = False  # so does the word: torchrun may start other processes, or none
-    for key in _TYPED_AGAIN & values.keys():
-        cfg[key] = None  # the word sets it
+    _forget_the_rest(cfg, values)
     settings = [
         word for key, word in given.items() if key not in ("task", "train", "resume", TRAIN_DIR)
     ]
@@ -115,12 +121,30 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         with open_dict(cfg):
             # A restarted policy of a population has another checkpoint to begin with.
             cfg.resume = "" if "pbt_restart" in given else str(file)
+            # The file does not choose where a workspace is.
+            OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)))
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(
             f"{' '.join(settings)}: {one_line(error)}; these words change settings of the run"
             f" {run_of_file(file)}"
         ) from error
     return cfg
+
+
+def _forget_the_rest(cfg: DictConfig, typed: Collection[str]) -> None:
+    """Give the keys that are not of the run their defaults, in place; log what was switched on."""
+    defaults = {
+        key: value
+        for key, value in vars(LaunchSettings(task_name="")).items()
+        if key not in _OF_RUN
+    }
+    switches = ("wandb_activate", "viewer", "capture_video", "multi_gpu")
+    left = [key for key in switches if cfg.get(key) not in (None, defaults[key])]
+    left = [key for key in left if key not in typed]
+    if left:
+        log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
+    for key, value in defaults.items():
+        cfg[key] = value
 
 
 def _resolved(stored: DictConfig, rl_device: str, file: Path) -> dict[str, Any]:

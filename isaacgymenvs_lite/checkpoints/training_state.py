@@ -13,6 +13,7 @@ a state share shows that they belong together.
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 import secrets
 from collections.abc import Mapping
@@ -23,12 +24,15 @@ from typing import Any
 from isaacgymenvs_lite.checkpoints.archive import MAX_FILE_BYTES, ArchiveError, read_archive
 from isaacgymenvs_lite.checkpoints.files import (
     load_checkpoint,
+    newest_run,
     plain_numbers,
-    settings_of_run,
     write_atomically,
 )
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.run.folder import newest, run_folders, run_of_checkpoint
+from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.run.folder import RunFolder, newest, run_of_checkpoint
+
+log = logging.getLogger(__name__)
 
 KEY = "training_state"
 """Key of a checkpoint for what it holds beside the networks."""
@@ -213,11 +217,11 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
     Raises:
         CheckpointError: there is nothing to go on from.
     """
-    given = Path(resume).expanduser()
+    given = user_path(resume)
     if resume == "last":
         run = _newest_run(train_dir, wanted)
     elif given.is_dir():
-        run = given
+        run = RunFolder.at(given.absolute(), train_dir)
     elif given.is_file():
         if not (run_of_file(given) / "config.yaml").is_file():
             raise CheckpointError(
@@ -230,36 +234,55 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
             f"resume={resume}: no such file or folder; expected 'last', a run folder or a file in"
             " its nn/ or resume/"
         )
-    if not (run / "config.yaml").is_file():
+    if not run.files("config.yaml"):
         raise CheckpointError(f"resume={resume}: no run folder, it has no config.yaml")
-    file = newest_state(run)
+    file = _newest_state(run)
     if file is None:
-        raise CheckpointError(f"resume={resume}: {run} has no checkpoint yet to go on from")
+        raise CheckpointError(f"resume={resume}: {run.path} has no checkpoint yet to go on from")
+    run.report_rescued(file, f"resume={resume}")
     return file.absolute()
 
 
-def newest_state(run: Path) -> Path | None:
-    """Return the newest training state of a run, without one the newest checkpoint."""
-    states = [f for f in (run / FOLDER).glob("*.pth") if _STATE.fullmatch(f.name)]
-    files = states or list(run.glob("nn/*.pth"))
-    return newest(files)
+def _newest_state(run: RunFolder) -> Path | None:
+    """Return the file to go on from: the newest training state, or a newer rescued checkpoint.
+
+    Without a state it is the newest checkpoint. A newer checkpoint in the run folder, which a kill
+    left, does not count, because a state goes on exactly; it is logged.
+    """
+    states = [file for file in run.files(f"{FOLDER}/*.pth") if _STATE.fullmatch(file.name)]
+    state, checkpoint = newest(states), run.newest_checkpoint()
+    if state is None or checkpoint is None:
+        return state or checkpoint
+    epoch = _epoch_of(checkpoint)
+    if epoch <= int(state.stem):
+        return state
+    if not checkpoint.is_relative_to(run.path):
+        return checkpoint
+    log.warning(
+        "the run goes on from its training state of epoch %s; %s is of epoch %d, but has networks"
+        " and optimisers alone: to go on from it give resume=%s",
+        *(state.stem, checkpoint.name, epoch, checkpoint),
+    )
+    return state
 
 
-def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> Path:
+def _epoch_of(checkpoint: Path) -> int:
+    """Return the epoch of a checkpoint; -1 if it cannot be used."""
+    with contextlib.suppress(CheckpointError):
+        return int(load_checkpoint(checkpoint).get("epoch", -1))
+    return -1
+
+
+def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> RunFolder:
     """Return the run, of those with the settings `wanted`, that was written last."""
-    files = [
-        file
-        for run in run_folders(train_dir)
-        if settings_of_run(run, wanted) == wanted and (file := newest_state(run)) is not None
-    ]
-    file = newest(files)
-    if file is None:
+    run = newest_run(train_dir, wanted, ["nn/*.pth", f"{FOLDER}/*.pth"])
+    if run is None:
         of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
         raise CheckpointError(
             f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on from;"
             " start one without resume="
         )
-    return run_of_file(file)
+    return run
 
 
 def run_of_file(file: Path) -> Path:

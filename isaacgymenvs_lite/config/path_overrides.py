@@ -20,6 +20,7 @@ from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.hydra_bridge import ComposedFile, NamedFiles, quoted
 from isaacgymenvs_lite.config.yaml_files import read_composed_file
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import user_path
 
 log = logging.getLogger(__name__)
 
@@ -98,7 +99,7 @@ def _is_path(value: str) -> bool:
 
 
 def _find(group: str, value: str) -> Path:
-    given = Path(value.strip("'\"")).expanduser()
+    given = user_path(value.strip("'\""))
     candidates = [given, *(given.with_name(given.name + suffix) for suffix in _SUFFIXES)]
     for candidate in candidates:
         if candidate.is_file():

@@ -14,7 +14,7 @@ from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.train_params import fit_to_envs, set_device
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import cfg_dir, user_path
 from isaacgymenvs_lite.schema import plain
 
 _MAX_FILES = 50
@@ -103,7 +103,7 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
 
 def _find(path: Path | str, group: str = "train") -> Path:
     """Return the train file that `path` names, or the file of another group."""
-    file = Path(path).expanduser()
+    file = user_path(path)
     if file.is_file():
         return file
     folder = cfg_dir() / group

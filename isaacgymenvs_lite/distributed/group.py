@@ -217,6 +217,7 @@ def joined_group(
     Raises:
         ConfigError: torchrun has not started this process.
         UserError: as `fail_together`, if a process had made out a mistake before.
+        PeerError: another process has not connected in time, or has gone.
     """
     global _current
     missing = [name for name in _VARIABLES if not os.environ.get(name)]
@@ -237,22 +238,26 @@ def joined_group(
         )
     elif on_gpu:
         torch.cuda.set_device(group.local_rank)
-    if not dist.is_initialized():
-        timeout = datetime.timedelta(seconds=timeout_s)
-        store, rank, size = next(rendezvous("env://", timeout=timeout))
-        # The store may outlive the processes: new ones must not find the addresses of old ones.
-        counts = [os.environ.get(name, "0") for name in ("TORCHELASTIC_RESTART_COUNT", STARTS)]
-        start = PrefixStore("start" + ".".join(counts), store)
-        backend = "cpu:gloo,cuda:nccl" if on_gpu else "gloo"
-        dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
-        atexit.register(dist.destroy_process_group)
-    former, _current = _current, group
-    try:
-        with group.lost_peers_explained():
+    with group.lost_peers_explained():
+        if not dist.is_initialized():
+            _connect("cpu:gloo,cuda:nccl" if on_gpu else "gloo", timeout_s)
+        former, _current = _current, group
+        try:
             group.fail_together(mistake)
             yield group
-    finally:
-        _current = former
+        finally:
+            _current = former
+
+
+def _connect(backend: str, timeout_s: float) -> None:
+    """Connect this process with the others."""
+    timeout = datetime.timedelta(seconds=timeout_s)
+    store, rank, size = next(rendezvous("env://", timeout=timeout))
+    # The store may outlive the processes: new ones must not find the addresses of old ones.
+    counts = [os.environ.get(name, "0") for name in ("TORCHELASTIC_RESTART_COUNT", STARTS)]
+    start = PrefixStore("start" + ".".join(counts), store)
+    dist.init_process_group(backend, timeout=timeout, world_size=size, rank=rank, store=start)
+    atexit.register(dist.destroy_process_group)
 
 
 def first_of_all(error: UserError) -> UserError:
@@ -266,4 +271,4 @@ def first_of_all(error: UserError) -> UserError:
         with joined_group("cpu", _TIMEOUT_OF_MISTAKES_S, error):
             return error
     except UserError as first:
-        return first
+        return first if isinstance(first, PeerMistakeError) else error

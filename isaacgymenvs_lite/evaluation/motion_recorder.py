@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -15,6 +14,7 @@ from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
+from isaacgymenvs_lite.paths import user_path
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ class MotionRecorder:
                 " be recorded, such as task=HumanoidAMP"
             )
         self._env = env
-        self._path = Path(path).expanduser()
+        self._path = user_path(path)
         if not self._path.parent.is_dir() or self._path.suffix != ".npz":
             raise ConfigError(
                 f"train.params.config.player.record={path}: expected a .npz file in a folder that"

@@ -93,6 +93,18 @@ class Safeguards(Resuming):
         if is_policy:
             log.info("%s: a new training begins with the networks of this policy", self._source)
 
+    def check_fits(self, weights: Mapping[str, Any], source: str) -> None:
+        """Check that the agent could go on with a checkpoint; it stays as it is.
+
+        Args:
+            weights: the checkpoint.
+            source: where it is from, for the message: `checkpoint=FILE`.
+
+        Raises:
+            CheckpointError: it has other shapes, or a number that cannot be used.
+        """
+        Fitting(source).parts(weights, self._parts())
+
     def _at_first_epoch(self, policy: Mapping[str, Any]) -> dict[str, Any]:
         """Return a packed policy with optimisers and counts as a new training has them."""
         parts = self._parts()

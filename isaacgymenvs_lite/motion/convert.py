@@ -5,9 +5,9 @@
     isaacgymenvs-lite convert dance.bvh dance.npz mapping=lafan1
     isaacgymenvs-lite convert walk g1_walk.npz robot=mjcf/g1.xml
 
-IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file. The suffix of OUT
-determines its format: .npz (this project's), .npy (poselib's), .txt or .json (DeepMimic's), .csv
-(joint angles); for a robot .npz or .csv. Keys:
+IN is a clip as task.env.motion_file takes it (not a data set), or a .bvh file; FILE.pkl:NAME is one
+of several motions in a file. The suffix of OUT determines its format: .npz (this project's), .npy
+(poselib's), .txt or .json (DeepMimic's), .csv (joint angles); for a robot .npz or .csv. Keys:
 
     fps=30              frames per second of OUT (default: as IN)
     start_s=0 end_s=5   the part of IN to keep, in seconds
@@ -23,7 +23,7 @@ For a clip of a robot:
                           form, or is retargeted to it
     mapping=g1            g1 or a YAML file of the robot's bodies; for .bvh also mapping=cmu,g1
                           (default: by the names of bodies)
-    file_fps=50           of a table IN without a frame rate (default: 30, BONES-SEED 120)
+    file_fps=50           of IN, if it has no frame rate (default of tables: 30, BONES-SEED 120)
     quat_order=wxyz       or xyzw, if the quaternions of IN are not in the order of its form
     by_order=True         joints of IN count by their order, not by their names
 """

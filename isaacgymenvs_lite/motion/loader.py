@@ -24,7 +24,9 @@ from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_pos
 from isaacgymenvs_lite.motion.formats.robot_clip import (
     PICKLES,
     looks_like_joint_clip,
-    read_joint_clip,
+    read_joint_clips,
+    several_motions,
+    split_motion,
 )
 from isaacgymenvs_lite.motion.joint_clip import QuatOrder
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos, qpos_from_clip, qpos_from_dofs
@@ -90,9 +92,10 @@ def load_clips(
     Args:
         motion_file: a path (absolute or relative to the working directory), the name of a shipped
             clip, or `deepmimic:<name>`. `.yaml` and some names of DeepMimic's are data sets, all
-            others are one clip with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
+            others are clips with weight 1: `.npz`, `.npy` and `.json` of poselib, `.txt` and
             `.json` of DeepMimic, `.csv` of joint angles, and files of robots' joint coordinates
-            (`formats.robot_clip`).
+            (`formats.robot_clip`), of which `.pkl` and `.npy` may hold several motions:
+            `FILE:MOTION` is one of them.
         skeleton: the humanoid; the bodies of the clips are reordered to match it. By default the
             one with 28 degrees of freedom.
 
@@ -105,7 +108,7 @@ def load_clips(
         return _load_from_package(str(motion_file), _humanoid_of([skeleton], motion_file))
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix not in _DATASET_SUFFIXES:
-        return [(_load_file(path, (skeleton,))[0], 1.0)]
+        return [(clip, 1.0) for clip, _ in _load_file(path, (skeleton,))]
     return _load_dataset(path, skeleton)
 
 
@@ -134,7 +137,8 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
             elif is_package_name(entry.file):
                 known[source] = _load_from_package(entry.file, _humanoid_of([skeleton], file))
             else:
-                known[source] = [(_load_file(file, (skeleton,))[0], 1.0)]
+                loaded = _load_file(file, (skeleton,))
+                known[source] = [(clip, 1.0 / len(loaded)) for clip, _ in loaded]
         except MotionFileError as error:
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
         if repeated_poses > _MAX_REPEATED_POSES:
@@ -175,7 +179,10 @@ def load_single_clip(
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix in _DATASET_SUFFIXES:
         raise MotionFileError(f"{path}: is a data set; give one of its clips")
-    return _load_file(path, skeletons, joint_file)
+    loaded = _load_file(path, skeletons, joint_file)
+    if len(loaded) > 1:
+        raise MotionFileError(several_motions(path, [clip.name for clip, _ in loaded]))
+    return loaded[0]
 
 
 def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
@@ -183,6 +190,7 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
 
     Args:
         name: an absolute path, or one relative to one of `search_dirs`; the suffix may be left out.
+            `FILE:MOTION` is returned with the motion.
         search_dirs: the folders to look in, in this order.
 
     Raises:
@@ -193,7 +201,7 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
         for folder in folders:
             for suffix in ("", *_GUESSED_SUFFIXES):
                 path = folder / f"{name}{suffix}"
-                if path.is_file():
+                if path.is_file() or Path(split_motion(path)[0]).is_file():
                     return path
     looked = " and ".join(str(folder.absolute()) for folder in folders)
     where = "" if Path(name).is_absolute() else f" in {looked}"
@@ -230,15 +238,17 @@ def _humanoid_of(skeletons: Sequence[Skeleton], motion_file: str | Path) -> Skel
 
 def _load_file(
     path: Path, skeletons: Sequence[Skeleton], joint_file: JointFileSettings = _AS_IN_THE_FILE
-) -> tuple[MotionClip, Skeleton]:
-    """Read one clip by the suffix of its file, for the skeleton that has its bodies.
+) -> list[tuple[MotionClip, Skeleton]]:
+    """Read the clips of a file by its suffix, each for the skeleton that has its bodies.
 
     A robot's file of joint coordinates is read for the first.
     """
+    suffix = Path(split_motion(path)[0]).suffix
     # A robot's joints may have the names of the humanoid's.
-    is_robots = path.suffix == ".csv" and not skeletons[0].has_simple_joints
+    is_robots = suffix == ".csv" and not skeletons[0].has_simple_joints
     if is_robots or looks_like_joint_clip(path):
-        return _clip_of_joints(path, skeletons[0], joint_file), skeletons[0]
+        clips = _clips_of_joints(path, skeletons[0], joint_file)
+        return [(clip, skeletons[0]) for clip in clips]
     if joint_file != _AS_IN_THE_FILE:
         raise MotionFileError(
             f"{path}: is no robot's file of joint coordinates, which is what file_fps=, quat_order="
@@ -248,44 +258,55 @@ def _load_file(
         ".npz": load_npz,
         ".npy": load_poselib_npy,
         ".json": lambda path: _load_json(path, skeletons),
-        ".txt": lambda path: deepmimic.load_deepmimic(path, _humanoid_of(skeletons, path)),
+        ".txt": lambda path: _load_json(path, skeletons),
         ".csv": lambda path: load_joint_csv(path, skeletons),
     }
-    if path.suffix not in readers:
+    if suffix not in readers:
         of_whom = "mapping=NAME" if skeletons[0].has_simple_joints else "robot=FILE"
-        hint = f"; convert it first: {_CONVERT} {of_whom}" if path.suffix == ".bvh" else ""
+        hint = f"; convert it first: {_CONVERT} {of_whom}" if suffix == ".bvh" else ""
         raise MotionFileError(
             f"{path}: a clip ends in {', '.join((*readers, *PICKLES))} and a data set in .yaml, "
-            f"found '{path.suffix}'{hint}"
+            f"found '{suffix}'{hint}"
         )
     with reading(path, "motion clip"):
-        clip = readers[path.suffix](path)
+        clip = readers[suffix](path)
         fitting = [body for body in skeletons if set(body.body_names) == set(clip.body_names)]
         skeleton = fitting[0] if fitting else skeletons[0]
         clip = fit_to_skeleton(clip, skeleton)
         if skeleton.followers is not None:
             clip = clip_from_qpos(clip.name, clip.fps, skeleton, qpos_from_clip(skeleton, clip))
-        return clip, skeleton
+        return [(clip, skeleton)]
 
 
-def _clip_of_joints(path: Path, skeleton: Skeleton, settings: JointFileSettings) -> MotionClip:
+def _clips_of_joints(
+    path: Path, skeleton: Skeleton, settings: JointFileSettings
+) -> list[MotionClip]:
     """Read a file of joint coordinates for a robot; MuJoCo's kinematics gives the poses."""
-    joints = read_joint_clip(path, settings.fps, quat_order=settings.quat_order, up_b=skeleton.up_b)
+    clips = []
     following = skeleton.followers.names if skeleton.followers is not None else ()
-    try:
-        joints = joints.fitted_to(skeleton.dof_names, settings.by_order, following)
-    except MotionFileError as error:
-        if shipped_humanoid_with(skeleton.body_names) is None:
-            raise
-        raise MotionFileError(f"{error}; {ROBOT_HINT}") from error
-    joints.check_limits(skeleton.dof_limits)
-    qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
-    return clip_from_qpos(str(path), joints.fps, skeleton, qpos)
+    for read in read_joint_clips(
+        path,
+        settings.fps,
+        quat_order=settings.quat_order,
+        up_b=skeleton.up_b,
+        root_body=skeleton.body_names[0],
+    ):
+        try:
+            joints = read.fitted_to(skeleton.dof_names, settings.by_order, following)
+        except MotionFileError as error:
+            if shipped_humanoid_with(skeleton.body_names) is None:
+                raise
+            raise MotionFileError(f"{error}; {ROBOT_HINT}") from error
+        joints.check_limits(skeleton.dof_limits)
+        qpos = qpos_from_dofs(skeleton, joints.root_pos, joints.root_rot, joints.dof_pos)
+        clips.append(clip_from_qpos(joints.name, joints.fps, skeleton, qpos))
+    return clips
 
 
 def _load_json(path: Path, skeletons: Sequence[Skeleton]) -> MotionClip:
-    """Read a `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
+    """Read a `.txt` or `.json` clip: DeepMimic's holds 'Frames', poselib's '__name__'."""
     data = read_json(path)
-    if "Frames" in data:
+    if "Frames" in data or path.suffix == ".txt":
+        deepmimic.check_columns(data, str(path))
         return deepmimic.clip_from_deepmimic(data, _humanoid_of(skeletons, path), str(path))
     return clip_from_poselib(data, str(path))

@@ -37,7 +37,7 @@ def robot_path(name: str) -> Path:
     """
     folders = (Path(), paths.assets_dir())
     for folder in folders:
-        path = folder / Path(name).expanduser()
+        path = folder / paths.user_path(name)
         if path.is_file():
             return path
     shipped = [f"mjcf/{path.name}" for path in sorted((folders[1] / "mjcf").glob("*.xml"))]

@@ -16,7 +16,7 @@ from torch import Tensor
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.training_state import write_start
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings, mutable_values, read_pbt_settings
-from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError, one_line
 from isaacgymenvs_lite.pbt.mutation import mutate
 from isaacgymenvs_lite.pbt.objective import ObjectiveMeter
 from isaacgymenvs_lite.pbt.population import find_replacement
@@ -111,6 +111,7 @@ class PBTObserver(AlgoObserver):
         decides: whether this process decides; False of all but the first of a policy.
         share: receives the first process' decision (None elsewhere) and returns it in all.
         is_stopping: returns whether the training is about to end, so that nothing restarts.
+        check_settings: raises what the training would with such settings, numbers by path.
     """
 
     stored = ()
@@ -133,6 +134,7 @@ class PBTObserver(AlgoObserver):
         self.decides = True
         self.share: Callable[[RestartRequest | None], RestartRequest | None] = _as_it_is
         self.is_stopping: Callable[[], bool] = lambda: False
+        self.check_settings: Callable[[Mapping[str, float]], object] = lambda settings: None
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
@@ -183,9 +185,15 @@ class PBTObserver(AlgoObserver):
         if frame - self._first_frame < settings.start_after or frame < settings.initial_delay:
             return None
         rng = _generator(self._seed, settings, iteration)
-        objectives = {index: record.true_objective for index, record in population.items()}
-        donor = find_replacement(settings, objectives, best, rng)
-        return None if donor is None else self._replaced_by(donor, population, rng)
+        while True:
+            objectives = {index: record.true_objective for index, record in population.items()}
+            donor = find_replacement(settings, objectives, best, rng)
+            if donor is None:
+                return None
+            request = self._replaced_by(donor, population, rng)
+            if request is not None or donor == settings.policy_idx:
+                return request
+            del population[donor]  # broken: choose again without it
 
     def _exchange(self, iteration: int, objective: float) -> dict[int, Record]:
         """Write this policy's record; return the newest one of each policy.
@@ -205,7 +213,7 @@ class PBTObserver(AlgoObserver):
         workspace.write(record, {**algo.get_full_state_weights(), "epoch": record.epoch})
         population = {**workspace.newest_records(iteration), self._settings.policy_idx: record}
         workspace.remove_old(population)
-        leader = max(population, key=lambda index: population[index].true_objective)
+        leader = self._leader(population)
         workspace.keep_best(leader, population[leader], self._task)
         for path, value in self._params.items():
             algo.writer.add_scalar(f"pbt/{path}", value, algo.frame)
@@ -218,10 +226,39 @@ class PBTObserver(AlgoObserver):
         )
         return population
 
+    def _leader(self, population: dict[int, Record]) -> int:
+        """Return the best policy; one with a checkpoint that cannot be used is removed before."""
+        while True:
+            leader = max(population, key=lambda index: population[index].true_objective)
+            if leader == self._settings.policy_idx:
+                return leader
+            try:
+                self._state_of(leader, population[leader])
+            except (OSError, CheckpointError) as error:
+                log.warning("pbt: policy %d is left out of the comparison (%s)", leader, error)
+                del population[leader]
+            else:
+                return leader
+
+    def _state_of(self, policy: int, record: Record) -> dict[str, Any]:
+        """Return the checkpoint of a policy.
+
+        Raises:
+            CheckpointError: this policy could not go on with it.
+        """
+        file = self._workspace.checkpoint_of(policy, record)
+        state = load_checkpoint(file)
+        # An agent of a fork's own may have no such check.
+        getattr(self._algo, "check_fits", lambda *_: None)(state, f"checkpoint={file}")
+        return state
+
     def _replaced_by(
         self, donor: int, population: Mapping[int, Record], rng: random.Random
     ) -> RestartRequest | None:
-        """Return what to restart with; None if the donor's checkpoint cannot be used."""
+        """Return what to restart with; None if checkpoint or settings cannot be used.
+
+        Nothing is written before both are found usable: the policy's own state stays.
+        """
         own, algo = self._settings.policy_idx, self._algo
         params = self._params
         if rng.random() < _TAKE_SETTINGS:
@@ -229,14 +266,18 @@ class PBTObserver(AlgoObserver):
         params = _mutated(params, self._settings, rng)
         run = Path(algo.experiment_dir)
         try:
-            state = load_checkpoint(self._workspace.checkpoint_of(donor, population[donor]))
+            state = self._state_of(donor, population[donor])
+            self._check(params, donor)
             # The run goes on where it is; only the networks are another policy's.
             state |= {"frame": algo.frame, "epoch": population[own].epoch}
             if donor != own:
                 state.pop("last_mean_rewards", None)
             file = write_start(run, state)
-        except (OSError, CheckpointError) as error:
-            log.warning("pbt: policy %d is not replaced (%s); training goes on", own, error)
+        except (OSError, UserError) as error:
+            log.warning(
+                "pbt: policy %d does not go on as policy %d (%s); training goes on",
+                *(own, donor, error),
+            )
             return None
         log.info(
             "pbt: policy %d (objective %.4g) goes on with the weights of policy %d (%.4g), and %s",
@@ -252,6 +293,13 @@ class PBTObserver(AlgoObserver):
             },
             run,
         )
+
+    def _check(self, params: Mapping[str, float], donor: int) -> None:
+        try:
+            self.check_settings(params)
+        except Exception as error:  # a task of the user's own may raise anything
+            texts = ", ".join(f"{path}={value:.4g}" for path, value in params.items())
+            raise ConfigError(f"{one_line(error)}; settings of policy {donor}: {texts}") from error
 
 
 def _settings_of(cfg: DictConfig) -> PBTSettings | None:

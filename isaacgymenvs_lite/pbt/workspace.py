@@ -29,7 +29,7 @@ from isaacgymenvs_lite.config.pbt_settings import PBTSettings
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
 from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
-from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write
+from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
 log = logging.getLogger(__name__)
@@ -104,8 +104,10 @@ class Workspace:
         """Lock the folder of this policy.
 
         Raises:
-            ConfigError: it cannot be written, or another process trains this policy.
+            ConfigError: it cannot be written, another process trains this policy, or the workspace
+                has a link below it.
         """
+        check_no_links(self._folder)
         missing = [path for path in (self._own, *self._own.parents) if not path.exists()]
         try:
             self._own.mkdir(parents=True, exist_ok=True)
@@ -153,8 +155,9 @@ class Workspace:
                 f" go on with it: resume={self._folder.parent / run}, choose another"
                 f" pbt.workspace, or remove {self._own}"
             )
+        self._check_experiments(but_own=is_new)
         if is_new:
-            self._check_files()
+            self._check_records()
         try:
             with atomic_write(self._own / _POLICY_FILE) as partial:
                 partial.write_text(_as_yaml(self._experiment), encoding="utf-8")
@@ -163,21 +166,25 @@ class Workspace:
         # Once more: of two that begin at the same time, one at least finds the other.
         self._check_experiments()
 
-    def _check_files(self) -> None:
-        self._check_experiments()
+    def _check_records(self) -> None:
         for index in self._others:
             for iteration in self._iterations(index):
                 with contextlib.suppress(FileNotFoundError):  # its policy removes old ones
                     self._read_record(index, iteration)
 
-    def _check_experiments(self) -> None:
+    def _check_experiments(self, but_own: bool = False) -> None:
         """Check that all policies train the same.
+
+        Args:
+            but_own: not the file of this policy, which begins.
 
         Raises:
             ConfigError: one does not, or its file is broken.
         """
         own = parse_yaml(_as_yaml(self._experiment), _POLICY_FILE).content
         for file in sorted(self._folder.glob(f"[0-9]*/{_POLICY_FILE}")):
+            if but_own and file.parent == self._own:
+                continue
             try:
                 other = self._read_yaml(file)
             except FileNotFoundError:

@@ -85,6 +85,10 @@ def build_page(run: Path, out: Path) -> str:
 def _check_run(run: Path) -> None:
     if not run.is_dir():
         raise ConfigError(f"{run}: no such folder; expected the folder of a run, runs/<run>")
+    try:
+        str(run).encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(f"{run}: TensorBoard reads names in UTF-8; rename the folder") from error
     if not (run / "summaries").is_dir():
         raise ConfigError(
             f"{run}: is no run (it has no folder summaries); expected the folder of a run,"

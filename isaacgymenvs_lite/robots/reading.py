@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, listed, one_line, printable
+from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.robots.mesh_files import AssetFiles, png_texels
 from isaacgymenvs_lite.robots.xml_files import (
     MAX_DEPTH,
@@ -95,7 +96,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
         ConfigError: the file or one that it names is missing, too large or elsewhere, has elements
             that a robot does not need, or MuJoCo refuses it. The message names the file.
     """
-    path = Path(path).expanduser()
+    path = user_path(path)
     root = read_xml(path)
     files, notes = AssetFiles(path), []
     if root.tag == "mujoco":
@@ -149,29 +150,32 @@ def _allow_open_meshes(spec: mujoco.MjSpec) -> None:
 
 
 def _put_includes(root: ET.Element, path: Path) -> None:
-    """Replace every <include> by the content of its file, as MuJoCo would."""
+    """Replace every <include> by the content of its file.
+
+    As MuJoCo does, look beside the main file first, then beside the file that includes.
+    """
     folders, seen = robot_folders(path), {path.resolve()}
-    todo, elements = [root], 0
+    todo, elements = [(root, folders[0])], 0
     while todo:
-        parent = todo.pop()
-        children: list[ET.Element] = []
-        waiting = list(parent)[::-1]
+        parent, folder = todo.pop()
+        children: list[tuple[ET.Element, Path]] = []
+        waiting = [(child, folder) for child in reversed(parent)]
         while waiting:
-            child = waiting.pop()
+            child, folder = waiting.pop()
             if child.tag != "include":
-                children.append(child)
+                children.append((child, folder))
                 continue
             name = child.get("file", "")
             what = f'{path}: <include file="{name}">'
-            file = find_below(folders, [folders[0] / name], what)
+            file = find_below(folders, [folders[0] / name, folder / name], what)
             if file in seen or len(seen) > _MAX_INCLUDES:
                 raise ConfigError(f"{what} is included twice; expected every file once")
             seen.add(file)
-            waiting += list(read_xml(file))[::-1]
+            waiting += [(inner, file.parent) for inner in reversed(read_xml(file))]
             elements += len(waiting)
         if elements > MAX_ELEMENTS:
             raise ConfigError(f"{path}: has more than {MAX_ELEMENTS} elements")
-        parent[:] = children
+        parent[:] = [child for child, _ in children]
         todo += children
 
 

@@ -7,9 +7,8 @@ import itertools
 import logging
 import os
 import re
-import shlex
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -18,14 +17,11 @@ from isaacgymenvs_lite.config.run_names import MAX_LEVELS
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderLock
 from isaacgymenvs_lite.run.rescue import rescue_dir, rescue_dirs
-from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write
+from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 
 log = logging.getLogger(__name__)
 
 _CONFIG_FILE = "config.yaml"
-# Its first line, with the settings that were typed; a comment, as old files have none.
-_TYPED = "# typed: "
-_MAX_TYPED_CHARS = 10_000
 
 
 class RunFolder:
@@ -61,8 +57,14 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere."""
+        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere.
+
+        The path of a rescued run means the run folder that could not be written.
+        """
         root = train_dir.absolute()
+        for rescued in rescue_dirs(root):
+            if path.is_relative_to(rescued):
+                return cls(root, str(path.relative_to(rescued)))
         if not path.is_relative_to(root):
             root = path.parent
         return cls(root, str(path.relative_to(root)))
@@ -83,8 +85,8 @@ class RunFolder:
         """Reserve the folder, and remove files that a killed run left half written.
 
         Raises:
-            ConfigError: the folder cannot be written, is part of another run, or another run
-                writes into it.
+            ConfigError: the folder cannot be written, is part of another run, has a link below
+                it, or another run writes into it.
         """
         for folder in self.path.relative_to(self.train_dir).parents:
             if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
@@ -94,6 +96,7 @@ class RunFolder:
                 )
         with self._errors_explained():
             self._make_path()
+            check_no_links(self.path)
             self._lock = FolderLock(self.path)
             self._remove_partial_files()
         return self
@@ -129,9 +132,8 @@ class RunFolder:
                 folder.rmdir()
 
     def _remove_partial_files(self) -> None:
-        """Remove what a kill left; only in folders of this run, not behind links to others."""
-        folders = [self.path, *(path for path in self.path.iterdir() if path.is_dir())]
-        for folder in (folder for folder in folders if not folder.is_symlink()):
+        """Remove what a kill left."""
+        for folder in [self.path, *(path for path in self.path.iterdir() if path.is_dir())]:
             for file in folder.iterdir():
                 if re.fullmatch(PARTIAL_FILE, file.name):
                     with contextlib.suppress(OSError):
@@ -152,24 +154,32 @@ class RunFolder:
 
     # --- making ----------------------------------------------------------------------------
 
-    def create(self, cfg: DictConfig, typed: Sequence[str] = ()) -> None:
-        """Make the folders and write the composed tree with its interpolations unresolved.
+    def create(self, cfg: DictConfig) -> None:
+        """Make the folders and config.yaml: the composed tree, its interpolations unresolved.
+
+        The config.yaml of a run that goes on stays until `begin`.
 
         Args:
             cfg: the tree.
-            typed: the settings of the command line, kept for `typed`.
 
         Raises:
             ConfigError: the folder cannot be written.
         """
-        line = f"{_TYPED}{shlex.join(typed)}\n"
-        is_short = len(line) < _MAX_TYPED_CHARS and line.count("\n") == 1
-        self._config = (line if typed and is_short else "") + OmegaConf.to_yaml(cfg)
+        self._config = OmegaConf.to_yaml(cfg)
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
             (self.path / "summaries").mkdir(exist_ok=True)
-            self._write_config()
+            if not (self.path / _CONFIG_FILE).exists():
+                self._write_config()
         _OPEN.append(self)
+
+    def begin(self) -> None:
+        """Replace config.yaml, once the training runs with these settings."""
+        try:
+            self._write_config()
+        except OSError as error:
+            reason = error.strerror or error
+            log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
 
     def make_again(self) -> None:
         """Make the folder once more if somebody removed it since `create`, config.yaml included.
@@ -219,21 +229,23 @@ class RunFolder:
         with atomic_write(self.path / _CONFIG_FILE) as partial:
             partial.write_text(self._config, encoding="utf-8")
 
-    def typed(self) -> tuple[str, ...]:
-        """Return the settings of the command line that started the run; () if not known."""
-        with contextlib.suppress(OSError, ValueError):
-            with (self.path / _CONFIG_FILE).open(encoding="utf-8") as file:
-                line = file.readline(_MAX_TYPED_CHARS).rstrip("\n")
-            if line.startswith(_TYPED) and line.isprintable():
-                return tuple(shlex.split(line.removeprefix(_TYPED)))
-        return ()
-
     # --- finding ---------------------------------------------------------------------------
+
+    def files(self, pattern: str) -> list[Path]:
+        """Return files of the run by a pattern such as `nn/*.pth`, rescued ones included."""
+        rescued = (folder / self.name for folder in rescue_dirs(self._real_train_dir))
+        return [file for place in (self.path, *rescued) for file in place.glob(pattern)]
 
     def newest_checkpoint(self) -> Path | None:
         """Return the checkpoint that was written last, also a rescued one; None without one."""
-        rescued = (folder / self.name for folder in rescue_dirs(self._real_train_dir))
-        return newest(file for run in (self.path, *rescued) for file in run.glob("nn/*.pth"))
+        return newest(self.files("nn/*.pth"))
+
+    def report_rescued(self, file: Path, key: str) -> None:
+        """Log that a file of the run, which `key` means, is a rescued one, if it is."""
+        if not file.is_relative_to(self.path):
+            log.warning(
+                "%s takes a rescued checkpoint, %s: its run folder could not be written", key, file
+            )
 
 
 # The folders into which this process trains.
@@ -270,6 +282,15 @@ def run_folders(train_dir: Path) -> Iterator[Path]:
             yield Path(folder)
         elif len(Path(folder).relative_to(train_dir).parts) >= MAX_LEVELS:
             below.clear()
+
+
+def runs_below(train_dir: Path) -> list[RunFolder]:
+    """Return the runs at any depth below `train_dir`, also those that only a rescue has left."""
+    places = (
+        (root, run) for root in (train_dir, *rescue_dirs(train_dir)) for run in run_folders(root)
+    )
+    names = dict.fromkeys(str(run.relative_to(root)) for root, run in places)
+    return [RunFolder(train_dir, name) for name in names]
 
 
 def run_of_checkpoint(checkpoint: str) -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 from omegaconf import DictConfig
@@ -78,6 +79,7 @@ class TrainingObservers(MultiObserver):
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.
+        begin: called after the first rollout, in the main process: nothing can be refused by then.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class TrainingObservers(MultiObserver):
         self._metrics = metrics = MetricsObserver()
         self._measurement = measurement
         self.agent: Any = None
+        self.begin: Callable[[], None] | None = None
         self._stop = stop
         self._progress = ProgressObserver(stop, metrics, measurement, settings.progress_interval)
         self._wandb = None
@@ -121,6 +124,9 @@ class TrainingObservers(MultiObserver):
     def after_steps(self) -> None:
         """After each rollout; a request to end in one process ends all."""
         self._stop.requested = current_group().any(self._stop.requested)
+        begin, self.begin = self.begin, None
+        if begin is not None and current_group().is_main:
+            begin()
         super().after_steps()
 
     def evaluate_end(self) -> None:

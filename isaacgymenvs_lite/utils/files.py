@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +35,26 @@ def atomic_write(path: Path) -> Iterator[Path]:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def check_no_links(folder: Path, below: str = "") -> None:
+    """Check that files written below a folder, perhaps a stranger's, are written nowhere else.
+
+    Args:
+        folder: may be a link itself.
+        below: the only folder in it that is written to; '': all.
+
+    Raises:
+        ConfigError: there is a link below it.
+    """
+    walk = os.walk(folder / below)
+    found = (Path(top, name) for top, folders, files in walk for name in (*folders, *files))
+    for path in itertools.chain([folder / below], found):
+        if path.is_symlink() and path != folder:
+            raise ConfigError(
+                f"{path} is a link, through which files elsewhere would be written; put what it"
+                " leads to in its place, or link the whole folder of the runs"
+            )
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from isaacgymenvs_lite.env_interface import StepListener
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
+from isaacgymenvs_lite.utils.files import check_no_links
 from isaacgymenvs_lite.viewers.video_capture import capture_videos
 from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
 from isaacgymenvs_lite.viewers.window import Window
@@ -55,10 +56,13 @@ class Viewers:
             prefix: of the names of videos.
 
         Raises:
-            ConfigError: the folder of videos cannot be written, or a port was taken meanwhile.
+            ConfigError: the folder of videos cannot be written, that is a link or has one
+                below it, or a port was taken meanwhile.
         """
         settings, folder = self._settings, run_folder / "videos"
         self._env = env
+        if settings.capture_video or not settings.headless:
+            check_no_links(run_folder, "videos")
         if settings.capture_video:
             self._listeners.append(self._capture(env, folder, prefix))
         if not settings.headless:

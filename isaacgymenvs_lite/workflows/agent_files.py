@@ -22,7 +22,7 @@ from yaml import YAMLError
 from isaacgymenvs_lite.config.expansion import check_expansion
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError, one_line, unknown
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import cfg_dir, user_path
 from isaacgymenvs_lite.schema import keys_of, plain, setting
 
 PREFIX = "agent."
@@ -86,7 +86,7 @@ def _find(folder: Path, task: str, given: str) -> Path:
     if not given or given.endswith(_ENTRY_POINT):
         own = folder / f"{task}.yaml"
         return own if own.is_file() else folder / f"{_DEFAULT}.yaml"
-    for path in (Path(given).expanduser(), folder / f"{given}.yaml"):
+    for path in (user_path(given), folder / f"{given}.yaml"):
         if path.is_file():
             return path
     names = [path.stem for path in folder.glob("*.yaml")]

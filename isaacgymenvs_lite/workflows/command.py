@@ -19,6 +19,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
+from isaacgymenvs_lite.command_line import log_messages
 from isaacgymenvs_lite.config.devices import check_device
 from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
@@ -182,7 +183,7 @@ def run_workflow(
     os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
     parser = make_parser(library, verb)
     args = parser.parse_intermixed_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    log_messages()
     try:
         require(library.package, parser.prog)
         _log_idle_options(args)

@@ -25,6 +25,7 @@ from isaacgymenvs_lite.config.compose import compose_task
 from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.stop_request import signals_as_ctrl_c
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_products
@@ -248,7 +249,7 @@ def find_checkpoint(library: Library, settings: CommandSettings) -> Path:
     if settings.checkpoint in ("", LAST):
         checkpoint = _last_checkpoint(library, Path(settings.logs), _task_name(settings))
     else:
-        checkpoint = Path(settings.checkpoint).expanduser()
+        checkpoint = user_path(settings.checkpoint)
     read_parameters(checkpoint, library)  # a mistake shows before anything is made
     return checkpoint
 

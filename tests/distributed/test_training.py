@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -158,6 +159,29 @@ def test_a_process_that_differs_or_leaves_ends_all(what, message, tmp_path):
     assert len(errors) == 1
     assert message in errors[0]
     assert not list(tmp_path.glob("runs/*"))
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.slow
+def test_a_process_that_never_joins_is_one_line(rank, tmp_path):
+    """It was killed while it started."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    process = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "LOCAL_WORLD_SIZE": 2}
+    address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    variables = {name: str(value) for name, value in {**process, **address}.items()}
+    done = subprocess.run(
+        [sys.executable, TRAIN, *ANT, "multi_gpu=True", "rl_device=cpu", "distributed_timeout_s=2"],
+        cwd=tmp_path,
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    (error,) = (line for line in done.stderr.splitlines() if line.startswith("error: "))
+    assert f"rank {rank}: another process of this training did not answer in time" in error
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.slow

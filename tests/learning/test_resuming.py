@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import shutil
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,10 +16,13 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from isaacgymenvs_lite import train as train_py
+from isaacgymenvs_lite.checkpoints import files, training_state
 from isaacgymenvs_lite.checkpoints.archive import read_archive
+from isaacgymenvs_lite.checkpoints.files import write_atomically
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.checkpoints.training_state import read_training_state
-from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.launch import LaunchSettings, check_config
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
@@ -51,6 +57,10 @@ def state_of(run_folder: Path, epoch: int) -> dict[str, Any]:
     state = read_training_state(run_folder / "resume" / f"{epoch}.pth")
     assert state.memory is not None
     return {"checkpoint": state.checkpoint, "memory": state.memory, "buffers": state.buffers}
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def assert_same(one: Any, other: Any, where: str = "") -> None:
@@ -182,6 +192,52 @@ def test_one_line_says_what_starts_again(change, words, line, stopped, caplog):
     assert (stopped / "resume/3.pth").is_file()
 
 
+def test_a_full_disk_does_not_set_the_run_back(stopped, tmp_path, monkeypatch, caplog):
+    """Checkpoints of the third epoch were rescued; its training state could not be written."""
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+
+    def full(path: Path, state: dict[str, Any]) -> None:
+        if path.is_relative_to(stopped):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_atomically(path, state)
+
+    with monkeypatch.context() as patch:
+        for module in (files, training_state):
+            patch.setattr(module, "write_atomically", full)
+        go_on("resume=last")
+    rescued = files.resolve_checkpoint("last", tmp_path / "runs", "HumanoidAMP")
+    assert rescued.startswith(str(tmp_path / "tmp"))
+    caplog.clear()
+    run(resumed_tree([f"resume={stopped}", "max_iterations=4"]))
+    assert f"resume={stopped} takes a rescued checkpoint, " in caplog.text
+    assert [file.name for file in stopped.glob("resume/*_buffers.pth")] == ["4_buffers.pth"]
+
+
+def test_one_line_names_a_checkpoint_that_is_newer_than_the_state(stopped, tmp_path, caplog):
+    states = shutil.copytree(stopped / "resume", tmp_path / "states")
+    go_on("resume=last")
+    shutil.rmtree(stopped / "resume")
+    states.rename(stopped / "resume")
+    caplog.set_level(logging.INFO)
+    caplog.clear()
+    go_on("resume=last")
+    assert "resumed after epoch 2" in caplog.text
+    assert caplog.text.count("is of epoch 3, but has networks and optimisers alone") == 1
+
+
+def test_names_of_folders_are_printed_without_control_characters(stopped, monkeypatch, capsys):
+    """On a command line of its own, whose log goes to stderr."""
+    renamed = stopped.rename(stopped.with_name("a\nb\x1b[31m\udcff"))
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    monkeypatch.setattr(sys, "argv", ["train.py", f"resume={renamed}", "max_iterations=3"])
+    train_py.main()
+    shown = capsys.readouterr().err
+    assert r"runs/a\nb\x1b[31m\udcff/nn/" in shown
+    assert "\x1b[31m" not in shown
+    assert (renamed / "resume/3.pth").is_file()
+
+
 def test_buffers_can_be_left_out(stopped, caplog):
     go_on("resume=last", f"+{CONFIG}.save_buffers=False")
     assert [file.name for file in (stopped / "resume").iterdir()] == ["3.pth"]
@@ -198,14 +254,35 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
         go_on("resume=last")
 
 
-def test_a_run_does_not_decide_who_looks_on(stopped):
-    cfg = OmegaConf.load(stopped / "config.yaml")
-    cfg.viewer, cfg.viewer_host, cfg.wandb_logcode_dir = "web", "0.0.0.0", "/"
-    OmegaConf.save(cfg, stopped / "config.yaml")
+LOOKED_ON = {"viewer": "web", "viewer_host": "0.0.0.0", "headless": False, "capture_video": True}
+SENT_AWAY = {"wandb_activate": True, "wandb_entity": "stranger", "wandb_logcode_dir": "/"}
+
+
+def test_a_run_does_not_decide_who_looks_on_and_what_is_sent_away(stopped, monkeypatch, caplog):
+    monkeypatch.setattr("isaacgymenvs_lite.config.launch.require", lambda *_, **__: None)
+    caplog.set_level(logging.INFO)
+    file = stopped / "config.yaml"
+    cfg = OmegaConf.load(file)
+    cfg.update({**LOOKED_ON, **SENT_AWAY})
+    file.write_text(f"# typed: task=Ant --config-dir=/stranger\n{OmegaConf.to_yaml(cfg)}")
+    default = LaunchSettings(task_name="HumanoidAMP")
     settings = check_config(resumed_tree(["resume=last"]))
-    assert (settings.viewer, settings.viewer_host) == ("", "localhost")
-    assert settings.wandb_logcode_dir == ""
-    assert check_config(resumed_tree(["resume=last", "viewer=web"])).viewer == "web"
+    for key in (*LOOKED_ON, *SENT_AWAY):
+        assert getattr(settings, key) == getattr(default, key)
+    assert "type again what you want: wandb_activate, viewer, capture_video" in caplog.text
+    typed = ["viewer=web", "headless=False", "capture_video=True", "wandb_activate=True"]
+    settings = check_config(resumed_tree(["resume=last", *typed, "wandb_tags=[a]"]))
+    assert (settings.viewer, settings.headless, settings.capture_video) == ("web", False, True)
+    assert (settings.wandb_activate, settings.wandb_entity, settings.wandb_tags) == (
+        True,
+        "",
+        ["a"],
+    )
+    off = ["viewer=", "headless=True", "capture_video=False", "wandb_activate=False"]
+    assert not check_config(resumed_tree(["resume=last", *off])).wandb_activate
+    caplog.clear()
+    go_on("resume=last")
+    assert "stranger" not in caplog.text + file.read_text()
 
 
 def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
@@ -230,8 +307,14 @@ def test_a_checkpoint_after_the_last_epoch(stopped, tmp_path):
             "resume=.*: its last epoch was 2, and max_epochs is 2; to go on give more",
         ),
         (["resume=last", "test=True"], "to play a policy give checkpoint="),
+        (
+            ["resume=last", "max_iterations=3", "train.params.network.mlp.units=[8]"],
+            "resume=.*expected 8x",
+        ),
     ],
 )
-def test_mistakes_are_one_line(words, message, stopped):
+def test_mistakes_are_one_line_and_change_nothing(words, message, stopped):
+    before = contents(stopped)
     with pytest.raises(UserError, match=message):
         run(resumed_tree(words))
+    assert contents(stopped) == before

@@ -142,6 +142,30 @@ def test_quaternions_in_the_other_order(g1_joints: JointClip) -> None:
     np.testing.assert_allclose(read_joint_clip("a.npz").root_rot, g1_joints.root_rot, atol=1e-6)
 
 
+@pytest.mark.parametrize("position", [0, 1, 17, 29])
+def test_names_of_bodies_decide_which_one_is_the_root(
+    g1: Skeleton, g1_joints: JointClip, position: int
+) -> None:
+    """Isaac Lab's humanoids list the torso first."""
+    clip, _ = load_single_clip(Path("g1_walk"), [g1])
+    places, turns = clip.global_poses()
+    order = [i for i in np.random.default_rng(position).permutation(30) if i != 0]
+    order.insert(position, 0)
+    np.savez(
+        "isaac.npz",
+        fps=60,
+        dof_names=np.array(g1_joints.joint_names),
+        dof_positions=np.asarray(clip.dof_pos),
+        body_names=np.array(g1.body_names)[order],
+        body_positions=places[:, order],
+        body_rotations=turns[:, order][..., [3, 0, 1, 2]],
+    )
+    convert("isaac.npz", "a.npz", G1)
+    found = read_joint_clip("a.npz")
+    np.testing.assert_allclose(found.root_pos, clip.root_translation, atol=1e-6)
+    np.testing.assert_allclose(found.root_rot, clip.local_rotation[:, 0], atol=1e-6)
+
+
 def test_joints_of_other_names_count_by_order_when_asked(refused, g1_joints: JointClip) -> None:
     parts = {name: getattr(g1_joints, name) for name in ("root_pos", "root_rot", "dof_pos")}
     names = tuple(f"motor{i}" for i in range(29))

@@ -141,6 +141,15 @@ def test_a_run_that_is_resumed_stays_in_its_population(caplog):
     assert list(run_of(1).glob("nn/last_Ant_ep_14_*.pth"))
 
 
+def test_the_file_of_a_run_does_not_choose_where_the_workspace_is(tmp_path):
+    run(compose([*BAD, "max_iterations=2"]))
+    cfg = OmegaConf.load(run_of(1) / "config.yaml")
+    cfg.train.params.config.train_dir, cfg.pbt.workspace = str(tmp_path), "elsewhere"
+    OmegaConf.save(cfg, run_of(1) / "config.yaml")
+    run(resumed_tree([f"resume={run_of(1)}", "max_iterations=5"]))
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
 def test_a_policy_that_was_trained_does_not_begin_again():
     run(compose(GOOD))
     with pytest.raises(ConfigError) as error:
@@ -198,18 +207,51 @@ def test_a_broken_file_during_a_training_is_left_out(caplog):
         caplog.clear()
 
 
-def test_a_checkpoint_that_runs_code_is_not_loaded(caplog):
+class _Evil:
+    def __reduce__(self):
+        return Path("harm").touch, ()
+
+
+def _runs_code(checkpoint: dict, record: dict) -> None:
+    checkpoint["model"] = _Evil()
+
+
+def _not_finite(checkpoint: dict, record: dict) -> None:
+    checkpoint["model"]["a2c_network.mu.weight"][0, 0] = torch.nan
+
+
+def _of_other_shapes(checkpoint: dict, record: dict) -> None:
+    checkpoint["model"]["a2c_network.mu.weight"] = torch.zeros(2, 3)
+
+
+def _impossible_settings(checkpoint: dict, record: dict) -> None:
+    record["params"][RATE] = -1.0
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (_runs_code, "policy 0 is left out of the comparison (checkpoint=.*/000001.pth: refused"),
+        (_not_finite, "policy 0 is left out .*a2c_network.mu.weight holds numbers that are not"),
+        (_of_other_shapes, "policy 0 is left out .*a2c_network.mu.weight is 2x3 float32, expected"),
+        (_impossible_settings, "policy 1 does not go on as policy 0 .*learning_rate"),
+    ],
+)
+def test_a_broken_policy_is_left_out(damage, expected, caplog, monkeypatch):
+    monkeypatch.setattr("isaacgymenvs_lite.pbt.observer._TAKE_SETTINGS", 1.0)
     run(compose(GOOD))
-
-    class Evil:
-        def __reduce__(self):
-            return Path("harm").touch, ()
-
-    for number in (1, 2):
-        torch.save({"model": Evil()}, f"runs/ws/000/{number:06d}.pth")
-    run(compose(BAD))
-    assert "policy 1 is not replaced (checkpoint=runs/ws/000/000001.pth: refused" in caplog.text
+    for file in Path("runs/ws/000").glob("*.pth"):
+        checkpoint = load_checkpoint(file)
+        content = yaml.safe_load(file.with_suffix(".yaml").read_text())
+        damage(checkpoint, content)
+        torch.save(checkpoint, file)
+        file.with_suffix(".yaml").write_text(yaml.safe_dump(content))
+    run(compose([*BAD, f"{CONFIG}.save_frequency=1"]))
+    assert re.search(expected.replace("(", r"\("), caplog.text)
+    assert [file.name for file in (run_of(1) / "resume").iterdir()] == ["12.pth"]
     assert not Path("harm").exists()
+    is_usable = damage is _impossible_settings
+    assert is_usable == any("policy000" in f.name for f in Path("runs/ws/best1").iterdir())
 
 
 def test_a_full_disk_does_not_end_the_training(caplog, monkeypatch):

@@ -103,6 +103,14 @@ def test_a_policy_that_was_trained(tmp_path):
     assert "policy 0 has been trained there; go on with it: resume=" in refusal(tmp_path, index=0)
     with workspace(tmp_path, 0) as own:
         own.join(is_new=False)
+    description = (tmp_path / "runs/ws/000/policy.yaml").read_text()
+    other = plain(compose([*WORDS, "train.params.network.mlp.units=[8]"]))
+    with (
+        pytest.raises(ConfigError, match="of another experiment"),
+        workspace(tmp_path, 0, other) as own,
+    ):
+        own.join(is_new=False)
+    assert (tmp_path / "runs/ws/000/policy.yaml").read_text() == description
 
 
 @pytest.mark.parametrize(
@@ -132,6 +140,14 @@ def test_policies_may_differ_in_everything_else(tmp_path):
     others = ["num_envs=3", "seed=9", "train.params.config.gamma=0.5", "task.env.upWeight=0"]
     with workspace(tmp_path, 1, tree=plain(compose([*WORDS, *others]))) as own:
         own.join(is_new=True)
+
+
+@pytest.mark.parametrize("name", ["000", "best2", "002/000001.pth"])
+def test_a_workspace_with_a_link_below_it(tmp_path, name):
+    link = tmp_path / "runs/ws" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(tmp_path)
+    assert f"{link} is a link, " in refusal(tmp_path)
 
 
 RECORD = (

@@ -86,6 +86,26 @@ def test_mjcf_with_include_and_mesh(tmp_path):
     assert model.mesh_vertnum[0] == 4
 
 
+@pytest.mark.parametrize(
+    "places",
+    [("y.xml",), ("parts/sub/y.xml",), ("y.xml", "parts/sub/y.xml"), ("parts/y.xml",), ()],
+)
+def test_includes_of_includes_are_found_where_mujoco_finds_them(tmp_path, places):
+    """Beside the main file, else beside the file that includes, not beside the one before that."""
+    path = written(tmp_path / "robot.xml", mjcf(rest='<include file="parts/x.xml"/>'))
+    written(tmp_path / "parts/x.xml", '<mujoco><include file="sub/x.xml"/></mujoco>')
+    nested = '<body pos="0 0 5"><include file="y.xml"/></body>'
+    written(tmp_path / "parts/sub/x.xml", f"<mujoco><worldbody>{nested}</worldbody></mujoco>")
+    for i, place in enumerate(places):
+        written(tmp_path / place, f'<mujocoinclude><geom size=".{i + 1}"/></mujocoinclude>')
+    try:
+        theirs = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        assert '<include file="y.xml"> is missing; looked for' in refusal(path)
+    else:
+        np.testing.assert_array_equal(read_robot(path).compile().geom_size, theirs.geom_size)
+
+
 def test_the_shipped_humanoid_reads_as_mujoco_reads_it():
     path = Path(__file__).parents[2] / "assets/mjcf/amp_humanoid.xml"
     ours, theirs = read_robot(path).compile(), mujoco.MjModel.from_xml_path(str(path))

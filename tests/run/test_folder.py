@@ -87,6 +87,7 @@ def test_after_the_run_the_next_may_begin(tmp_path):
     for task in ("Ant", "Humanoid"):
         with RunFolder(tmp_path, "walk") as folder:
             folder.create(OmegaConf.create({"task": {"name": task}}))
+            folder.begin()
         assert task in (folder.path / "config.yaml").read_text()
         assert {path.name for path in folder.path.iterdir()} == {"config.yaml", "nn", "summaries"}
 
@@ -127,28 +128,27 @@ def test_a_killed_run_leaves_no_lock_and_its_half_files_are_removed(open_run, tm
     assert all(file.exists() for file in own)
 
 
-def test_half_files_behind_a_link_stay(open_run, tmp_path):
-    """Another run may write there: the lock is on this folder alone."""
-    disk, folder = tmp_path / "disk", tmp_path / "runs" / "walk"
-    disk.mkdir()
-    folder.mkdir(parents=True)
-    (folder / "nn").symlink_to(disk)
-    half = disk / ".other.pth.17.partial"
-    half.write_text("half")
-    run = open_run()
-    assert half.exists()
-    assert save(run) == run.checkpoints / "walk.pth"
-    assert load_checkpoint(disk / "walk.pth")["epoch"] == 1
-
-
-@pytest.mark.parametrize("name", ["nn", LOCK_FILE])
-def test_links_that_lead_nowhere_are_refused(name, open_run, tmp_path):
-    folder = tmp_path / "runs" / "walk"
-    folder.mkdir(parents=True)
-    (folder / name).symlink_to(tmp_path / "nowhere")
-    with pytest.raises(ConfigError, match="cannot write the run folder"):
+@pytest.mark.parametrize(
+    "name", ["nn", "resume", "summaries", "videos", "torchrun_job", "nn/walk.pth", LOCK_FILE]
+)
+@pytest.mark.parametrize("leads", [True, False], ids=["to_something", "nowhere"])
+def test_a_folder_with_a_link_below_it_is_refused(name, leads, open_run, tmp_path):
+    """A stranger's: what is written and removed through it would be somewhere else."""
+    folder, elsewhere = tmp_path / "runs" / "walk", tmp_path / "elsewhere"
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).symlink_to(elsewhere)
+    if leads:
+        elsewhere.mkdir()
+        (elsewhere / ".other.pth.17.partial").write_text("half")
+    with pytest.raises(ConfigError, match=f"{folder / name} is a link, "):
         open_run()
-    assert not (tmp_path / "nowhere").exists()
+    assert leads == (elsewhere / ".other.pth.17.partial").exists()
+
+
+def test_the_folder_of_all_runs_may_be_a_link(open_run, tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "runs").symlink_to(tmp_path / "disk")
+    assert save(open_run()) == tmp_path / "runs/walk/nn/walk.pth"
 
 
 # --- made again --------------------------------------------------------------------------------
@@ -308,21 +308,3 @@ def test_a_disk_that_is_full_in_the_middle(open_run, tmp_dir, monkeypatch):
     assert load_checkpoint(rescued)["epoch"] == 2
     assert save(folder, "c", 3) == folder.checkpoints / "c.pth"
     assert sorted(path.name for path in folder.checkpoints.iterdir()) == ["a.pth", "c.pth"]
-
-
-def test_what_was_typed_is_kept(tmp_path: Path) -> None:
-    words = ["task=Ant", "train.x=[1, 2]", "experiment=it's"]
-    with RunFolder(tmp_path, "run") as folder:
-        folder.create(OmegaConf.create({"task": {"name": "Ant"}}), words)
-    assert RunFolder(tmp_path, "run").typed() == tuple(words)
-    assert OmegaConf.load(tmp_path / "run/config.yaml").task.name == "Ant"
-
-
-@pytest.mark.parametrize(
-    "first", ["task: 1", "# typed: 'a", "# typed: a\x1b[2J", "# typed: \x00", "", "# typed: \udc80"]
-)
-def test_files_without_what_was_typed(tmp_path: Path, first: str) -> None:
-    (tmp_path / "run").mkdir()
-    text = f"{first}\n".encode("utf-8", "surrogateescape")
-    (tmp_path / "run/config.yaml").write_bytes(text)
-    assert RunFolder(tmp_path, "run").typed() == ()

@@ -89,8 +89,7 @@ def test_a_task_without_references_has_no_pose_error(clock, agent, result):
     observer = TimedImitation(clock, result, 1, 0.0)
     observer.measure = lambda: EvaluationResult(16, 100.0, 90.5, None, None, falls=0.25)
     train(observer, agent, epochs=1, epoch_s=1.0)
-    written = {tag: values for tag, values in agent.writer.scalars.items()}
-    assert {tag: value for tag, [(_, value)] in written.items()} == {
+    assert {tag: value for tag, [(_, value)] in agent.writer.scalars.items()} == {
         "measured/reward": 100.0,
         "measured/episode_steps": 90.5,
         "measured/fall_rate": 0.25,

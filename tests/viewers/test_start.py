@@ -77,6 +77,14 @@ def test_a_play_is_recorded_into_the_run_of_its_checkpoint(in_tmp):
     assert len(list((in_tmp / "runs").iterdir())) == 1
 
 
+def test_videos_do_not_go_through_a_link_in_the_run_of_a_checkpoint(in_tmp):
+    run(cfg_of(*PPO))
+    (checkpoint,) = in_tmp.glob("runs/*/nn/Cartpole.pth")
+    (checkpoint.parents[1] / "videos").symlink_to(in_tmp)
+    with pytest.raises(ConfigError, match="/videos is a link, "):
+        run(cfg_of("task=Cartpole", "test=True", f"checkpoint={checkpoint}", *VIDEOS))
+
+
 def test_without_videos_there_is_no_folder_for_them(in_tmp):
     run(cfg_of(*PPO))
     assert not list(in_tmp.glob("runs/*/videos"))

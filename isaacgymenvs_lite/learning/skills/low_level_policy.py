@@ -37,6 +37,7 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
+from isaacgymenvs_lite.paths import user_path
 
 _RL_DEVICES = ("cpu", "cuda:0")
 
@@ -271,7 +272,7 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
         CheckpointError: none is given, or there is no such file.
     """
     shipped = shipped_policies()
-    path = shipped.get(llc_checkpoint) or Path(llc_checkpoint).expanduser()
+    path = shipped.get(llc_checkpoint) or user_path(llc_checkpoint)
     if llc_checkpoint and path.is_file():
         return path
     what = f"={llc_checkpoint}: no file {path.absolute()}" if llc_checkpoint else " is not given"

@@ -47,6 +47,16 @@ BALL_COLUMNS = {
 }
 HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
 MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
+# Clips of other robots in the same kind of text, by their columns.
+_FAMILIES = {
+    19: "as motion_imitation's of quadrupeds (root position, root quaternion, 12 joints)",
+    61: "as AMP_for_hardware's of quadrupeds (root position, root quaternion, 12 joints, feet, and "
+    "all velocities)",
+}
+_ROBOT_ROWS = (
+    "Rows of a robot are read from a .csv without header: root position (3, m), root quaternion "
+    "(4, xyzw), joints (rad) in the order of its MJCF file; with robot=FILE"
+)
 # Durations that differ by less than this part of the usual one are rounded numbers.
 _DURATION_TOLERANCE = 1e-3
 # Published clips hold quaternions up to 0.42 off unit length (kick: blended, never normalised).
@@ -87,6 +97,7 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
 
 
 def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
+    check_columns(data, name)
     rows = _rows(data, name)
     _check_joints(skeleton, name)
     root = _vector(rows[:, ROOT_POSITION])
@@ -152,6 +163,28 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
             f"{1.0 / MIN_FPS:g}"
         )
     return rows
+
+
+def check_columns(data: dict[str, Any], name: str) -> None:
+    """Check that the rows are not those of another robot.
+
+    Raises:
+        MotionFileError: all rows have another length than DeepMimic's; the line names the family of
+            files, and what can be read.
+    """
+    rows = data.get("Frames")
+    widths = {len(row) for row in rows if isinstance(row, list)} if isinstance(rows, list) else ()
+    columns = next(iter(widths), NUM_COLUMNS)
+    if len(widths) != 1 or columns == NUM_COLUMNS:
+        return
+    family = f", {_FAMILIES[columns]}" if columns in _FAMILIES else ""
+    duration_s: Any = data.get("FrameDuration")
+    known = isinstance(duration_s, (int, float)) and duration_s > 0
+    rate = f" file_fps={1.0 / duration_s:.6g}" if known else ""
+    raise MotionFileError(
+        f"{name}: its 'Frames' have {columns} columns{family}; DeepMimic's clips of the humanoid "
+        f"have rows of {NUM_COLUMNS} numbers. {_ROBOT_ROWS}{rate}"
+    )
 
 
 def _check_joints(skeleton: Skeleton, name: str) -> None:

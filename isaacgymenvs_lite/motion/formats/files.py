@@ -7,6 +7,7 @@ error for the user.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ MAX_BINARY_BYTES = 2**28
 """Of a file of arrays, and of what its archive holds."""
 MAX_TEXT_BYTES = 2**25
 """Of a table or a motion capture; its numbers take many times as much memory while it is read."""
+_NUMBERS = re.compile(r"[\s,.\deE+-]+")
 # An empty list takes 2 bytes of text and 64 of memory; a clip has a list for each 60 bytes.
 _MAX_JSON_BYTES, _MAX_JSON_CONTAINERS = 2**24, 500_000
 
@@ -97,6 +99,9 @@ def read_json(path: str | Path) -> dict[str, Any]:
         text = read_bytes(path, _MAX_JSON_BYTES).decode("utf-8")
         if text.count("[") + text.count("{") > _MAX_JSON_CONTAINERS:
             raise ValueError(f"more than {_MAX_JSON_CONTAINERS:,} lists and objects")
+        if _NUMBERS.fullmatch(row := text.partition("\n")[0]):
+            columns = len(row.replace(",", " ").split())
+            raise ValueError(f"a table of {columns} columns, which is read from a .csv with commas")
         data = json.loads(text)
     if not isinstance(data, dict):
         raise MotionFileError(

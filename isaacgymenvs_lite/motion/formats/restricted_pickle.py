@@ -3,7 +3,8 @@
 A pickle is a program that may call any function it can name: `numpy.load(allow_pickle=True)` runs
 any code in the file. Here the names that occur in real clips are replaced by inert classes of this
 module, every other name is refused, and the arrays are made afterwards from the raw bytes. The file
-never calls a function of numpy.
+never calls a function of numpy. joblib's files, also compressed ones, are pickles with the bytes of
+each array after its description.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import math
 import pickle
 import re
 import struct
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -34,6 +37,8 @@ T = TypeVar("T")
 _PLAIN_DTYPE = re.compile(r"(f[248]|[iu][1248]|b1|U\d{1,4})")
 _OBJECT_DTYPE = "O8"
 _EXPECTED = "poselib clip (.npy of one pickled SkeletonMotion)"
+# How joblib's files begin if they are compressed by zlib or gzip.
+_COMPRESSED, _ZLIB_OR_GZIP = (b"x", b"\x1f\x8b"), 32 + zlib.MAX_WBITS
 _MIMICKIT_CLASSES = (("anim.motion", "Motion"), ("anim.motion", "LoopMode"))
 _MAX_SHARING = 4
 _MAX_VALUES = 1_000_000
@@ -111,6 +116,21 @@ class _PickledArray:
         return _values(self.content, dtype).reshape(self.shape, order=order).copy()
 
 
+class _JoblibArray(_PickledArray):
+    """Stands for joblib's NumpyArrayWrapper, whose content follows in the file."""
+
+    def read_content(self, state: Any, read: Callable[[int], bytes]) -> None:
+        """Keep shape and type, and read the content."""
+        state = _checked(state, dict)
+        dtype = _checked(state.get("dtype"), _PickledDtype)
+        order = "F" if state.get("order") == "F" else "C"
+        shape = tuple(_checked(size, int) for size in _checked(state.get("shape"), tuple))
+        if state.get("numpy_array_alignment_bytes") is not None:
+            read(*read(1))  # padding
+        size = math.prod(shape) * dtype.resolve().itemsize
+        self.__setstate__((1, shape, dtype, order == "F", read(max(size, 0))))
+
+
 def _array_of_buffer(content: Any, dtype: Any, shape: Any, order: Any) -> _PickledArray:
     """Stand for numpy's _frombuffer, by which protocol 5 names an array."""
     if _checked(order, str) not in ("C", "F"):
@@ -154,6 +174,7 @@ def _allowed_names() -> dict[tuple[str, str], Any]:
         names[module, "scalar"] = _PickledScalar
     for module in ("numpy.core.numeric", "numpy._core.numeric"):
         names[module, "_frombuffer"] = _array_of_buffer
+    names["joblib.numpy_pickle", "NumpyArrayWrapper"] = _JoblibArray
     return names
 
 
@@ -187,6 +208,13 @@ class _RestrictedUnpickler(LimitedUnpickler):
         (size,) = struct.unpack("<Q", self.read(8))
         self.append(self.read(size))
 
+    def load_newobj(self) -> None:
+        """Push an array of joblib's; other classes are made by functions."""
+        arguments, cls = self.stack.pop(), self.stack.pop()
+        if cls is not _JoblibArray or arguments != ():
+            raise ValueError("an object that is no array")
+        self.append(_JoblibArray())
+
     def load_next_buffer(self) -> None:
         """Refuse an array whose content was not pickled."""
         raise MotionFileError(
@@ -196,9 +224,13 @@ class _RestrictedUnpickler(LimitedUnpickler):
 
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
     dispatch[pickle.NEXT_BUFFER[0]] = load_next_buffer
+    dispatch[pickle.NEWOBJ[0]] = load_newobj
 
     def build(self, instance: Any, state: Any) -> None:
         """Give an array or a type its state."""
+        if isinstance(instance, _JoblibArray):
+            instance.read_content(state, self.read)
+            return
         if not isinstance(instance, (_PickledArray, _PickledDtype)):
             raise ValueError("a state of something that has none")
         instance.__setstate__(state)
@@ -239,6 +271,8 @@ def load_pickle(path: str | Path, expected: str) -> Any:
         content = read_bytes(path, MAX_BINARY_BYTES)
         if not content:
             raise MotionFileError(f"{path}: the file is empty, expected a {expected}")
+        if content.startswith(_COMPRESSED):
+            content = zlib.decompressobj(_ZLIB_OR_GZIP).decompress(content, MAX_BINARY_BYTES)
         return _Resolver(len(content)).resolve(
             _RestrictedUnpickler(io.BytesIO(content), path).load()
         )

@@ -2,9 +2,9 @@
 
 - mjlab (mujocolab/mjlab, src/mjlab/scripts/csv_to_npz.py) and whole_body_tracking
   (HybridRobotics/whole_body_tracking, scripts/csv_to_npz.py): fps (one number in a list),
-  joint_pos, body_pos_w and body_quat_w of all bodies, the root first, without names. mjlab has
-  MuJoCo's order of joints, whole_body_tracking has Isaac Lab's, level by level; the mirrored hips
-  of a G1 show which.
+  joint_pos, body_pos_w and body_quat_w of all bodies, the root first, mostly without names. mjlab
+  has MuJoCo's order of joints, whole_body_tracking has Isaac Lab's, level by level; the mirrored
+  hips of a G1 show which.
 - Isaac Lab's humanoid AMP task (isaac-sim/IsaacLab, isaaclab_tasks/direct/humanoid_amp/motions/
   motion_loader.py): fps, dof_names, dof_positions, body_names, body_positions, body_rotations.
 - This project's: format, version, fps, root_pos, root_rot xyzw, dof_pos, joint_names.
@@ -20,6 +20,7 @@ theirs was.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion.clip import MAX_BODIES, MAX_POSES
 from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
 from isaacgymenvs_lite.motion.formats.npz import array_names, check_kind, read_arrays
@@ -42,12 +43,15 @@ from isaacgymenvs_lite.motion.joint_clip import (
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 
+_log = logging.getLogger(__name__)
+
 _FORMAT = "isaacgymenvs_lite.joint_clip"
 _VERSION = 1
 _OWN_KEYS = ("fps", "root_pos", "root_rot", "dof_pos")
 _TRACKING_KEYS = ("fps", "joint_pos", "body_pos_w", "body_quat_w")
 _ISAAC_KEYS = ("fps", "dof_positions", "body_positions", "body_rotations")
-_NAME_KEYS = ("joint_names", "dof_names")
+JOINT_NAME_KEYS = ("joint_names", "dof_names")
+_BODY_NAMES = "body_names"
 _FORMS = (_OWN_KEYS, _TRACKING_KEYS, _ISAAC_KEYS)
 _EXPECTED = "archive of a robot's clip"
 # In single precision, of distances of 0.2 m anywhere within 100 m of the origin.
@@ -65,15 +69,23 @@ def is_robot_npz(path: str | Path) -> bool:
     return any(found.issuperset(form) for form in _FORMS)
 
 
-def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -> JointClip:
-    """Read an archive in any of the three forms; `joint_names` replaces the file's names.
+def load_robot_npz(
+    path: str | Path, joint_names: Sequence[str] | None = None, root_body: str | None = None
+) -> JointClip:
+    """Read an archive in any of the three forms.
+
+    Args:
+        path: of the file.
+        joint_names: in place of the file's.
+        root_body: name of the robot's root, found among the file's body_names. Without it, or
+            without names, the first body but MuJoCo's world is the root.
 
     Raises:
         MotionFileError: the file is damaged, too large, or holds something else.
     """
     with reading(path, _EXPECTED):
         keys = {key for form in _FORMS for key in form}
-        arrays = read_arrays(path, (*sorted(keys), *_NAME_KEYS, "version"))
+        arrays = read_arrays(path, (*sorted(keys), *JOINT_NAME_KEYS, _BODY_NAMES, "version"))
         form = next((form for form in _FORMS if set(form) <= set(arrays)), None)
         if form is None:
             raise MotionFileError(
@@ -91,7 +103,9 @@ def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -
             position, rotation, dof_pos = map(native_floats, parts)
             return JointClip(str(path), float(fps.item()), position, rotation, dof_pos, names)
         dof_pos, body_pos_w, body_quat_w = map(native_floats, parts)
-        body_pos_w, body_quat_w = _without_world(body_pos_w, body_quat_w, path)
+        _check_bodies(body_pos_w, body_quat_w, path)
+        order = _root_first(arrays.get(_BODY_NAMES), root_body, body_pos_w, body_quat_w, path)
+        body_pos_w, body_quat_w = body_pos_w[:, order], body_quat_w[:, order]
         clip = JointClip(
             str(path),
             float(fps.item()),
@@ -107,7 +121,7 @@ def load_robot_npz(path: str | Path, joint_names: Sequence[str] | None = None) -
 
 
 def _names(arrays: dict[str, npt.NDArray], path: str | Path) -> tuple[str, ...] | None:
-    for key in _NAME_KEYS:
+    for key in JOINT_NAME_KEYS:
         if key in arrays:
             check_kind(arrays[key], key, "U", path, MAX_JOINTS)
             return tuple(str(name) for name in arrays[key].ravel())
@@ -122,10 +136,7 @@ def _check_version(arrays: dict[str, npt.NDArray], path: str | Path) -> None:
         )
 
 
-def _without_world(
-    positions: FloatArray, quaternions: FloatArray, path: str | Path
-) -> tuple[FloatArray, FloatArray]:
-    """Return the poses without MuJoCo's world body, which some converters write first."""
+def _check_bodies(positions: FloatArray, quaternions: FloatArray, path: str | Path) -> None:
     shape = positions.shape[:2]
     fits = positions.shape == (*shape, 3) and quaternions.shape == (*shape, 4)
     if not fits or 0 in shape or shape[1] > MAX_BODIES:
@@ -134,10 +145,38 @@ def _without_world(
             f"{quaternions.shape}, expected (frames, bodies, 3) and (frames, bodies, 4), at most "
             f"{MAX_BODIES} bodies"
         )
+
+
+def _root_first(
+    names: npt.NDArray | None,
+    root_body: str | None,
+    positions: FloatArray,
+    quaternions: FloatArray,
+    path: str | Path,
+) -> list[int]:
+    """Return the bodies with the root first, without MuJoCo's world, which some converters write.
+
+    Raises:
+        MotionFileError: there are not as many names as bodies.
+    """
+    bodies = list(range(positions.shape[1]))
+    if names is not None and root_body is not None:
+        check_kind(names, _BODY_NAMES, "U", path, MAX_BODIES)
+        found = [str(name) for name in names.ravel()]
+        if len(found) != len(bodies):
+            raise MotionFileError(f"{path}: has {len(found)} body_names for {len(bodies)} bodies")
+        if root_body in found:
+            root = found.index(root_body)
+            return [root, *(i for i in bodies if i != root and found[i] != "world")]
+        _log.warning(
+            "%s: its body_names lack '%s', the root of the robot; its first body is used as the "
+            "root (%s)",
+            path,
+            root_body,
+            listed(found),
+        )
     is_still = not positions[:, 0].any() and (quaternions[:, 0] == quaternions[0, 0]).all()
-    if shape[1] > 1 and is_still:
-        return positions[:, 1:], quaternions[:, 1:]
-    return positions, quaternions
+    return bodies[1:] if len(bodies) > 1 and is_still else bodies
 
 
 def _quat_order(body_pos_w: FloatArray, body_quat_w: FloatArray) -> QuatOrder:

@@ -1,21 +1,23 @@
 """Reads motion capture in the BVH format with the library pybvh.
 
-Many programs write position channels for all joints, not for the root alone; pybvh cannot read
-them. Where they do not change they are the joint's offset, or zero: `drop_inner_positions` removes
-them without loss.
+Many programs write position channels for all joints, not for the root alone, and some write a ROOT
+that stands still above the hips that move. pybvh reads neither: `_split_positions` takes the
+positions out of the text. Those of a joint above the body are part of the root's motion; those of
+other joints are constant, the joint's offset or zero.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 import tempfile
 import warnings
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
@@ -34,33 +36,81 @@ _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
 # A joint may move in its parent by this part of the longest bone: rounding, and markers' noise.
 _TOLERANCE = 0.01
-_JOINT = re.compile(r"^\s*(ROOT|JOINT)\s+(.*\S)")
-_CHANNELS = re.compile(r"^(\s*)CHANNELS\s+\d+\s+(.*\S)", re.IGNORECASE)
-_OFFSET = re.compile(r"^(\s*)OFFSET\s+(.*\S)", re.IGNORECASE)
-_AXES = ("Xposition", "Yposition", "Zposition")
+_JOINT = re.compile(r"^\s*(ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
+_CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
+_POSITIONS = ("Xposition", "Yposition", "Zposition")
+_ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
 
 
-def load_bvh(path: str | Path, to_z_up: FloatArray, unit_m: float) -> MotionClip:
-    """Read a BVH file as a clip of its own skeleton, in our axes and in metres.
+@dataclass(frozen=True, eq=False)
+class BvhMotion:
+    """T frames of a skeleton of J joints, in the axes and the unit of its file.
+
+    Attributes:
+        name: the file.
+        fps: frames per second.
+        joint_names: J names, parents first.
+        parent_indices: J ids, -1 for the root.
+        offsets: (J, 3), places of the joints in their parents; the root's is not used.
+        turns: (T, J, 4) xyzw, relative to the parent; the root's to the world.
+        places: (T, 3), of the root in the world.
+    """
+
+    name: str
+    fps: float
+    joint_names: tuple[str, ...]
+    parent_indices: tuple[int, ...]
+    offsets: FloatArray
+    turns: FloatArray
+    places: FloatArray
+
+    def clip(self, to_z_up: FloatArray, unit_m: float) -> MotionClip:
+        """Return the motion as a clip of its own skeleton, in our axes and in metres.
+
+        Args:
+            to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
+            unit_m: m per unit of length of the file.
+
+        Raises:
+            MotionFileError: see `MotionClip.validate`.
+        """
+        up = torch.from_numpy(to_z_up).expand(len(self.turns), 4)
+        turns = self.turns.copy()
+        turns[:, 0] = rotations.quat_mul(up, torch.from_numpy(turns[:, 0])).numpy()
+        places = rotations.quat_apply(up, torch.from_numpy(self.places)).numpy()
+        with reading(self.name, "BVH file"):
+            return MotionClip.from_poses(
+                self.name,
+                self.fps,
+                self.joint_names,
+                self.parent_indices,
+                self.offsets * unit_m,
+                turns,
+                places * unit_m,
+            )
+
+
+def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
+    """Read a BVH file.
 
     Args:
-        path: of the file. Its root has three position and three rotation channels, in any order;
-            all other joints have three rotation channels, and positions if these stay the same.
-        to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
-        unit_m: m per unit of length of the file.
+        path: of the file. Its joints have three rotation channels or none, in any order. Positions
+            of joints below the root of the motion stay the same.
+        joints: names of joints that the caller needs. The lowest joint above all of them, or one of
+            them, becomes the root, with the motion of all joints above it. Empty: ROOT.
 
     Raises:
         MissingPackageError: pybvh is not installed.
         MotionFileError: the file is missing, truncated, damaged or is no BVH file; a number is NaN
-            or infinite; there are fewer than two frames.
+            or infinite.
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
-        return _clip(pybvh, Path(path), to_z_up, unit_m)
+        return _motion(pybvh, Path(path), joints)
 
 
-def bvh_joint_names(path: str | Path) -> list[str]:
-    """Return the names of the joints of a BVH file; its frames are not read.
+def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
+    """Return the names of the joints of a BVH file and their parents' ids; no frames are read.
 
     Raises:
         MotionFileError: the file is missing, too long, or has no joints.
@@ -68,40 +118,115 @@ def bvh_joint_names(path: str | Path) -> list[str]:
     with reading(path, "BVH file"):
         text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
         _check_size(text)
-        header = text.partition("MOTION")[0].splitlines()
-        names = [match[2] for line in header if (match := _JOINT.match(line))]
-        if not names:
-            raise ValueError("it has no joints")
-        return names
+        return _hierarchy(text)
 
 
-def _clip(pybvh: Any, path: Path, to_z_up: FloatArray, unit_m: float) -> MotionClip:
+def _hierarchy(text: str) -> tuple[list[str], list[int]]:
+    names, parents, open_joints = list[str](), list[int](), [-1]
+    for line in text.partition("MOTION")[0].splitlines():
+        if match := _JOINT.match(line):
+            names.append(match[2])
+            parents.append(open_joints[-1])
+        for brace in re.findall("[{}]", line):
+            if brace == "{":  # of a joint, or of the end site below the newest one
+                open_joints.append(len(names) - 1)
+            elif len(open_joints) > 1:
+                open_joints.pop()
+    if not names:
+        raise ValueError("it has no joints")
+    return names, parents
+
+
+def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
     _check_size(text)
+    text, positions = _split_positions(text)
     try:
-        motion, root, wxyz = _parse(pybvh, drop_inner_positions(text, str(path)))
+        motion, root, wxyz = _parse(pybvh, text)
     except ValueError as error:
-        if isinstance(error, MotionFileError):
-            raise
         raise ValueError(_PLACE.sub("", one_line(error))) from error
-    joints = [node for node in motion.nodes if not node.is_end_site()]
-    offsets = np.array([node.offset for node in joints], dtype=np.float64)
-    _check_numbers(path, root, wxyz, offsets)
+    nodes = [node for node in motion.nodes if not node.is_end_site()]
+    names, parents = _hierarchy(text)  # the library ends names at a space
+    offsets = np.array([node.offset for node in nodes], dtype=np.float64)
+    _check_numbers(path, root, wxyz, offsets, *(given for _, given in positions.values()))
+    above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
+    steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
     turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
-    up = torch.from_numpy(to_z_up)
-    turns[:, 0] = rotations.quat_mul(up.expand(len(turns), 4), turns[:, 0])
-    places = rotations.quat_apply(up.expand(len(root), 4), torch.from_numpy(root))
-    names = [node.name for node in joints]
-    parents = [names.index(node.parent.name) if node.parent else -1 for node in joints]
-    return MotionClip.from_poses(
+    # Without positions of ROOT, or with zeros, its offset is its place.
+    place = torch.from_numpy(root if root.any() else root + offsets[0])
+    turn = turns[:, 0]
+    for joint, step in zip(above[1:], steps, strict=True):
+        place = place + rotations.quat_apply(turn, torch.from_numpy(step).expand_as(place))
+        turn = rotations.quat_mul(turn, turns[:, joint])
+    kept = above[-1:]
+    kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in chain(parents, i)]
+    turns[:, kept[0]] = turn
+    return BvhMotion(
         str(path),
         1.0 / motion.frame_time,
-        names,
-        parents,
-        offsets * unit_m,
-        turns.numpy(),
-        places.numpy() * unit_m,
+        tuple(names[i] for i in kept),
+        (-1, *(kept.index(parents[i]) for i in kept[1:])),
+        offsets[kept],
+        turns[:, kept].numpy(),
+        place.numpy(),
     )
+
+
+def chain(parents: Sequence[int], joint: int) -> list[int]:
+    """Return the joints from the first one down to `joint`."""
+    found = [joint]
+    while parents[found[0]] >= 0:
+        found.insert(0, parents[found[0]])
+    return found
+
+
+def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
+    """Return the joints from the first one down to the last one that all `joints` share."""
+    levels = zip(*(chain(parents, joint) for joint in joints), strict=False)
+    return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
+
+
+def _places_in_parents(
+    names: Sequence[str],
+    offsets: FloatArray,
+    positions: Mapping[str, tuple[list[int], FloatArray]],
+    above: Sequence[str],
+    path: Path,
+) -> list[FloatArray]:
+    """Set the offsets (J, 3) that constant positions replace; return the places of joints `above`.
+
+    Positions of zero are no places: the offset counts.
+
+    Args:
+        names: of the J joints.
+        offsets: (J, 3), in the file's unit.
+        positions: as `_split_positions` returns them.
+        above: from ROOT down to the root of the clip; the places in their parents may change.
+        path: of the file, for messages.
+
+    Returns:
+        (T, 3) or (1, 3) for each joint `above` but ROOT.
+
+    Raises:
+        MotionFileError: another joint moves within its parent.
+    """
+    tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
+    steps = dict(zip(names, offsets[:, None].copy(), strict=True))
+    for name, (axes, given) in positions.items():
+        if np.abs(given).max() <= tolerance:
+            continue
+        steps[name] = np.repeat(steps[name], len(given), axis=0)
+        steps[name][:, axes] = given
+        if name not in above:
+            spread = float(np.ptp(steps[name], axis=0).max())
+            if spread > 2.0 * tolerance:
+                raise MotionFileError(
+                    f"{path}: joint {name} moves within its parent by {spread:.3g} units; limbs "
+                    "that change their length cannot be followed, write the file with position "
+                    "channels of the hips and the joints above them only"
+                )
+            offsets[names.index(name)] = steps[name].mean(axis=0)
+    return [steps[name] for name in above[1:]]
 
 
 def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
@@ -146,99 +271,68 @@ class _Joint:
     Attributes:
         name: as in the file.
         is_root: whether it has no parent.
-        offset_line: number of its OFFSET line.
-        channels_line: number of its CHANNELS line.
-        channels: their names.
-        first_column: of the frames.
+        line: number of its CHANNELS line.
+        columns: of the frames, by the channels' names.
     """
 
     name: str
     is_root: bool
-    offset_line: int
-    channels_line: int
-    channels: tuple[str, ...]
-    first_column: int
+    line: int
+    columns: Mapping[str, int]
 
-    def columns(self, names: tuple[str, ...]) -> list[int]:
-        """Return the columns of those channels with these names that exist."""
-        found = [name.lower() for name in self.channels]
-        return [
-            self.first_column + found.index(name.lower()) for name in names if name.lower() in found
-        ]
+    @property
+    def expected(self) -> tuple[str, ...]:
+        """The channels that pybvh expects: positions of ROOT, rotations in the file's order."""
+        turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
+        return (*(_POSITIONS if self.is_root else ()), *(turns or _ROTATIONS))
 
 
-def drop_inner_positions(text: str, name: str) -> str:
-    """Return the text of a BVH file without position channels of joints other than the root.
+def _split_positions(text: str) -> tuple[str, dict[str, tuple[list[int], FloatArray]]]:
+    """Return a BVH text with positions of ROOT only, and the positions of the other joints.
 
-    A text without such channels is returned unchanged, and so is one that is no BVH file: its
-    reader reports what is wrong.
+    In the text every joint has rotations, zero where the file has none. A text that needs no change
+    is returned unchanged, and so is one that is no BVH file: its reader reports what is wrong.
 
-    Args:
-        text: of the file.
-        name: of the file, for messages.
+    Returns:
+        The text, and for each other joint with positions the axes, 0 to 2, and their values (T, C).
 
     Raises:
-        MotionFileError: a joint moves within its parent.
         ValueError: there are no frames, or one has not as many numbers as there are channels.
     """
     lines = text.splitlines()
     start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
     joints = _joints(lines[:start]) if start is not None else []
-    inner = [joint for joint in joints if not joint.is_root and joint.columns(_AXES)]
-    if start is None or not inner:
-        return text
-    first = start + 3  # behind "Frames:" and "Frame Time:"
+    if start is None or all(set(joint.expected) == set(joint.columns) for joint in joints):
+        return text, {}
+    first = start + 3  # after "Frames:" and "Frame Time:"
     if not any(map(str.strip, lines[first:])):
-        raise ValueError("there are no frames behind 'MOTION', 'Frames:' and 'Frame Time:'")
+        raise ValueError("there are no frames after 'MOTION', 'Frames:' and 'Frame Time:'")
     values = np.loadtxt(lines[first:], comments=None, ndmin=2)
-    expected = sum(len(joint.channels) for joint in joints)
-    if values.shape[1] != expected:
-        raise ValueError(f"the joints have {expected} channels, the frames another number")
-    offsets = {joint.name: _numbers(lines[joint.offset_line]) for joint in joints}
-    tolerance = _TOLERANCE * max(float(np.linalg.norm(offset)) for offset in offsets.values())
-    for joint in inner:
-        columns = joint.columns(_AXES)
-        place = _constant_place(values[:, columns], tolerance, f"{name}: joint {joint.name}")
-        if np.abs(place).max() > tolerance:
-            offset = offsets[joint.name]
-            offset[[i for i, axis in enumerate(_AXES) if joint.columns((axis,))]] = place
-            lines[joint.offset_line] = "OFFSET " + " ".join(f"{x:.9g}" for x in offset)
-        turns = [channel for channel in joint.channels if "position" not in channel.lower()]
-        lines[joint.channels_line] = f"CHANNELS {len(turns)} {' '.join(turns)}"
-    dropped = [column for joint in inner for column in joint.columns(_AXES)]
-    kept = np.delete(values, dropped, axis=1)
-    frames = [" ".join(f"{x:.9g}" for x in row) for row in kept]
-    return "\n".join([*lines[:first], *frames, ""])
+    width = sum(len(joint.columns) for joint in joints)
+    if values.shape[1] != width:
+        raise ValueError(f"the joints have {width} channels, the frames another number")
+    values = np.pad(values, ((0, 0), (0, 1)))
+    positions, kept = {}, []
+    for joint in joints:
+        kept += [joint.columns.get(channel, width) for channel in joint.expected]
+        lines[joint.line] = f"CHANNELS {len(joint.expected)} {' '.join(joint.expected)}"
+        axes = [axis for axis, channel in enumerate(_POSITIONS) if channel in joint.columns]
+        if axes and not joint.is_root:
+            columns = [joint.columns[_POSITIONS[axis]] for axis in axes]
+            positions[joint.name] = axes, values[:, columns]
+    frames = [" ".join(f"{x:.9g}" for x in row) for row in values[:, kept]]
+    return "\n".join([*lines[:first], *frames, ""]), positions
 
 
 def _joints(header: list[str]) -> list[_Joint]:
     joints: list[_Joint] = []
-    name, is_root, offset_line, column = "", False, 0, 0
+    name, is_root, column = "", False, 0
     for number, line in enumerate(header):
         if found := _JOINT.match(line):
             name, is_root = found[2], found[1] == "ROOT"
-        elif _OFFSET.match(line) and name:
-            offset_line = number
         elif found := _CHANNELS.match(line):
-            channels = tuple(found[2].split())
-            joints.append(_Joint(name, is_root, offset_line, number, channels, column))
+            channels = [channel.capitalize() for channel in found[1].split()]
+            columns = {channel: column + i for i, channel in enumerate(channels)}
+            joints.append(_Joint(name, is_root, number, columns))
             column += len(channels)
-            name = ""  # the offset of the next end site is not this joint's
     return joints
-
-
-def _numbers(offset: str) -> npt.NDArray[np.float64]:
-    return np.array(offset.split()[1:], dtype=np.float64)
-
-
-def _constant_place(
-    places: npt.NDArray[np.float64], tolerance: float, joint: str
-) -> npt.NDArray[np.float64]:
-    """Return the place (C,) of a joint in its parent, the mean over its places (T, C)."""
-    spread = float(np.ptp(places, axis=0).max())
-    if spread > 2.0 * tolerance:
-        raise MotionFileError(
-            f"{joint} moves within its parent by {spread:.3g} units; limbs that change their length"
-            " cannot be followed, write the file with position channels of the root only"
-        )
-    return places.mean(axis=0)

@@ -5,7 +5,7 @@ docs/motion_formats.md describes them; two are shipped in assets/retargeting.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
 
-_AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
+AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
 # Bodies whose attitude is the joint's; the attitude of others follows from the places of their
 # joints.
 WITH_ATTITUDE = ("pelvis", "torso", "head", "right_foot", "left_foot")
@@ -34,8 +34,8 @@ class _BodySettings:
     """An entry of `bodies`."""
 
     joint: str = setting()
-    x: str | None = setting(None, choices=_AXES)
-    z: str | None = setting(None, choices=_AXES)
+    x: str | None = setting(None, choices=AXES)
+    z: str | None = setting(None, choices=AXES)
     turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), min_length=3, minimum=-360, maximum=360)
     level: bool = setting(False)
 
@@ -44,7 +44,7 @@ class _BodySettings:
 class _MappingSettings:
     """A mapping file."""
 
-    up: str = setting(choices=_AXES)
+    up: str = setting(choices=AXES)
     unit_m: float = setting(minimum=1e-6, maximum=1e3)
     bodies: Mapping[str, Any] = setting()
 
@@ -71,15 +71,22 @@ class SkeletonMapping:
 
     Attributes:
         name: the file, or the name of a shipped mapping.
-        to_z_up: (4,) xyzw, the rotation from the axes of the file to ours, z up.
+        up: the axis of the file that points up, of `AXES`.
         unit_m: m per unit of length of the file.
         sources: of each body of the humanoid with 28 degrees of freedom, by name.
     """
 
     name: str
-    to_z_up: FloatArray
+    up: str
     unit_m: float
     sources: Mapping[str, BodySource]
+
+    @property
+    def to_z_up(self) -> FloatArray:
+        """(4,) xyzw, the rotation that turns `up` into z and the axis before it into x."""
+        z = axis_vector(self.up)
+        x = np.roll(np.abs(z), 1)
+        return _quaternion(np.stack((x, np.cross(z, x), z)))
 
     def check_joints(self, joint_names: Iterable[str], clip_name: str) -> None:
         """Raise a ConfigError if the clip's skeleton lacks a joint of the mapping."""
@@ -111,7 +118,7 @@ def _read_mapping(mapping: str | Path) -> SkeletonMapping:
     settings = read_section(_MappingSettings, content, where=str(path), complete=True)
     return SkeletonMapping(
         name=str(mapping),
-        to_z_up=_to_z_up(settings.up),
+        up=settings.up,
         unit_m=settings.unit_m,
         sources=_sources(settings.bodies, str(path)),
     )
@@ -168,28 +175,33 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
             f"{where}: expected x and z, the axes of the joint '{settings.joint}' that point "
             "forward and up in the humanoid's zero pose"
         )
-    x, z = _axis(settings.x), _axis(settings.z)
-    if x @ z != 0.0:
+    if settings.x[1] == settings.z[1]:
         raise ConfigError(f"{where}: x is {settings.x} and z {settings.z}, expected two axes")
     if len(settings.turn_deg) != 3:
         raise ConfigError(f"{where}.turn_deg is {settings.turn_deg}, expected three numbers")
-    turn = np.radians(np.array(settings.turn_deg))
-    axes = torch.from_numpy(_quaternion(np.stack((x, np.cross(z, x), z), axis=1)))
-    extra = rotations.exp_map_to_quat(torch.from_numpy(turn))
-    return BodySource(settings.joint, rotations.quat_mul(axes, extra).numpy(), settings.level)
+    frame = body_frame(settings.x, settings.z, settings.turn_deg)
+    return BodySource(settings.joint, frame, settings.level)
 
 
-def _axis(name: str) -> FloatArray:
+def body_frame(x: str, z: str, turn_deg: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Return the rotation (4,) xyzw of a body's frame relative to its joint's.
+
+    Args:
+        x: the axis of the joint that points forward, of `AXES`.
+        z: the axis of the joint that points up.
+        turn_deg: (3,) a further rotation vector, in the axes x, left and z.
+    """
+    forward, up = axis_vector(x), axis_vector(z)
+    axes = torch.from_numpy(_quaternion(np.stack((forward, np.cross(up, forward), up), axis=1)))
+    extra = rotations.exp_map_to_quat(torch.from_numpy(np.radians(np.array(turn_deg))))
+    return rotations.quat_mul(axes, extra).numpy()
+
+
+def axis_vector(name: str) -> FloatArray:
+    """Return the unit vector (3,) of an axis of `AXES`."""
     axis = np.zeros(3)
     axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
     return axis
-
-
-def _to_z_up(up: str) -> FloatArray:
-    """Return the rotation (4,) that turns the axis `up` into z and the axis behind it into x."""
-    z = _axis(up)
-    x = np.roll(np.abs(z), 1)
-    return _quaternion(np.stack((x, np.cross(z, x), z)))
 
 
 def _quaternion(matrix: FloatArray) -> FloatArray:

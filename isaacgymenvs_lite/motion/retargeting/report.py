@@ -75,17 +75,19 @@ def deepest(points: FloatArray) -> float:
     return max(0.0, -float(points[..., 2].min()))
 
 
-def sliding_speeds(
-    points: FloatArray, fps: float, contact: Flags | None = None
-) -> tuple[float, float] | None:
-    """Return the median and the largest horizontal speed in m/s of points (T, ..., 3) in contact.
+def sliding_speeds(points: FloatArray, fps: float, contact: Flags) -> tuple[float, float] | None:
+    """Return the median and the largest horizontal speed in m/s of points in contact.
 
-    In contact are points below 1 cm, in this frame and the one before, and, where `contact` (T,
-    ...) is given, only those that it names. None: none ever is.
+    Args:
+        points: (T, ..., 3) m, of the soles.
+        fps: frames per second.
+        contact: (T, ...), which points rest on the ground in the source; a foot that swings close
+            above the ground does not rest. Points 1 cm above the ground or higher do not count.
+
+    Returns:
+        None if no point rests.
     """
     speed = np.linalg.norm(np.diff(points[..., :2], axis=0), axis=-1) * fps
-    touching = points[..., 2] < _ON_GROUND_M
-    if contact is not None:
-        touching &= contact
+    touching = contact & (points[..., 2] < _ON_GROUND_M)
     sliding = speed[touching[1:] & touching[:-1]]
     return (float(np.median(sliding)), float(sliding.max())) if sliding.size else None

@@ -16,10 +16,11 @@ from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip, poses_from_qpos
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, replanted
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
+from isaacgymenvs_lite.motion.retargeting.mapping_fit import check_fit
 from isaacgymenvs_lite.motion.retargeting.report import (
     KEY_BODIES,
     RetargetReport,
@@ -93,7 +94,10 @@ def load_bvh_source(
     fps: float | None = None,
 ) -> SourceMotion:
     """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`."""
-    source = cut(load_bvh(path, mapping.to_z_up, mapping.unit_m), start_s, end_s)
+    joints = [source.joint for source in mapping.sources.values()]
+    motion = read_bvh(path, joints)
+    check_fit(motion, mapping)
+    source = cut(motion.clip(mapping.to_z_up, mapping.unit_m), start_s, end_s)
     _warn_of_rest_pose(source)
     if fps is not None:
         source = resample(source, fps)
@@ -233,15 +237,23 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
     """Return what remains between a clip of a humanoid and its targets."""
     positions, turns = clip.global_poses()
     errors = np.linalg.norm(positions - targets.positions, axis=-1)
-    corners = skeleton.sole_corners(positions, turns)
+    feet = [clip.body_names.index(foot) for foot in FEET]
+    points = np.stack(
+        [
+            sole.places(positions[:, foot], turns[:, foot])
+            for sole, foot in zip(humanoid_figure(skeleton).soles.values(), feet, strict=True)
+        ],
+        axis=1,
+    )
+    contact = np.stack([targets.contacts[foot] for foot in FEET], axis=1)
     dofs = dofs_of_clip(skeleton, clip)
     lower, upper = skeleton.dof_limits.T
     near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
     return RetargetReport(
         scale=targets.scale,
         errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
-        deepest_m=deepest(corners),
-        slide_m_s=sliding_speeds(corners, clip.fps),
+        deepest_m=deepest(points),
+        slide_m_s=sliding_speeds(points, clip.fps, contact),
         limited_share=float(near.any(axis=1).mean()),
         fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
     )

@@ -7,7 +7,7 @@ the bodies are guessed by their names.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -176,7 +176,10 @@ _WORDS = {
     "hand": ("palm", "hand", "wrist"),
 }
 _NOT = re.compile(r"thumb|index|middle|ring_?\d|finger|pinky|little|toe|rubber")
-_SIDES = {"left": r"left|(^|_)l(_|$)|^l(?=[A-Z])", "right": r"right|(^|_)r(_|$)|^r(?=[A-Z])"}
+_SIDES = {
+    side: rf"{side}|(^|[_ .:]){side[0]}([_ .:]|$)|^[{side[0]}{side[0].upper()}](?=[A-Z])"
+    for side in SIDES
+}
 
 
 def guess_robot_mapping(
@@ -266,14 +269,14 @@ def _guess(model: mujoco.MjModel, names: Mapping[int, str], name: str) -> int | 
     side, _, part = name.partition("_") if name.startswith(SIDES) else ("", "", name)
     for pattern in _WORDS[part]:
         for of in (lambda i: names[i], lambda i: _joint_names(model, i)):
-            bodies = [i for i in names if _fits(of, i, pattern, side)]
+            bodies = [i for i in names if names_body(of(i), pattern, side)]
             if bodies:
                 return _of_chain(model, bodies, part)
     return None
 
 
-def _fits(of: Callable[[int], str], body: int, pattern: str, side: str) -> bool:
-    text = of(body)
+def names_body(text: str, pattern: str, side: str) -> bool:
+    """Return whether a name has the pattern of a body, and the side; "" is the middle."""
     lower = text.lower()
     if not re.search(pattern, lower) or _NOT.search(lower):
         return False

@@ -17,7 +17,6 @@ from isaacgymenvs_lite.utils import rotations
 
 SIDES = ("right", "left")
 FEET = tuple(f"{side}_foot" for side in SIDES)
-_SHORTEST_LEG_M, _LONGEST_LEG_M = 0.05, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +49,11 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
 
     Raises:
         ConfigError: the clip lacks a joint of the mapping.
-        MotionFileError: its legs are too short or too long to be legs.
     """
     mapping.check_joints(clip.body_names, clip.name)
     everywhere, attitudes = clip.global_poses()
     index = {body: clip.body_names.index(s.joint) for body, s in mapping.sources.items()}
-    source = SourceMotion(
+    return SourceMotion(
         name=clip.name,
         fps=clip.fps,
         places={body: everywhere[:, joint] for body, joint in index.items()},
@@ -66,13 +64,6 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
         },
         levelled=frozenset(foot for foot in FEET if mapping.sources[foot].level),
     )
-    if not _SHORTEST_LEG_M <= source.leg_length_m <= _LONGEST_LEG_M:
-        raise MotionFileError(
-            f"{clip.name}: its legs are {source.leg_length_m:.3g} m long with "
-            f"mapping={mapping.name}, expected {_SHORTEST_LEG_M:g} to {_LONGEST_LEG_M:g}; check "
-            "unit_m of the mapping"
-        )
-    return source
 
 
 def source_from_clip(clip: MotionClip) -> SourceMotion:

@@ -10,7 +10,12 @@ import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.contacts import CONTACT_LOW_M, Flags, pin_feet
+from isaacgymenvs_lite.motion.retargeting.contacts import (
+    CONTACT_LOW_M,
+    Flags,
+    find_contacts,
+    pin_feet,
+)
 from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole
 from isaacgymenvs_lite.motion.retargeting.source import (
     FEET,
@@ -48,8 +53,7 @@ class Targets:
             the source's directions; pelvis and feet are scaled by the length of the legs.
         turns: (T, 4) xyzw, attitudes of the bodies that follow the source's, by name.
         scale: the figure's leg length divided by the source's.
-        contacts: (T, K) of each foot, which points of its sole are held in place; empty where
-            the figure does not pin its feet.
+        contacts: (T, K) of each foot, which points of its sole rest on the ground.
     """
 
     positions: FloatArray
@@ -86,13 +90,15 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     contacts: dict[str, Flags] = {}
     for foot in FEET:
         column = figure.body_names.index(foot)
+        sole, feet = figure.soles[foot], positions[:, column]
         if figure.pins_feet:
             contacts[foot], positions[:, column], turns[foot] = pin_feet(
-                figure.soles[foot], positions[:, column], turns[foot], source.fps
+                sole, feet, turns[foot], source.fps
             )
         else:
             # Not below the ground, whatever the noise.
-            positions[:, column, 2] += np.maximum(ground - soles[foot], 0.0)
+            feet[:, 2] += np.maximum(ground - soles[foot], 0.0)
+            contacts[foot] = find_contacts(sole.places(feet, turns[foot]), source.fps)
     return Targets(positions, turns, scale, contacts)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.formats import deepmimic
@@ -153,9 +154,31 @@ def test_bad_files_are_refused(tmp_path: Path, humanoid, data: dict, message: st
     assert str(raised.value).startswith(str(path))
 
 
+@pytest.mark.parametrize(
+    ("columns", "family"),
+    [(19, "motion_imitation's of quadrupeds"), (61, "AMP_for_hardware's of quadrupeds"), (30, "")],
+)
+@pytest.mark.parametrize("suffix", ["txt", "json"])
+def test_rows_of_other_robots(tmp_path: Path, humanoid, columns: int, family: str, suffix) -> None:
+    path = tmp_path / f"clip.{suffix}"
+    path.write_text(json.dumps({"FrameDuration": 0.02, "Frames": [[0.5] * columns] * 3}))
+    for skeleton in (humanoid, Skeleton.from_mjcf(paths.assets_dir() / "mjcf" / "quadruped.xml")):
+        with pytest.raises(MotionFileError) as raised:
+            load_clips(path, skeleton)
+        line = str(raised.value)
+        assert f"its 'Frames' have {columns} columns" in line
+        assert family in line
+        assert "rows of 44 numbers" in line
+        assert line.endswith("in the order of its MJCF file; with robot=FILE file_fps=50")
+
+
 def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> None:
     path = tmp_path / "clip.txt"
-    for text, message in (("walk!", "no JSON text"), ("[1]", "a JSON list")):
+    for text, message in (
+        ("walk!", "no JSON text"),
+        ("0 1 2\n", "of 3 columns, which"),
+        ("[1]", "a JSON list"),
+    ):
         path.write_text(text)
         with pytest.raises(MotionFileError, match=message):
             deepmimic.load_deepmimic(path, humanoid)

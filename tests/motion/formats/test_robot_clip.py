@@ -12,7 +12,11 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.robot_clip import looks_like_joint_clip, read_joint_clip
+from isaacgymenvs_lite.motion.formats.robot_clip import (
+    looks_like_joint_clip,
+    read_joint_clip,
+    read_joint_clips,
+)
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_joints import G1_29, G1_29_BREADTH_FIRST
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
@@ -95,6 +99,73 @@ def test_mimickit(tmp_path):
     frames = np.hstack((position, exp_map, dofs)).tolist()
     path = write_pickle(tmp_path / "a.pkl", {"fps": 30, "loop_mode": 0, "frames": frames})
     check(read_joint_clip(path), arrays(6), 30.0)
+
+
+def dump(path, data, how):
+    """Write a dictionary as users do: pickle, joblib, joblib compressed, numpy."""
+    if how == "pickle":
+        path.write_bytes(pickle.dumps(data))
+    elif how == "numpy":
+        np.save(path, data, allow_pickle=True)
+    else:
+        pytest.importorskip("joblib").dump(data, path, compress=how == "compressed")
+
+
+@pytest.mark.parametrize(
+    ("how", "suffix"),
+    [("pickle", "pkl"), ("joblib", "pkl"), ("compressed", "pickle"), ("numpy", "npy")],
+)
+def test_motions_by_name(tmp_path, how, suffix):
+    """As PHC and the tools after it write them."""
+    position, rotation, dofs = arrays(6)
+    motion = {"root_trans_offset": position, "root_rot": rotation, "pose_aa": np.zeros((4, 9, 3))}
+    motion |= {"dof": np.asfortranarray(dofs)[..., None], "fps": np.int64(50)}
+    path = tmp_path / f"a.{suffix}"
+    dump(path, {"only/one": motion}, how)
+    check(read_joint_clip(path), arrays(6), 50.0)
+    assert looks_like_joint_clip(path)
+    still = motion | {"root_trans_offset": position.astype(np.float32) * [0.0, 0.0, 1.0]}
+    dump(path, {"walk": motion, "b/stand 1": still}, how)
+    walk, stand = read_joint_clips(path)
+    check(walk, arrays(6), 50.0)
+    assert np.all(stand.root_pos[:, 0] == 0.0)
+    assert read_joint_clip(f"{path}:b/stand 1").name == f"{path}:b/stand 1"
+    with pytest.raises(
+        MotionFileError, match=r"2 motions \(walk, b/stand 1\); give one, as .*:walk"
+    ):
+        read_joint_clip(path)
+    with pytest.raises(MotionFileError, match="no motion 'run'; it has walk, b/stand 1"):
+        read_joint_clip(f"{path}:run")
+
+
+@pytest.mark.parametrize("as_array", [True, False])
+@pytest.mark.parametrize("key", ["joint_names", "dof_names", ""])
+@pytest.mark.parametrize(("how", "suffix"), [("pickle", "pkl"), ("numpy", "npy")])
+def test_names_of_joints_in_a_dictionary(tmp_path, how, suffix, key, as_array):
+    position, rotation, dofs = arrays(3)
+    names = ["c", "a", "b"]
+    data = {"root_pos": position, "root_rot": rotation, "dof_pos": dofs[:, [2, 0, 1]]}
+    if key:
+        data[key] = np.array(names) if as_array else names
+    else:
+        data["dof_pos"] = dict(zip(names, data["dof_pos"].T, strict=True))
+    path = tmp_path / f"a.{suffix}"
+    dump(path, data, how)
+    with pytest.raises(MotionFileError, match=r"has no fps; give file_fps="):
+        read_joint_clip(path)
+    clip = read_joint_clip(path, fps=25.0)
+    assert clip.joint_names == tuple(names)
+    check(clip.fitted_to(["a", "b", "c"]), arrays(3), 25.0)
+
+
+def test_an_array_of_joblib_that_lies_about_its_size_is_refused(tmp_path):
+    path = tmp_path / "a.pkl"
+    dump(path, {"fps": 30, "frames": np.zeros((2, 9))}, "joblib")
+    content = path.read_bytes()
+    assert content.count(b"K\x02K\x09\x86") == 1
+    path.write_bytes(content.replace(b"K\x02K\x09\x86", b"J\xff\xff\xff\x00K\x09\x86"))
+    with pytest.raises(MotionFileError, match="no dictionary of a robot's clip"):
+        read_joint_clip(path)
 
 
 def test_code_in_a_pickle_is_not_run(tmp_path):

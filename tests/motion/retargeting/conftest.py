@@ -5,7 +5,6 @@ They are written by forward kinematics alone, with the joints, channels and unit
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -162,6 +161,9 @@ def _write_bvh(
     size: float = 1.0,
     arms: float = 1.0,
     order: str = "",
+    axes: Rotation | None = None,
+    joint_axes: Rotation | None = None,
+    unit_m: float | None = None,
 ) -> Path:
     """Write a clip of the humanoid as the motion of a rig.
 
@@ -172,8 +174,15 @@ def _write_bvh(
         size: its size divided by the humanoid's; its height over the ground scales too.
         arms: the length of its arms, by what the humanoid's would be at this size.
         order: of the rotation channels; "": the rig's.
+        axes: from the usual axes of the files to the axes of this file.
+        joint_axes: the same of all joints.
+        unit_m: m per unit of length; None: the rig's.
     """
-    rig = dataclasses.replace(rig, order=order or rig.order)
+    frames = rig.frames
+    if joint_axes is not None:
+        frames = {body: joint_axes * frame for body, frame in frames.items()}
+    rig = Rig(rig.joints, frames, unit_m or rig.unit_m, order or rig.order)
+    to_file = TO_FILE if axes is None else axes * TO_FILE
     positions, turns = clip.global_poses()
     world: dict[str, Rotation] = {}
     offsets: dict[str, np.ndarray] = {}
@@ -184,7 +193,7 @@ def _write_bvh(
         holder[name] = body or above
         own = holder[name]
         index = clip.body_names.index(own)
-        world[name] = TO_FILE * Rotation.from_quat(turns[:, index]) * rig.frames[own].inv()
+        world[name] = to_file * Rotation.from_quat(turns[:, index]) * rig.frames[own].inv()
         if not parent:
             local, offsets[name] = world[name], np.zeros(3)
         else:
@@ -197,7 +206,7 @@ def _write_bvh(
                 offset = rig.frames[own].apply([0.12, 0.0, -0.03])
             offsets[name] = offset * size / rig.unit_m
         angles[name] = local.as_euler(rig.order, degrees=True)
-    root = TO_FILE.apply(positions[:, 0]) * size / rig.unit_m
+    root = to_file.apply(positions[:, 0]) * size / rig.unit_m
     rows = np.concatenate([root, *[angles[name] for name, _, _ in rig.joints]], axis=1)
     head = [*_hierarchy(rig, offsets, ""), "MOTION", f"Frames: {clip.num_frames}"]
     head.append(f"Frame Time: {1.0 / clip.fps:.6f}")

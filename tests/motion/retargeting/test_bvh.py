@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import MissingPackageError, MotionFileError
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.bvh import drop_inner_positions, load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 
 
@@ -22,7 +23,7 @@ def walk_file(tmp_path: Path, write_bvh) -> Path:
 
 def read(path: Path, mapping: str = "lafan1"):
     chosen = load_mapping(mapping)
-    return load_bvh(path, chosen.to_z_up, chosen.unit_m), chosen
+    return read_bvh(path).clip(chosen.to_z_up, chosen.unit_m), chosen
 
 
 @pytest.mark.parametrize(
@@ -92,8 +93,9 @@ def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
     )
 
 
-def test_a_position_of_one_axis_counts_for_that_axis() -> None:
-    text = """HIERARCHY
+def test_a_position_of_one_axis_counts_for_that_axis(tmp_path: Path) -> None:
+    path = tmp_path / "a.bvh"
+    path.write_text("""HIERARCHY
 ROOT a
 {
 OFFSET 0 0 0
@@ -113,12 +115,69 @@ Frames: 2
 Frame Time: 0.1
 1 2 3 4 5 6 2.5 8 9 10
 1 2 3 4 5 6 2.5 8 9 10
-"""
-    lines = drop_inner_positions(text, "a.bvh").splitlines()
-    assert "OFFSET 1 2.5 3" in lines
-    assert "OFFSET 7 7 7" in lines
-    assert "CHANNELS 3 Zrotation Yrotation Xrotation" in lines
-    assert lines[-2:] == ["1 2 3 4 5 6 8 9 10"] * 2
+""")
+    clip = read_bvh(path).clip(np.array((0.0, 0.0, 0.0, 1.0)), 1.0)
+    np.testing.assert_allclose(clip.local_translation[1], (1, 2.5, 3))
+    b = Rotation.from_euler("ZYX", (8, 9, 10), degrees=True).as_quat()
+    np.testing.assert_allclose(clip.local_rotation[:, 1], (b, b), atol=1e-9)
+
+
+def below_other_joints(text: str, rotate_root: float, root_channels: str, sway: float) -> str:
+    """Put two joints above the hips, without a change of the hips' motion.
+
+    Args:
+        text: of a file of LAFAN1's skeleton.
+        rotate_root: degrees about x, of the new ROOT, which stands still.
+        root_channels: of the new ROOT.
+        sway: degrees about y, by which the joint below it turns to and fro, with its offset.
+    """
+    head, rows = text.split("MOTION\n")
+    motion = rows.splitlines()
+    above = f"""HIERARCHY
+ROOT Root
+{{
+OFFSET 1 2 3
+CHANNELS {root_channels}
+JOINT Reference
+{{
+OFFSET 10 20 30
+CHANNELS 3 Yrotation Xrotation Zrotation
+JOINT Hips"""
+    head = head.replace("HIERARCHY\nROOT Hips", above) + "}\n}\n"
+    root = Rotation.from_euler("X", rotate_root, degrees=True)
+    first = [rotate_root if name == "Xrotation" else 0.0 for name in root_channels.split()[1:]]
+    for i, line in enumerate(motion[2:], 2):
+        values = np.array(line.split(), dtype=float)
+        turn = root * Rotation.from_euler("Y", sway * np.sin(i), degrees=True)
+        place = turn.inv().apply(values[:3] - np.array((1.0, 2.0, 3.0)) - root.apply((10, 20, 30)))
+        hips = turn.inv() * Rotation.from_euler("ZYX", values[3:6], degrees=True)
+        inner = (sway * np.sin(i), 0.0, 0.0, *place, *hips.as_euler("ZYX", degrees=True))
+        motion[i] = " ".join(f"{x:.9f}" for x in (*first, *inner, *values[6:]))
+    return "MOTION\n".join((head, "\n".join(motion)))
+
+
+@pytest.mark.parametrize(
+    ("rotate_root", "root_channels", "sway"),
+    [
+        (0.0, "6 Xposition Yposition Zposition Zrotation Yrotation Xrotation", 0.0),
+        (90.0, "3 Zrotation Yrotation Xrotation", 0.0),
+        (-90.0, "6 Zrotation Yrotation Xrotation Zposition Xposition Yposition", 40.0),
+        (0.0, "0", 25.0),
+    ],
+)
+def test_joints_above_the_hips_are_part_of_the_roots_motion(
+    walk_file: Path, write_bvh, rotate_root: float, root_channels: str, sway: float
+) -> None:
+    """As in files of BONES-SEED, SOMA and Bandai-Namco, whose ROOT stands still."""
+    before, mapping = read(walk_file)
+    text = below_other_joints(walk_file.read_text(), rotate_root, root_channels, sway)
+    walk_file.write_text(text)
+    joints = [source.joint for source in mapping.sources.values()]
+    after = read_bvh(walk_file, joints).clip(mapping.to_z_up, mapping.unit_m)
+    assert after.body_names == before.body_names
+    (places, turns), (before_places, before_turns) = after.global_poses(), before.global_poses()
+    np.testing.assert_allclose(places, before_places, atol=1e-6)
+    np.testing.assert_allclose(np.abs((turns * before_turns).sum(axis=-1)), 1.0, atol=1e-9)
 
 
 def test_joints_that_move_within_their_parents_are_refused(walk_file: Path) -> None:
@@ -141,7 +200,7 @@ def test_frames_of_another_length_than_the_channels(walk_file: Path) -> None:
 def test_joints_with_positions_and_no_frames(walk_file: Path) -> None:
     text = with_all_positions(walk_file.read_text(), lambda offset, frame: offset)
     walk_file.write_text(text[: text.index("MOTION")] + "MOTION")
-    with pytest.raises(MotionFileError, match="there are no frames behind 'MOTION'"):
+    with pytest.raises(MotionFileError, match="there are no frames after 'MOTION'"):
         read(walk_file)
 
 

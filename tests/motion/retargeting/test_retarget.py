@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from pathlib import Path
 
@@ -14,9 +15,15 @@ from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
+from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.report import KEY_BODIES
-from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
+from isaacgymenvs_lite.motion.retargeting.retarget import (
+    humanoid_report,
+    load_bvh_source,
+    retarget_bvh,
+)
+from isaacgymenvs_lite.motion.retargeting.targets import make_targets
 from tests.packages import needs
 from tools.clip_synthesis.checks import foot_figures
 
@@ -55,6 +62,22 @@ def test_feet_stay_on_the_ground(tmp_path: Path, write_bvh, humanoid) -> None:
     assert figures.deepest_m < 1e-3
     assert figures.worst_slip_m < 3e-3  # the clip itself: 0.0 mm
     assert figures.flight_share == 0.0
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "walk_slow"])
+def test_feet_that_swing_close_to_the_ground_do_not_slide(
+    tmp_path: Path, write_bvh, humanoid, name: str
+) -> None:
+    path = write_bvh(tmp_path / "a.bvh", load_clips(name)[0][0], "cmu")
+    targets = make_targets(load_bvh_source(path, load_mapping("cmu")), humanoid_figure(humanoid))
+    clip = retarget_bvh(path, load_mapping("cmu"), humanoid)
+    median, largest = humanoid_report(clip, targets, humanoid).slide_m_s or (np.inf, np.inf)
+    assert median < 0.01
+    assert largest < 0.5
+    drift = np.arange(clip.num_frames)[:, None] / clip.fps * (0.0, 0.8, 0.0)
+    sliding = dataclasses.replace(clip, root_translation=clip.root_translation + drift)
+    median, _ = humanoid_report(sliding, targets, humanoid).slide_m_s or (0.0, 0.0)
+    assert median == pytest.approx(0.8, abs=0.01)
 
 
 def test_joint_limits_hold(tmp_path: Path, write_bvh, humanoid, make_humanoid_clip, about) -> None:

@@ -15,7 +15,7 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.editing import cut
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.retargeting.bvh import load_bvh
+from isaacgymenvs_lite.motion.retargeting.bvh import read_bvh
 from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_robot
 from isaacgymenvs_lite.motion.retargeting.retarget import RobotMotion, retarget_to_robot
@@ -138,7 +138,7 @@ def test_the_g1_moves_within_its_limits_and_as_reported(g1_model, g1, name) -> N
 def test_a_bvh_file_moves_the_robot_as_the_clip_does(tmp_path: Path, write_bvh, g1, rig) -> None:
     path = write_bvh(tmp_path / "a.bvh", load_clips("walk")[0][0], rig, size=1.2)
     mapping = load_mapping(rig)
-    source = source_from_bvh(load_bvh(path, mapping.to_z_up, mapping.unit_m), mapping)
+    source = source_from_bvh(read_bvh(path).clip(mapping.to_z_up, mapping.unit_m), mapping)
     motion = retarget_to_robot(source, g1)
     # The search ends with steps of 1e-3 rad; poses that the goals leave open differ by more.
     np.testing.assert_allclose(motion.qpos, retargeted("walk", g1).qpos, atol=0.02)
