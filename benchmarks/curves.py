@@ -41,7 +41,7 @@ _PANELS = {
 # Columns of the course of a run: scalar -> title, format.
 _COURSE = {
     "episode_length": ("episode length in training", ".0f"),
-    "fall_rate": ("falls in training, or off the clip", ".0%"),
+    "fall_rate": ("falls in training", ".0%"),
     "style_reward": ("style reward", ".2f"),
     "disc_agent_acc": ("accuracy: policy", ".2f"),
     "disc_demo_acc": ("accuracy: clip", ".2f"),

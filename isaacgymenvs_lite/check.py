@@ -44,7 +44,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
-from isaacgymenvs_lite.paths import cfg_dir, user_path
+from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import select
 
 EXIT_DOES_NOT_WORK = 1
@@ -186,7 +186,8 @@ def _find(file: str) -> Path:
     for group in ("train", "task"):
         if published := missing_choice(group, given.stem):
             raise ConfigError(f"{file}: no such file; {published}")
-    names = [path.stem for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
+    files = [path for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
+    names = [path.stem for path in files if path.stem not in PARTS]
     raise ConfigError(
         f"{file}: no such file, and no name of a file in {cfg_dir() / 'train'} or"
         f" {cfg_dir() / 'task'}{suggest(given.stem, names)}"
@@ -233,7 +234,7 @@ def _task_of(path: Path, content: DictConfig) -> str:
     Raises:
         ConfigError: there is no such task.
     """
-    names = [file.stem for file in (cfg_dir() / "task").glob("*.yaml")]
+    names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
     capital = re.match(r"[A-Z]", named)  # MyRobot; ASE's files are called amp_humanoid
     of_its_own = is_foreign(path) and capital and run == named and named not in names

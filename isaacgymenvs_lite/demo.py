@@ -8,8 +8,8 @@
 For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
 the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
 video shows the first one. For skills, policies with a goal and the classic tasks, the video shows
-the first three of 16 episodes, and the goals; skills start from the default pose. Without a
-terminal to ask in, all policies are shown whose clips are installed.
+the first three of 16 episodes, and the goals; skills start from the default pose. The best policies
+come first. Without a terminal to ask in, all policies are shown whose clips are installed.
 """
 
 from __future__ import annotations
@@ -54,6 +54,11 @@ _LABELS = ("reference clip", "policy")
 _SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
 _SHOWN_EPISODES = 3
 _POSES_OF_A_STRIP = 8
+# What the README shows comes first.
+_BEST_FIRST = (
+    *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
+    *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),
+)
 # A panel's width and height in pixels, and how many control steps pass from frame to frame.
 _SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
 
@@ -100,7 +105,7 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     Raises:
         UserError: no such policy, no way to draw or encode, a folder that cannot be written.
     """
-    names = _names(settings.policies, shipped_policy_infos())
+    names = _names(settings.policies, _best_first(shipped_policy_infos()))
     ensure_gl()  # fails before the play
     folder = Path(settings.out)
     try:
@@ -108,7 +113,8 @@ def run_demo(settings: DemoSettings) -> list[Path]:
     except OSError as error:
         raise ConfigError(f"out={settings.out}: cannot be made ({error.strerror})") from error
     files = []
-    for name in names:
+    for number, name in enumerate(names, start=1):
+        log.info("%s, %d of %d: playing and drawing", name, number, len(names))
         performance = perform(name, settings.seconds)
         path = save_performance(performance, folder / f"{name}.{settings.format}")
         size_kib = path.stat().st_size / 1024
@@ -116,6 +122,11 @@ def run_demo(settings: DemoSettings) -> list[Path]:
         log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
         files.append(path)
     return files
+
+
+def _best_first(infos: Mapping[str, PolicyInfo]) -> dict[str, PolicyInfo]:
+    known = [name for name in _BEST_FIRST if name in infos]
+    return {name: infos[name] for name in (*known, *infos)}
 
 
 def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
@@ -181,7 +192,9 @@ def perform(name: str, seconds: float) -> Performance:
             tuple(tracks),
             _LABELS if imitates else (),
             () if imitates else tuple(recorder.markers()),
-            str(result.imitation) if imitates else _summary(result, cfg),
+            f"{result.num_episodes} episodes: {result.imitation}"
+            if imitates
+            else _summary(result, cfg),
         )
 
 

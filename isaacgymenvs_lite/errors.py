@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
-MAX_MESSAGE = 500
+MAX_MESSAGE = 2000
 """Characters of a message. Of a longer one the middle is left out: the beginning has the file or
 the key, the end what to do next."""
 _KEPT_END = 160
@@ -123,7 +123,9 @@ def listed(names: Sequence[str], most: int = 8) -> str:
 
 def suggest(given: str, choices: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the nearest of `choices`, or "" if none is near."""
-    near = difflib.get_close_matches(str(given), [str(choice) for choice in choices], n=1)
+    names = [str(choice) for choice in choices]
+    near = [name for name in names if name.lower() == str(given).lower()]
+    near = near or difflib.get_close_matches(str(given), names, n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 

@@ -19,7 +19,7 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import PARTS, cfg_dir
 
 NAMESPACE = "IsaacGymEnvsLite"
 ENTRY_POINTS = "isaacgymenvs_lite.tasks"
@@ -100,9 +100,9 @@ def _register(task: str) -> None:
 
 
 def _shipped() -> list[str]:
-    """Return the task files that name a task; the others are bases of them."""
+    """Return the names of the task files."""
     files = sorted((cfg_dir() / "task").glob("*.yaml"))
-    return [file.stem for file in files if re.search("^name:", file.read_text(), re.MULTILINE)]
+    return [file.stem for file in files if file.stem not in PARTS]
 
 
 class _WhenImported(MetaPathFinder):

@@ -14,6 +14,10 @@ from isaacgymenvs_lite.errors import ConfigError
 _PACKAGE_DIR = Path(__file__).resolve().parent
 
 
+PARTS = ("Classic", "HumanoidRandomization", "RobotRandomization", "ClassicPPO", "ClassicSAC")
+"""Files of cfg/ that tasks and trainings are made of, and that are none by themselves."""
+
+
 def cfg_dir() -> Path:
     """Return the folder that holds config.yaml, task/, train/ and pbt/."""
     return _data_dir("cfg", marker="config.yaml")

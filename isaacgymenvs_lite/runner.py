@@ -73,7 +73,7 @@ from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.schema import leaves
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.typed_command import TypedCommand
+from isaacgymenvs_lite.typed_command import TypedCommand, package_command
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.viewers.start import Viewers
@@ -187,6 +187,8 @@ def _train(
             if group.is_main:
                 launch.folder.create(launch.repeatable)
         task, observers = training.task, training.observers
+        if group.is_main:
+            _log_opening(launch, training)
         observers.begin = launch.begin
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
@@ -689,7 +691,27 @@ def _measurement_observer(
     )
 
 
-# --- the end of a run ---------------------------------------------------------------------------
+# --- the start and the end of a run ---------------------------------------------------------
+
+
+def _log_opening(launch: _Launch, training: _Training) -> None:
+    """Log what is trained on what, where its results are, and how to look at them."""
+    cfg, folder = launch.cfg, launch.folder
+    clip = cfg.task.env.get("motion_file")
+    on = f" on {Path(str(clip)).name}" if clip and hasattr(training.task, "motion_lib") else ""
+    log.info(
+        "training %s with %s%s in %d environments: %s",
+        *(cfg.task.name, cfg.train.params.algo.name, on, launch.num_envs, folder.path),
+    )
+    log.info(
+        "its curves: tensorboard --logdir %s; a page: %s",
+        *(folder.train_dir, package_command("report", str(folder.path))),
+    )
+    if training.objective is POSE_ERROR:
+        log.info(
+            "the style reward falls at first, while the discriminator learns; longer episodes and a"
+            " smaller pose error show that the policy learns"
+        )
 
 
 def _played(result: EvaluationResult | None, objective: Objective) -> float | None:

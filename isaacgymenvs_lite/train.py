@@ -119,7 +119,7 @@ def _run_hydra() -> None:
 
         _run_job(resumed_tree(sys.argv[1:]), command)
         return
-    _check_options(sys.argv[1:])
+    sys.argv[1:] = _options_first(sys.argv[1:])
     command = command.after(inherited_settings(sys.argv[1:]))
     sys.argv[1:] = complete_arguments(sys.argv[1:])
     register_resolvers()
@@ -207,15 +207,15 @@ def _explain(error: Exception, files: NamedFiles) -> ConfigError:
     return explain(error, args.overrides, loader, args.config_name or CONFIG_NAME)
 
 
-def _check_options(arguments: Sequence[str]) -> None:
-    """Refuse options with dashes that are not Hydra's, such as those of ASE's launcher.
+def _options_first(arguments: Sequence[str]) -> list[str]:
+    """Return the command line with Hydra's options before the settings, as Hydra reads them.
 
     Raises:
-        ConfigError: there is one.
+        ConfigError: an option with dashes is not Hydra's, such as those of ASE's launcher.
     """
     parser = options_parser()
     parser.allow_abbrev = False
-    options, others = parser.parse_known_args(list(arguments))
+    options, others = parser.parse_known_intermixed_args(list(arguments))
     if options.experimental_rerun is not None:
         raise ConfigError(
             "--experimental-rerun reads a pickle, which can run code; give the words of the command"
@@ -227,6 +227,10 @@ def _check_options(arguments: Sequence[str]) -> None:
             f"unknown option '{others[0]}': settings are written without dashes, {name}=<value>; "
             "--help lists them"
         )
+    first = list(arguments)
+    for word in options.overrides:
+        first.remove(word)
+    return [*first, *options.overrides]
 
 
 def _fail(error: UserError) -> NoReturn:

@@ -73,9 +73,9 @@ def test_every_shipped_policy_is_played_measured_and_filmed(tmp_path, monkeypatc
         assert frames[0].shape == (64, 96, 3)
         assert min(frame.mean() for frame in frames) > 100
         assert np.abs(frames[8].astype(int) - frames[0]).max() > 60
-        assert f"{name}: pose error 0." in caplog.text
+        assert f"{name}: 16 episodes: pose error 0." in caplog.text
         assert f"{name}: wrote demo/{name}.mp4" in caplog.text
-    assert "of 16 episodes without a fall" in caplog.text
+    assert "without a fall" in caplog.text
     assert not (tmp_path / "runs").exists()
 
 
@@ -138,7 +138,7 @@ def test_skills_are_shown_in_several_environments(pack_skills, tmp_path):
     np.testing.assert_allclose(first[0, 7:], second[0, 7:], atol=0.3)  # one step from default
     assert np.abs(first[8] - second[8]).max() > 1e-3  # other latents
     assert "pose error" not in performance.summary
-    assert "of 16 episodes without a fall" in performance.summary
+    assert "without a fall" in performance.summary
     path = demo.save_performance(performance, tmp_path / "skills.webp")
     with PIL.Image.open(path) as image:
         assert image.size == (3 * 48, 64)
@@ -216,7 +216,7 @@ def test_a_policy_with_a_goal_is_shown_with_its_goals():
     assert performance.labels == ()
     assert any(marker for figures in performance.markers for marker in figures)
     assert "velocity_error_m_s 0." in performance.summary
-    assert "of 16 episodes without a fall" in performance.summary
+    assert "without a fall" in performance.summary
 
 
 @pytest.mark.parametrize(

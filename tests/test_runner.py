@@ -624,6 +624,7 @@ def test_the_best_checkpoint_earns_what_was_measured(algorithm, in_tmp, caplog):
         "lstm": [*TINY_LSTM, *ONE_THREAD],
         "sac": [*TINY_SAC, *ONE_THREAD, "max_iterations=6", "task.env.episodeLength=30"],
     }[algorithm]
+    words.append(f"++{CONFIG}.imitation_frequency=1")
     with caplog.at_level("INFO"):
         best = run(compose(words))
     (played,) = re.findall(r"checkpoint=(\S+\.pth|last)", caplog.text)[-1:]

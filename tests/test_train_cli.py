@@ -174,9 +174,26 @@ def test_config_can_be_shown_without_running(call: Call, runner, capsys):
     assert runner.runs == []
 
 
-def test_help_lists_the_groups(call: Call, runner, capsys):
+def test_help_is_a_screen_with_examples(call: Call, runner, capsys):
     assert call("--help") == 0
-    assert "task: Ant, AntSAC, Anymal, " in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 40
+    assert sum("python train.py task=" in line or "train.py resume=" in line for line in lines) >= 5
+
+
+def test_options_may_stand_between_settings(call: Call, runner, capsys):
+    assert call("task=Cartpole", "-m", "seed=1,2") == 0
+    assert [cfg.seed for cfg in runner.runs] == [1, 2]
+    assert call("task=Cartpole", "--cfg", "job", "--package", "task.env", "num_envs=5") == 0
+
+
+def test_choices_are_whole_and_tasks_only(call: Call, runner, capsys):
+    assert call("task=HumanoidAmp") == 2
+    said = capsys.readouterr().err
+    assert "(did you mean 'HumanoidAMP'?)" in said
+    assert "Cartpole, Humanoid, " in said  # without Classic, of which tasks are made
+    assert call("train.params.config.foo=1") == 2
+    assert " ... " not in capsys.readouterr().err
 
 
 def test_a_shipped_policy_brings_its_settings_along(call: Call, runner, monkeypatch):

@@ -21,7 +21,11 @@ CONFIG = "train.params.config"
 
 ONE_THREAD = ("num_threads=1", "rl_device=cpu")
 
+NOT_MEASURED = f"++{CONFIG}.imitation_frequency=0"
+"""No episodes of the mean policy, which take longer than a tiny training."""
+
 TINY_PPO = (
+    NOT_MEASURED,
     "num_envs=4",
     *ONE_THREAD,
     "max_iterations=2",
@@ -39,13 +43,14 @@ TINY_DISCRIMINATOR = (
     f"{CONFIG}.amp_replay_buffer_size=64",
 )
 
-TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR, f"{CONFIG}.imitation_frequency=0")
-"""Of AMP, without measurements of the imitation."""
+TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR)
+"""Of AMP."""
 
 TINY_STYLE = ("train.params.network.style.units=[10,6]", f"{CONFIG}.warm_start_steps=0")
 """What ASE needs beside TINY_AMP."""
 
 TINY_LSTM = (
+    NOT_MEASURED,
     *("task=Cartpole", "train=AnymalTerrainPPO_LSTM", "num_envs=16", "max_iterations=2"),
     "train.params.network.rnn.units=8",
     "train.params.network.mlp.units=[16]",
@@ -62,6 +67,7 @@ ASYMMETRIC_CRITIC = (
 """The section of an asymmetric critic, complete."""
 
 TINY_SAC = (
+    NOT_MEASURED,
     *("task=AntSAC", "train=AntSAC", "num_envs=8"),
     f"{CONFIG}.batch_size=64",
     f"{CONFIG}.num_warmup_steps=2",

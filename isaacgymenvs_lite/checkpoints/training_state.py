@@ -91,7 +91,7 @@ def write_training_state(
     file, buffers = _files_of(folder / f"{epoch}.pth", rank)
     files, too_large = [file], None
     if state.buffers is not None:
-        size = _num_bytes(state.buffers)
+        size = num_bytes(state.buffers)
         if size < MAX_FILE_BYTES:
             write_atomically(buffers, {"token": token, "buffers": state.buffers})
             files.append(buffers)
@@ -290,7 +290,8 @@ def run_of_file(file: Path) -> Path:
     return run_of_checkpoint(str(file)) or file.absolute().parent.parent
 
 
-def _num_bytes(value: Any) -> int:
+def num_bytes(value: Any) -> int:
+    """Return the bytes of all tensors in nested dictionaries."""
     if isinstance(value, dict):
-        return sum(_num_bytes(part) for part in value.values())
+        return sum(num_bytes(part) for part in value.values())
     return value.nbytes if hasattr(value, "nbytes") else 0

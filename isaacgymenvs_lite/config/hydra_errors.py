@@ -12,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.hydra_bridge import CONFIG_NAME, Loader, parse_overrides
 from isaacgymenvs_lite.config.published_names import missing_choice
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
+from isaacgymenvs_lite.paths import PARTS
 from isaacgymenvs_lite.schema import leaves, nearest
 
 # What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
@@ -100,16 +101,17 @@ def _missing_file(error: MissingConfigException, overrides: Sequence[str]) -> Co
             f"{group}={name} needs packages that are not installed;"
             ' pip install "isaacgymenvs-lite[sweep]"'
         )
+    options = [option for option in error.options if option not in PARTS]
     if (published := missing_choice(group, name)) is not None:
-        return ConfigError(f"{published}; choices: {', '.join(sorted(error.options))}")
+        return ConfigError(f"{published}; choices: {', '.join(sorted(options))}")
     if group != "train":
         next_step = f"your own files go into cfg/{group} or below a --config-dir"
-        return ConfigError(unknown(group, name, error.options, next_step))
+        return ConfigError(unknown(group, name, options, next_step))
     if any(override.key_or_group == "train" for override in parse_overrides(overrides)):
-        return ConfigError(unknown("train file", name, error.options))
+        return ConfigError(unknown("train file", name, options))
     return ConfigError(
         f"there is no default train file '{name}' for this task: name one with train=; "
-        f"choices: {', '.join(sorted(error.options))}"
+        f"choices: {', '.join(sorted(options))}"
     )
 
 

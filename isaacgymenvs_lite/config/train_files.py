@@ -14,7 +14,7 @@ from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.train_params import fit_to_envs, set_device
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
-from isaacgymenvs_lite.paths import cfg_dir, user_path
+from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import plain
 
 _MAX_FILES = 50
@@ -111,7 +111,7 @@ def _find(path: Path | str, group: str = "train") -> Path:
         named = folder / f"{file.stem}.yaml"
         if named.is_file():
             return named
-        names = [other.stem for other in folder.glob("*.yaml")]
+        names = [other.stem for other in folder.glob("*.yaml") if other.stem not in PARTS]
         raise ConfigError(unknown(f"{group} file", str(path), names, "or give the path of a file"))
     in_project = cfg_dir().parent / file
     in_package = folder / file.name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,16 +60,15 @@ class EvaluationResult:
 
     def __str__(self) -> str:
         """Return one line for users."""
-        parts = [
-            f"{self.num_episodes} episodes",
-            f"reward {self.reward:.2f}",
-            f"episode length {self.steps:.1f} steps",
-        ]
+        parts = [f"{self.num_episodes} episodes"]
+        if not math.isclose(self.reward, self.steps, rel_tol=1e-6):  # 1 a step is no reward
+            parts.append(f"reward {self.reward:.2f}")
+        parts.append(f"episode length {self.steps:.1f} steps")
         if self.style_reward is not None:
             parts.append(f"style reward {self.style_reward:.3f} per step")
         parts += [f"{name} {mean:.3f}" for name, mean in self.goal_errors.items()]
         if self.imitation is None:
-            parts.insert(3, f"falls {self.falls:.0%}")
+            parts.append(f"falls {self.falls:.0%}")
         else:
             parts.append(str(self.imitation))  # with its own share of falls
         return "; ".join(parts)

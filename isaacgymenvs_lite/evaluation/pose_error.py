@@ -214,7 +214,7 @@ class ImitationResult:
     def __str__(self) -> str:
         shown = "" if math.isnan(self.motion_shown) else f", {self.motion_shown:.0%} of the motion"
         error = f"pose error {self.pose_error_m:.3f} m at tempo {self.tempo:.2f}"
-        return f"{error}{shown}, {self.falls()}"
+        return f"{error}{shown}, {self.no_fall_share:.0%} without a fall"
 
     def falls(self) -> str:
         """Return, for users, how the episodes ended."""

@@ -20,6 +20,7 @@ from rl_games.interfaces.base_algorithm import BaseAlgorithm
 from isaacgymenvs_lite.checkpoints.training_state import (
     TrainingState,
     new_token,
+    num_bytes,
     read_training_state,
     remove_other_states,
     write_training_state,
@@ -35,13 +36,16 @@ from isaacgymenvs_lite.utils.object_state import (
 )
 
 log = logging.getLogger(__name__)
+_FEW_EPOCHS = 20
+_LARGE_BYTES = 2**25
 
 
 class Resuming(BaseAlgorithm):
     """Writes training states, and goes on from one.
 
-    Config keys: `save_frequency` (epochs between two states), `save_buffers` (False leaves the
-    replay buffers out), and `resume`, which the runner sets: the file to go on from.
+    Config keys: `save_frequency` (epochs between two states), `save_buffers` (True or False stores
+    the replay buffers or leaves them out; without the key large ones are left out in the first 20
+    epochs), and `resume`, which the runner sets: the file to go on from.
 
     Attributes:
         stored: names of attributes to store beside the checkpoint, of this class; those of its
@@ -102,9 +106,10 @@ class Resuming(BaseAlgorithm):
             return
         start = time.monotonic()
         weights: Any = self.get_full_state_weights()
-        buffers = None
-        if self.config.get("save_buffers", True):
-            buffers = self._read("stored_buffers")
+        buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
+        is_large = num_bytes(buffers) > _LARGE_BYTES
+        if is_large and self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config:
+            buffers = {}  # a trial, and a minute of training at most
         group = current_group()
         state = TrainingState(weights, self._memory(), buffers or None, group.size)
         token, written = group.from_main(new_token()), None
@@ -140,7 +145,9 @@ class Resuming(BaseAlgorithm):
             return
         self._reported_size = True
         sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
-        log.info("training state for resume= written in %.1f s: %s", seconds, sizes)
+        key = "; train.params.config.save_buffers=False leaves the replay buffers out"
+        hint = key if len(files) > 1 else ""
+        log.info("training state for resume= written in %.1f s: %s%s", seconds, sizes, hint)
         if too_large is not None:
             log.warning(
                 "the replay buffers (%.1f GB) are too large for a file: a resumed run fills them"

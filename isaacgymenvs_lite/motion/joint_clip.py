@@ -178,8 +178,10 @@ class JointClip:
                 "check fps and units"
             )
         if np.abs(self.dof_pos).max() > _ODD_JOINT_RAD:
+            joint = int(np.abs(self.dof_pos).max(axis=0).argmax())
+            label = self.joint_names[joint] if self.joint_names else f"joint {joint}"
             found.append(
-                f"a joint is at {np.abs(self.dof_pos).max():.3g} rad; is the unit degrees?"
+                f"{label} is at {np.abs(self.dof_pos).max():.3g} rad; is the unit degrees?"
             )
         if np.abs(self.root_pos[:, 2]).max() > _ODD_HEIGHT_M:
             found.append(

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from isaacgymenvs_lite.utils.optional_packages import require
 
 log = logging.getLogger(__name__)
 
+_COLUMNS = 100
 _AZIMUTHS_DEG = (90.0, 180.0)
 
 
@@ -46,7 +48,7 @@ def check_robot(file: str, settings: RobotCheckSettings) -> None:
         require("PIL", "writing pictures")
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
-        log.info("%s", line)
+        log.info("%s", textwrap.fill(line, _COLUMNS, subsequent_indent="    "))
     if settings.out:
         pose = robot.prepared.start_qpos[None]
         views = [view_of(robot, azimuth_deg, ASPECT) for azimuth_deg in _AZIMUTHS_DEG]

@@ -73,7 +73,7 @@ _PLANS = (
         "Falls, share of the episodes",
         {
             "in training": ("info/fall_rate",),
-            "of these off the clip": ("info/off_clip_rate",),
+            "off the clip": ("info/off_clip_rate",),
             "mean policy": (_FALL_TAG,),
         },
     ),

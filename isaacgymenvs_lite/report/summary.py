@@ -22,7 +22,7 @@ _NEWEST = {
     "pose error": (("imitation/pose_error_m",), "{:.3f} m"),
     "motion shown": (("imitation/motion_shown",), "{:.0%}"),
     "falls in training": (("info/fall_rate",), "{:.0%}"),
-    "of these off the clip": (("info/off_clip_rate",), "{:.0%}"),
+    "off the clip": (("info/off_clip_rate",), "{:.0%}"),
     "discriminator accuracy": (("info/disc_acc",), "{:.2f}"),
     "learning rate": (("info/last_lr",), "{:.3g}"),
 }

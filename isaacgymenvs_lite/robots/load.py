@@ -39,6 +39,8 @@ from isaacgymenvs_lite.robots.start_pose import initial_positions, start_height,
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
+_ABSURD = 10.0  # times weight and height of the robot: no motor is as strong
+
 
 @dataclass(frozen=True)
 class PreparedRobot:
@@ -88,7 +90,7 @@ class PreparedRobot:
         for drive in self.drives:
             key = f"{drive.kp:.4g} / {drive.kd:.3g} / {drive.effort:.4g}"
             gains.setdefault(key, []).append(drive.joint)
-        drives = "; ".join(f"{key}: {', '.join(names)}" for key, names in gains.items())
+        drives = [f"  {key}: {', '.join(names)}" for key, names in gains.items()]
         mass = float(self.model.body_subtreemass[0])
         return [
             printable(line)
@@ -99,7 +101,8 @@ class PreparedRobot:
                 f"key bodies: {', '.join(self.key_bodies)}",
                 f"contact bodies: {', '.join(self.contact_bodies)}",
                 f"start height: {self.start_height:.3f} m",
-                f"drives, kp (Nm/rad) / kd (Nm s/rad) / effort (Nm): {drives}",
+                "drives, kp (Nm/rad) / kd (Nm s/rad) / effort (Nm):",
+                *drives,
                 *self.notes,
             )
         ]
@@ -165,6 +168,7 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     key_bodies, contacts, more = _key_bodies_and_contacts(model, qpos, settings, where)
     notes += more
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives", contacts)
+    notes += _absurd_efforts(drives, moment)
     notes += _rotors_added(model, drives)
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
@@ -242,6 +246,19 @@ def _key_bodies_and_contacts(
     number = "one end" if stands_on else "no end"
     note = f"stands on {', '.join(contacts)}, {number} of a limb: startRotation turns it"
     return key_bodies or ends, contacts, [note]
+
+
+def _absurd_efforts(drives: list[Drive], weight_moment: float) -> list[str]:
+    """Return a note on drives that are far stronger than the robot is heavy."""
+    strong = [drive for drive in drives if drive.effort > _ABSURD * weight_moment]
+    if not strong:
+        return []
+    names = ", ".join(f"{drive.joint} {drive.effort:.4g}" for drive in strong[:4])
+    more = f" and {len(strong) - 4} more" if len(strong) > 4 else ""
+    return [
+        f"check the efforts (Nm) of the file: {names}{more}; weight times height of the whole robot"
+        f" is {weight_moment:.4g} Nm"
+    ]
 
 
 def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:

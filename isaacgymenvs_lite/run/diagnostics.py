@@ -286,8 +286,8 @@ class Diagnostics:
             if measured[-1].pose_error_m <= _good_m(measured[-1]):
                 return None
             although = f"the pose error is {measured[-1].pose_error_m:.3f} m"
-        elif self._fall_rate() > MOSTLY_FALLS:
-            although = f"{self._fall_rate():.0%} of the episodes end {self._early_end()}"
+        elif self._early_end_rate() > MOSTLY_FALLS:
+            although = f"{self._early_end_rate():.0%} of the episodes end {self._early_end()}"
         else:
             return None
         return (
@@ -323,7 +323,7 @@ class Diagnostics:
         if newest is None:
             return None
         # A training that still ends its episodes: on a clip of the ground only the distance does.
-        if self._fall_rate() > NEARLY_ALL_FALL:
+        if self._early_end_rate() > NEARLY_ALL_FALL:
             return None
         cut = "cut parts without motion out of the clips"
         missing = self._missing_limits("clipDeviation", "clipTravel")
@@ -382,7 +382,7 @@ class Diagnostics:
         # Exploration may make a good policy fall.
         stays_up = bool(last) and all(one.no_fall_share > MOSTLY_FALLS for one in last)
         is_short = self._steps() < SHORT_SHARE * self._max_episode_steps
-        if stays_up or not (is_short and self._fall_rate() > NEARLY_ALL_FALL):
+        if stays_up or not (is_short and self._early_end_rate() > NEARLY_ALL_FALL):
             return None
         moment = last[-1].fall_moment if last else None
         where = ""
@@ -444,10 +444,11 @@ class Diagnostics:
         unlike = bool(measured) and measured[-1].pose_error_m > BAD_POSE_ERROR * _good_m(
             measured[-1]
         )
-        return self._fall_rate() > MOSTLY_FALLS or unlike
+        return self._early_end_rate() > MOSTLY_FALLS or unlike
 
-    def _fall_rate(self) -> float:
-        return self.history.median(lambda epoch: epoch.fall_rate)
+    def _early_end_rate(self) -> float:
+        """Return the share of the episodes that end early, also off the clip."""
+        return self.history.median(lambda epoch: epoch.early_end_rate)
 
     def _early_end(self) -> str:
         """Return how episodes end before the time limit."""

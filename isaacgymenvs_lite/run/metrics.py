@@ -23,9 +23,9 @@ class EpochMetrics:
         frame: environment steps trained before it, including those before a resumed run.
         episode_steps: mean length of the last episodes in control steps.
         episode_reward: mean sum of the task's rewards of the last episodes.
-        fall_rate: share of the last episodes that ended before the time limit, 0 to 1.
-        off_clip_rate: share of the last episodes that ended so without a fall, because the motion
-            left its clip.
+        fall_rate: share of the last episodes that ended by a fall, 0 to 1; of a task without
+            `terminate`: that ended before the time limit.
+        off_clip_rate: share of the last episodes that ended because the motion left its clip.
         train_info: `CommonAgent.train_info_means`; empty for rl_games' own agents.
     """
 
@@ -36,6 +36,11 @@ class EpochMetrics:
     fall_rate: float | None = None
     off_clip_rate: float | None = None
     train_info: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def early_end_rate(self) -> float | None:
+        """Share of the last episodes that fell or left their clip."""
+        return None if self.fall_rate is None else self.fall_rate + (self.off_clip_rate or 0.0)
 
     @property
     def style_reward(self) -> float | None:
@@ -87,12 +92,14 @@ class MetricsObserver(AlgoObserver):
         rows = done_indices.flatten()
         if (diverged := diverged_in(infos, rows.device)) is not None:
             rows = rows[~diverged[rows]]  # cut off: neither a fall nor none
+        off_clip = infos["off_clip"][rows].bool() if "off_clip" in infos else None
         if "terminate" in infos:
-            self._falls.update(infos["terminate"][rows].bool().unsqueeze(1))
+            fell = infos["terminate"][rows].bool()
+            self._falls.update((fell if off_clip is None else fell & ~off_clip).unsqueeze(1))
         elif "time_outs" in infos:
             self._falls.update(~infos["time_outs"][rows].bool().unsqueeze(1))
-        if "off_clip" in infos:
-            self._off_clip.update(infos["off_clip"][rows].unsqueeze(1))
+        if off_clip is not None:
+            self._off_clip.update(off_clip.unsqueeze(1))
 
     def after_clear_stats(self) -> None:
         """Drop the episodes, as the agent's meters just did."""

@@ -19,6 +19,8 @@ from isaacgymenvs_lite.run.stop_request import StopRequest
 
 log = logging.getLogger(__name__)
 
+_ESTIMATE_AFTER_S = 20.0  # the first epochs of a training are slower
+
 # tqdm's default without elapsed time and rate, to make room for the metrics.
 _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfix}]"
 
@@ -59,6 +61,7 @@ class ProgressObserver(AlgoObserver):
         self._start_s = self._last_line_s = self._last_epoch_s = time.monotonic()
         self._first_line = True
         self._first_epoch: int | None = None
+        self._has_estimated = False
         self._frames_per_s = AverageMeter(1, 10)
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
@@ -71,8 +74,12 @@ class ProgressObserver(AlgoObserver):
         self._last_epoch_s = now
         if self._first_epoch is None:
             self._first_epoch = epoch_num
+        if not self._has_estimated and now - self._start_s >= _ESTIMATE_AFTER_S:
+            self._has_estimated = True
+            self._estimate(epoch_num, now)
         if sys.stderr.isatty():
             self._update_bar(epoch_num)
+            self._first_line = False
         elif self._first_line or now - self._last_line_s >= self._line_interval_s:
             self._write_line(epoch_num, now)
         else:
@@ -81,6 +88,24 @@ class ProgressObserver(AlgoObserver):
             # rl_games saves a last checkpoint when it ends at max_epochs.
             algo.max_epochs = epoch_num
 
+    def _estimate(self, epoch_num: int, now: float) -> None:
+        """Log how long the training will take on this machine."""
+        if (left := self._left_s(epoch_num, now)) is not None:
+            epochs = self._total - epoch_num
+            minutes = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
+            log.info(
+                "%d more epochs take about %s on this machine, at %s frames/s; Ctrl-C ends the"
+                " training with a checkpoint",
+                *(epochs, minutes, self._fps()),
+            )
+
+    def _left_s(self, epoch_num: int, now: float) -> float | None:
+        """Return the time that the remaining epochs take; None without a last epoch."""
+        if self._total <= epoch_num:
+            return None
+        made = epoch_num - (self._first_epoch or epoch_num) + 1
+        return (self._total - epoch_num) * (now - self._start_s) / made
+
     def _epoch_values(self) -> dict[str, str]:
         """Return the epoch's metrics as texts; those that do not exist are left out."""
         metrics, shown = self._metrics.latest, dict[str, str]()
@@ -88,11 +113,10 @@ class ProgressObserver(AlgoObserver):
             return shown
         if metrics.episode_steps is not None:
             shown["episode length"] = f"{metrics.episode_steps:.0f}"
-        off_clip_rate = metrics.off_clip_rate or 0.0
         if metrics.fall_rate is not None:
-            shown["falls"] = f"{max(0.0, metrics.fall_rate - off_clip_rate):.0%}"
+            shown["falls"] = f"{metrics.fall_rate:.0%}"
         if metrics.off_clip_rate is not None:
-            shown["off the clip"] = f"{off_clip_rate:.0%}"
+            shown["off the clip"] = f"{metrics.off_clip_rate:.0%}"
         # A task's reward that the agent does not learn from is not worth the room.
         if metrics.episode_reward is not None and self._algo.config.get("task_reward_w", 1.0) != 0:
             shown["reward"] = f"{metrics.episode_reward:.2f}"
@@ -140,9 +164,7 @@ class ProgressObserver(AlgoObserver):
         total = self._total
         parts = [f"epoch {epoch_num}/{total}" if total > 0 else f"epoch {epoch_num}"]
         if total > 0 and not has_ended:
-            made = epoch_num - (self._first_epoch or epoch_num) + 1
-            left_s = (total - epoch_num) * (now - self._start_s) / made
-            parts.append(f"ETA {_clock(left_s)}")
+            parts.append(f"ETA {_clock(self._left_s(epoch_num, now) or 0.0)}")
         shown = {"fps": self._fps(), **self._epoch_values(), **self._measured_values()}
         parts += [f"{name} {value}" for name, value in shown.items()]
         log.info("%s", ", ".join(parts))

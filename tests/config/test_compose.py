@@ -10,7 +10,7 @@ from isaacgymenvs_lite import config
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.paths import PARTS, cfg_dir
 
 ROOT_KEYS = {
     *("task", "train", "pbt", "task_name", "experiment", "num_envs", "seed", "torch_deterministic"),
@@ -118,8 +118,9 @@ def test_running_hydra_job_has_no_influence_and_is_left_alone():
 
 
 def names_in(group: str) -> list[str]:
-    """The names of the files of a group that come with the project."""
-    return sorted(path.stem for path in (cfg_dir() / group).glob("*.yaml"))
+    """The names of the tasks or trainings that come with the project."""
+    files = (cfg_dir() / group).glob("*.yaml")
+    return sorted(path.stem for path in files if path.stem not in PARTS)
 
 
 def test_unknown_task_lists_the_tasks(config_dir):
@@ -141,11 +142,9 @@ def test_task_without_a_default_train_file(config_dir):
     text = message(["task=Mine"], config_dir)
     assert "no default train file 'MinePPO'" in text
     assert "train=" in text
-    # A message of 500 characters has the first choices and the last ones.
     own = ["Ase", "OnlyDefaults", "Published"]
     choices = sorted([*names_in("train"), *own])
-    assert f"choices: {', '.join(choices[:8])}" in text
-    assert choices[-1] in text
+    assert f"choices: {', '.join(choices)}" in text
 
 
 def test_a_published_hierarchy_takes_its_low_level_without_a_plus(config_dir):

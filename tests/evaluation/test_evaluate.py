@@ -130,7 +130,7 @@ def test_the_policy_sees_observations_after_resets():
 def test_the_result_is_one_line():
     result = EvaluationResult(4, 12.5, 6.75, 0.25, None)
     assert str(result) == (
-        "4 episodes; reward 12.50; episode length 6.8 steps; falls 0%; style reward 0.250 per step"
+        "4 episodes; reward 12.50; episode length 6.8 steps; style reward 0.250 per step; falls 0%"
     )
     assert "style" not in str(EvaluationResult(4, 1.0, 2.0, None, None))
 

@@ -104,6 +104,7 @@ def test_a_clip_of_the_humanoid_moves_a_robot(g1: Skeleton, caplog) -> None:
         convert("walk", "g1.npz", G1, "end_s=0.5", "fps=30")
     assert "has the bodies of mapping=g1" in caplog.text
     assert "scaled by 0.749, the length of the legs" in caplog.text
+    assert "no joint is ever at its limit" in caplog.text
     assert "g1.npz: 16 frames at 30 Hz, 0.50 s, 29 degrees of freedom" in caplog.text
     clip, _ = load_single_clip("g1.npz", [g1])
     # On the shipped model itself, by MuJoCo: the soles are on the ground, and the hips in between.
@@ -341,10 +342,13 @@ def test_a_plot_of_a_robots_clip(g1: Skeleton, g1_joints: JointClip) -> None:
 def test_a_robot_is_checked_without_a_clip(caplog, line_of) -> None:
     import PIL.Image
 
-    write_biped()
+    path = write_biped()
+    path.write_text(path.read_text().replace('effort="80"', 'effort="20000"', 1))
     with caplog.at_level("INFO"):
         assert robot_command.main(["biped.urdf", "out=start.png"]) == 0
     assert "contact bodies: left_foot, right_foot" in caplog.text
+    assert "check the efforts (Nm) of the file: left_hip 2e+04; weight times" in caplog.text
+    assert max(len(line) for message in caplog.messages for line in message.splitlines()) <= 100
     assert "base 'base' got a free joint" in caplog.text
     with PIL.Image.open("start.png") as image:
         assert image.size == (2 * 200, 320)

@@ -27,7 +27,7 @@ def test_charts_of_an_amp_run(make_run) -> None:
         "Pose error, m": ["pose error"],
         "Falls, share of the episodes": [
             "in training",
-            "of these off the clip",
+            "off the clip",
             "mean policy",
         ],
         "Tempo, multiple of the clip's": ["tempo"],

@@ -91,7 +91,7 @@ def test_a_run_on_one_page(make_run) -> None:
         "style reward per step": "0.750",
         "pose error": "0.062 m",
         "falls in training": "25%",
-        "of these off the clip": "20%",
+        "off the clip": "20%",
         "discriminator accuracy": "0.70",
         "learning rate": "5e-05",
         "velocity_error_m_s": "0.250",

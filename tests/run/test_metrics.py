@@ -67,12 +67,13 @@ def test_a_task_that_tells_neither_has_no_fall_rate(figures):
     assert figures.latest.fall_rate is None
 
 
-def test_episodes_that_left_their_clip_count_among_the_falls(figures, agent):
+def test_episodes_that_left_their_clip_are_no_falls(figures, agent):
     flags = {"terminate": [1, 1, 1, 0], "off_clip": [True, False, True, False]}
     end(figures, [0, 1, 3], **flags)
     figures.after_print_stats(16000, 1, 12.5)
     assert figures.latest is not None
-    assert figures.latest.fall_rate == pytest.approx(2 / 3)
+    assert figures.latest.fall_rate == pytest.approx(1 / 3)
+    assert figures.latest.early_end_rate == pytest.approx(2 / 3)
     assert figures.latest.off_clip_rate == pytest.approx(1 / 3)
     assert agent.writer.scalars["info/off_clip_rate"] == [(16000, pytest.approx(1 / 3))]
 

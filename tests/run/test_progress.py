@@ -104,10 +104,11 @@ def test_lines_come_at_intervals(progress, clock, caplog):
     with caplog.at_level(logging.INFO):
         for epoch in range(1, 13):
             end_epoch(progress, clock, epoch, 2.0)
-    # the first at once, then every ten seconds: after 2, 12 and 22 s
+    # the first at once, then every ten seconds: after 2, 12 and 22 s; once an estimate
     assert [message.split(",")[0] for message in caplog.messages] == [
         "epoch 1/20",
         "epoch 6/20",
+        "10 more epochs take about 20 seconds on this machine",
         "epoch 11/20",
     ]
     assert "ETA 0:00:18" in caplog.messages[-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,8 @@ class RetargetReport:
         deepest_m: how far a point of a sole is below the ground at most, 0 or more.
         slide_m_s: median and largest horizontal speed of points of the soles in contact; None: no
             foot rests on the ground.
-        limited_share: of the frames, in which a joint is at its limit.
+        limited: (share of the frames, joint) of the joint that is at its limit most often; None:
+            none ever is.
         fastest_rad_s: the largest speed of a joint.
     """
 
@@ -33,7 +34,7 @@ class RetargetReport:
     errors_m: Mapping[str, tuple[float, float]]
     deepest_m: float
     slide_m_s: tuple[float, float] | None
-    limited_share: float
+    limited: tuple[float, str] | None
     fastest_rad_s: float
 
     @property
@@ -56,13 +57,29 @@ class RetargetReport:
             sliding = "where they rest on it they slide at {:.3f} m/s (median {:.3f})".format(
                 *reversed(self.slide_m_s)
             )
+        limited = "no joint is ever at its limit"
+        if self.limited is not None:
+            limited = "{1} is at its limit in {0:.0%} of the frames, no joint more often".format(
+                *self.limited
+            )
         return [
             f"scaled by {self.scale:.3f}, the length of the legs; m from the scaled source on "
             f"average (at most): {bodies}",
-            f"feet {self.deepest_m:.4f} m below the ground at most; {sliding}; a joint is at its "
-            f"limit in {self.limited_share * 100.0:.0f} % of the frames, the fastest moves at "
-            f"{self.fastest_rad_s:.1f} rad/s",
+            f"feet {self.deepest_m:.4f} m below the ground at most; {sliding}; {limited}, the "
+            f"fastest moves at {self.fastest_rad_s:.1f} rad/s",
         ]
+
+
+def most_limited(at_limit: Flags, names: Sequence[str]) -> tuple[float, str] | None:
+    """Return the share of the frames, and the joint that is at its limit most often, or None.
+
+    Args:
+        at_limit: (T, D).
+        names: of the D joints.
+    """
+    shares = at_limit.mean(axis=0)
+    joint = int(shares.argmax()) if len(shares) else 0
+    return (float(shares[joint]), names[joint]) if at_limit.any() else None
 
 
 def summed_up(errors: FloatArray) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from isaacgymenvs_lite.motion.retargeting.report import (
     KEY_BODIES,
     RetargetReport,
     deepest,
+    most_limited,
     sliding_speeds,
     summed_up,
 )
@@ -197,6 +198,7 @@ def _robot_report(
     angles = qpos[:, [hinge.qpos for hinge in hinges]]
     lower, upper = (np.array([getattr(hinge, end)[0] for hinge in hinges]) for end in _ENDS)
     near = np.minimum(angles - lower, upper - angles) < _AT_LIMIT_RAD
+    joints = [robot.model.dof_jntid[hinge.dof] for hinge in hinges]
     return RetargetReport(
         scale=scale,
         errors_m={
@@ -208,7 +210,7 @@ def _robot_report(
         },
         deepest_m=deepest(points),
         slide_m_s=sliding_speeds(points, problem.fps, contact),
-        limited_share=float(near.any(axis=1).mean()),
+        limited=most_limited(near, [robot.model.joint(joint).name for joint in joints]),
         fastest_rad_s=float(np.abs(np.diff(angles, axis=0)).max(initial=0.0)) * problem.fps,
     )
 
@@ -254,7 +256,7 @@ def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> R
         errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
         deepest_m=deepest(points),
         slide_m_s=sliding_speeds(points, clip.fps, contact),
-        limited_share=float(near.any(axis=1).mean()),
+        limited=most_limited(near, skeleton.dof_names),
         fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
     )
 

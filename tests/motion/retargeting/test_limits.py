@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite import paths
+from isaacgymenvs_lite.motion.retargeting.report import most_limited
 from isaacgymenvs_lite.motion.retargeting.solve import (
     DofLimits,
     beyond,
@@ -76,3 +77,9 @@ def test_every_dof_has_its_two_rows(num_dofs: int, humanoid, armed) -> None:
     straight = np.radians(-2.0)  # knees and elbows keep bent
     np.testing.assert_allclose(allowed[:4], straight)
     assert np.isclose(np.degrees(allowed[4]), 15.0)  # the hip's narrowest limit
+
+
+def test_the_joint_that_is_most_often_at_its_limit_is_named() -> None:
+    at_limit = np.array([[True, False], [True, True], [False, True], [False, True]])
+    assert most_limited(at_limit, ["knee", "ankle"]) == (0.75, "ankle")
+    assert most_limited(at_limit & False, ["knee", "ankle"]) is None
