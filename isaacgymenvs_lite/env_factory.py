@@ -23,7 +23,7 @@ from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.launch import check_config, resolve_seed
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
 from isaacgymenvs_lite.motion.loader import (
     resolve_motion_file,
@@ -194,12 +194,31 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
     if isinstance(clip, str) and clip and not is_package_name(clip):
         shipped = (shipped_motions_dir(), shipped_robot_motions_dir())
         folders = [Path(), *checkouts.clip_folders(checkout, clip), *shipped]
-        env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
+        try:
+            env["motion_file"] = str(resolve_motion_file(clip, folders).absolute())
+        except MotionFileError as error:
+            message = _of_sword_humanoid(env, checkout) or error
+            raise MotionFileError(f"task.env.motion_file: {message}") from error
     asset = env.get("asset")
     if isinstance(asset, dict) and isinstance(asset.get("assetFileName"), str):
         folder = _folder_of_model(asset, checkout, getattr(maker, "published_assets", ()))
         if folder is not None:
             asset["assetRoot"] = str(folder)
+
+
+def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
+    """Return what a task with ASE's armed humanoid can show in place of its clip, else ''."""
+    asset = env.get("asset")
+    model = str(asset.get("assetFileName")) if isinstance(asset, dict) else ""
+    if Path(model).name != "amp_humanoid_sword_shield.xml":
+        return ""
+    return (
+        f"'{env['motion_file']}' is not in {checkout}; give a clip or a data set of the humanoid"
+        " with sword and shield (ASE's are not shipped), or deepmimic:walk; the shipped clips are"
+        " of the humanoid without: task.env.motion_file=locomotion.yaml"
+        " task.env.asset.assetFileName=mjcf/amp_humanoid.xml"
+        " 'task.env.keyBodies=[right_hand,left_hand,right_foot,left_foot]'"
+    )
 
 
 def _folder_of_model(

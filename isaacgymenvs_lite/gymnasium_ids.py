@@ -1,4 +1,7 @@
-"""Names of the tasks in Gymnasium's registry: `IsaacGymEnvsLite/Cartpole-v0`.
+"""Names of the tasks in Gymnasium's registry: `IsaacGymEnvsLite/Cartpole-v0`, `Isaac-Ant-v0`.
+
+Under Isaac Lab's names, for its scripts, `gymnasium.make` returns all environments of a task in
+one, as Isaac Lab does.
 
 Importing Gymnasium takes longer than all else that happens before a user's mistake is reported. So
 `import isaacgymenvs_lite` leaves it out: the tasks are registered at once if Gymnasium is imported
@@ -22,6 +25,13 @@ NAMESPACE = "IsaacGymEnvsLite"
 ENTRY_POINTS = "isaacgymenvs_lite.tasks"
 """Group of entry points with which an installed package names its tasks."""
 
+# Isaac Lab has these tasks twice, in its two workflows.
+_ISAAC_LAB_IDS = {
+    f"Isaac-{task}{workflow}-v0": task
+    for task in ("Ant", "Cartpole", "Humanoid")
+    for workflow in ("", "-Direct")
+}
+
 _REGISTRY = "gymnasium.envs"
 _FACTORY = "isaacgymenvs_lite.wrappers.gymnasium_env"
 
@@ -37,7 +47,7 @@ def env_id(task: str) -> str:
 def task_of_id(name: str) -> str:
     """Return the task of a name in Gymnasium's registry; other names unchanged."""
     match = re.fullmatch(rf"{NAMESPACE}/(.+)-v\d+", name)
-    return match[1] if match else name
+    return match[1] if match else _ISAAC_LAB_IDS.get(name, name)
 
 
 def register_tasks() -> None:
@@ -59,9 +69,20 @@ def register_task_id(task: str) -> None:
 def _register_all() -> None:
     from importlib.metadata import entry_points  # takes longer to import than all of this package
 
+    from gymnasium.envs.registration import register, registry
+
     offered = (point.name for point in entry_points(group=ENTRY_POINTS))
     for task in (*_shipped(), *offered, *_waiting):
         _register(task)
+    for name, task in _ISAAC_LAB_IDS.items():
+        if name not in registry:
+            register(
+                name,
+                entry_point="isaacgymenvs_lite.wrappers.isaac_lab_env:make_isaac_lab_env",
+                vector_entry_point=f"{_FACTORY}:make_vector_env",
+                disable_env_checker=True,  # it expects numbers where batches are
+                kwargs={"task": task},
+            )
 
 
 def _register(task: str) -> None:

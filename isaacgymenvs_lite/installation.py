@@ -24,11 +24,11 @@ from isaacgymenvs_lite import __version__
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import UserError, one_line
-from isaacgymenvs_lite.learning.cpu.precision import measure_bfloat16_speedup, supports_bfloat16
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.utils.optional_packages import EXTRAS
+from isaacgymenvs_lite.utils.precision import measure_bfloat16_speedup, supports_bfloat16
 from isaacgymenvs_lite.utils.threads import thread_count
 
 DISTRIBUTION = "isaacgymenvs-lite"

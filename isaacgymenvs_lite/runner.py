@@ -56,7 +56,6 @@ from isaacgymenvs_lite.errors import (
     one_line,
 )
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
-from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
 from isaacgymenvs_lite.pbt.observer import (
     PBTObserver,
     mutable_settings,
@@ -75,6 +74,7 @@ from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.schema import leaves
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command
+from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.viewers.start import Viewers
 from isaacgymenvs_lite.viewers.window import WindowClosedError

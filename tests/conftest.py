@@ -15,12 +15,12 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from isaacgymenvs_lite.learning.cpu import precision
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
+from isaacgymenvs_lite.utils import precision
 
 _FPS = 30.0
 _NUM_FRAMES = 46  # 1.5 s

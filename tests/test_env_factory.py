@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -121,6 +122,19 @@ def test_what_is_nowhere_lists_where_it_was_looked_for(ige: Path, tmp_path, monk
     top = ige.parents[3]
     for folder in (tmp_path, top, top / "assets/amp/motions", shipped_motions_dir()):
         assert f"{folder} and" in str(found.value) or f"{folder};" in str(found.value)
+
+
+def test_clips_of_the_armed_humanoid_that_are_missing_have_a_way_out(ase: Path) -> None:
+    """ASE's checkout is without them; the words of the message make a task that runs."""
+    armed = (
+        "task.env.asset.assetFileName=mjcf/amp_humanoid_sword_shield.xml",
+        "task.env.motion_file=ase/data/motions/reallusion_sword_shield/set.yaml",
+        "task.env.keyBodies=[right_hand,left_hand,right_foot,left_foot,sword,shield]",
+    )
+    with pytest.raises(MotionFileError, match=r"^task.env.motion_file: .*deepmimic:walk") as found:
+        clip_of(tree(ase, *armed, train="HumanoidASEPPO"))
+    words = shlex.split(str(found.value).partition("without: ")[2])
+    assert clip_of(tree(ase, *armed, *words, train="HumanoidASEPPO")).endswith("locomotion.yaml")
 
 
 def test_nothing_outside_the_checkout_is_found(ige: Path, tmp_path: Path, monkeypatch) -> None:

@@ -26,7 +26,7 @@ from isaacgymenvs_lite.checkpoints.packed import read_policy_info, with_packed_s
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.errors import ConfigError, UserError
 
 _CONFIG = "train.params.config"
@@ -136,7 +136,7 @@ def _read_packed(path: Path) -> None:
         compose([f"task={info.task}", "~train.params.network", *words])
     except ConfigError as error:  # about a setting; the log has named the policy by then
         raise ConfigError(f"{path}: {error}") from error
-    with_packed_settings(load_train_file("HumanoidASEPPO")["params"], load_checkpoint(path))
+    with_packed_settings(read_train_file("HumanoidASEPPO")["params"], load_checkpoint(path))
 
 
 def _mutate(data: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:

@@ -23,6 +23,8 @@ _TASK_KEYS = (
     "sim.num_client_threads",
 )
 _TASK_SECTIONS = ("sim.physx", "sim.flex")
+# All our other task files inherit from these.
+_BASES = ("Classic", "HumanoidAMP")
 _ABSENT = object()
 
 # What a user need not type to find a key, the longest first.
@@ -52,8 +54,8 @@ def startup_notes(cfg: DictConfig, check_command: str) -> list[str]:
 def physx_only_keys(cfg: DictConfig, *, with_defaults: bool = False) -> list[str]:
     """Return the keys that have no effect here and were set by the user.
 
-    Set means: unlike our own YAML file of that name, or, in a task that we ship no file for,
-    present. Values are compared as written, before interpolation.
+    Set means: unlike our own YAML file of that name, or, in a task that we ship no file for, unlike
+    the files that it may inherit from. Values are compared as written, before interpolation.
 
     Args:
         cfg: the composed tree.
@@ -62,11 +64,13 @@ def physx_only_keys(cfg: DictConfig, *, with_defaults: bool = False) -> list[str
     tree, root = _as_written(cfg), _as_written(read_yaml(cfg_dir() / "config.yaml"))
     task = tree.get("task")
     if with_defaults:
-        found, shipped = [], {}
+        found, shipped = [], []
     else:
         found = [key for key in _ROOT_KEYS if _value_at(tree, key) != _value_at(root, key)]
         task_file = cfg_dir() / "task" / f"{_value_at(tree, 'task.name')}.yaml"
-        shipped = _as_written(merge_defaults(task_file)) if task_file.is_file() else {}
+        bases = [task_file.with_name(f"{base}.yaml") for base in _BASES]
+        files = [task_file] if task_file.is_file() else bases
+        shipped = [_as_written(merge_defaults(file)) for file in files]
     found += [f"task.{key}" for key in _TASK_KEYS if _is_set(task, shipped, key)]
     for section in _TASK_SECTIONS:
         found += _set_keys(task, shipped, section)
@@ -113,7 +117,7 @@ def _short(value: Any) -> str:
     return "null" if value is None else str(value)
 
 
-def _set_keys(task: Any, shipped: Any, section: str) -> list[str]:
+def _set_keys(task: Any, shipped: list[Any], section: str) -> list[str]:
     """Return the keys of `task.<section>` that the user set; the section's name if it is all.
 
     The task reads physx.num_threads.
@@ -128,9 +132,9 @@ def _set_keys(task: Any, shipped: Any, section: str) -> list[str]:
     return [f"task.{section}.{key}" for key in found]
 
 
-def _is_set(task: Any, shipped: Any, key: str) -> bool:
+def _is_set(task: Any, shipped: list[Any], key: str) -> bool:
     value = _value_at(task, key)
-    return value is not _ABSENT and value != _value_at(shipped, key)
+    return value is not _ABSENT and all(value != _value_at(tree, key) for tree in shipped)
 
 
 def _value_at(tree: Any, path: str) -> Any:

@@ -1,4 +1,4 @@
-"""Reads a train file alone, as a hierarchical agent does for its low-level controller."""
+"""Reads a train file alone: for an own rl_games Runner, or for a low-level controller."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.expansion import check_expansion
+from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.config.resolvers import register_resolvers
+from isaacgymenvs_lite.config.train_params import fit_to_envs, set_device
 from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
@@ -20,7 +22,47 @@ _MAX_FILES = 50
 _PUBLISHED_FOLDERS = (("isaacgymenvs", "cfg", "train"), ("ase", "data", "cfg", "train", "rlg"))
 
 
-def load_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
+def load_train_file(
+    path: Path | str, num_envs: int | None = None, rl_device: str = "cpu"
+) -> dict[str, Any]:
+    """Read a train file for rl_games' Runner: `Runner.load` takes the result as it is.
+
+    Beside the interpolations (see `read_train_file`) it resolves what rl_games does not know:
+    `device` and `device_name` are `rl_device`, `seed: -1` is drawn, and `mixed_precision: auto` is
+    measured. With `num_envs` the minibatches are fitted to it, with a line of the log.
+
+    Args:
+        path: see `read_train_file`.
+        num_envs: value of `task.env.numEnvs`; None: 1, and minibatches stay as written.
+        rl_device: device of agent and player.
+
+    Returns:
+        The file's content with its one key, "params".
+
+    Raises:
+        ConfigError: there is no such file, it cannot be read, it is no train file, or a value
+            cannot be used.
+    """
+    from isaacgymenvs_lite.utils.precision import resolve_mixed_precision  # torch
+
+    content = read_train_file(path, num_envs or 1, rl_device)
+    params = content["params"]
+    config = params.get("config")
+    if not isinstance(config, dict):
+        return content
+    set_device(config, rl_device)
+    config.setdefault("num_actors", num_envs or 1)
+    config.setdefault("reward_shaper", {})
+    if params.get("seed") == -1:
+        params["seed"] = resolve_seed(-1)
+    if config.get("mixed_precision") == "auto":
+        config["mixed_precision"] = resolve_mixed_precision("auto", rl_device)
+    if num_envs is not None:
+        fit_to_envs(params, num_envs)
+    return content
+
+
+def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu") -> dict[str, Any]:
     """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
 
     The interpolations of a train file lead into a composed tree. Here it has the defaults of

@@ -129,8 +129,7 @@ def prepare_train_params(
     config = params["config"]
     _check_central_value(config, num_states)
     params["seed"] = seed
-    device = str(rl_device or cfg.rl_device)
-    config["device"] = config["device_name"] = device
+    set_device(config, str(rl_device or cfg.rl_device))
     config["num_actors"] = num_envs
     _apply_launch_keys(config, cfg)
     pbt = plain(cfg.pbt)
@@ -159,12 +158,38 @@ def prepare_train_params(
             raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
-    critic = config.get("central_value_config") or {}
-    recurrent = ["rnn" in network for network in (params["network"], critic.get("network", {}))]
+    recurrent = _recurrent(params)
     _translate_former_keys(config, any(recurrent))
     _check_ppo_keys(config, names.config_keys)
     _fit_minibatches(config, num_envs, num_agents, *recurrent)
     return params
+
+
+def set_device(config: dict[str, Any], device: str) -> None:
+    """Set the device under the two keys from which rl_games' agents and players read it."""
+    config["device"] = config["device_name"] = device
+
+
+def fit_to_envs(params: dict[str, Any], num_envs: int) -> None:
+    """Check the PPO keys of a train file and fit its minibatches to the environments, in place.
+
+    A file without PPO's `horizon_length` stays as it is.
+
+    Raises:
+        ConfigError: a PPO key is missing or has a wrong value, or the samples do not fit.
+    """
+    config = params["config"]
+    if "horizon_length" in config:
+        recurrent = _recurrent(params)
+        _translate_former_keys(config, any(recurrent))
+        _check_ppo_keys(config, config)
+        _fit_minibatches(config, num_envs, 1, *recurrent)
+
+
+def _recurrent(params: dict[str, Any]) -> tuple[bool, bool]:
+    """Return whether the policy and the central critic have a recurrent layer."""
+    critic = params["config"].get("central_value_config") or {}
+    return "rnn" in params.get("network", {}), "rnn" in critic.get("network", {})
 
 
 def apply_wrapper_limits(cfg: DictConfig) -> None:

@@ -19,7 +19,7 @@ from isaacgymenvs_lite.checkpoints.llc_reference import (
     llc_checkpoint_for,
     warn_of_another_llc,
 )
-from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_params
 from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, failures, require
 from isaacgymenvs_lite.errors import ConfigError
@@ -286,7 +286,7 @@ def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any
     observer = given.pop("features", {}).get("observer") or DefaultAlgoObserver()
     shaper = objects.pop("reward_shaper", None)
 
-    section = load_train_file(train_file, num_actors, device)["params"]
+    section = read_train_file(train_file, num_actors, device)["params"]
     if "network" in given:
         section["network"] = given.pop("network")
     section["config"] |= given

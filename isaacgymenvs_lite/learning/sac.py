@@ -10,14 +10,14 @@ import torch
 from rl_games.algos_torch.players import SACPlayer as RLGamesSACPlayer
 from rl_games.algos_torch.sac_agent import SACAgent as RLGamesSACAgent
 from rl_games.common.algo_observer import AlgoObserver
-from torch import Tensor
+from torch import Tensor, nn
 
 from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
-from isaacgymenvs_lite.learning.cpu.precision import BFloat16HiddenLayers, resolve_mixed_precision
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import Safeguards, own_rates_kept
+from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 
 
 class _EndOfEpoch(AlgoObserver):
@@ -69,6 +69,21 @@ class _EndsAtItsLimits(RLGamesSACAgent):
 
     def _is_at_limit(self) -> bool:
         return 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
+
+
+class BFloat16HiddenLayers(nn.Sequential):
+    """Layers of which all but the last compute under autocast to bfloat16, on a CPU.
+
+    Parameters, their gradients and the outputs stay float32.
+    """
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Return the outputs (n, ...) of rows (n, ...)."""
+        *hidden, last = self
+        with torch.autocast("cpu", torch.bfloat16):
+            for layer in hidden:
+                inputs = layer(inputs)
+        return last(inputs.float())
 
 
 class SACAgent(Safeguards, _EndsAtItsLimits):

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
@@ -41,7 +41,7 @@ def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMP
     Raises:
         ConfigError: there is no such file, or a key that cannot be used.
     """
-    config = load_train_file(train_file)["params"]["config"]
+    config = read_train_file(train_file)["params"]["config"]
     return read_agent_params({**config, **changes}, AMPParams)
 
 

@@ -203,7 +203,7 @@ def resolve_motion_file(name: str | Path, search_dirs: Sequence[Path]) -> Path:
                 path = folder / f"{name}{suffix}"
                 if path.is_file() or Path(split_motion(path)[0]).is_file():
                     return path
-    looked = " and ".join(str(folder.absolute()) for folder in folders)
+    looked = " and ".join(dict.fromkeys(str(folder.absolute()) for folder in folders))
     where = "" if Path(name).is_absolute() else f" in {looked}"
     shipped, of_robots = shipped_motions(), shipped_robot_motions()
     raise MotionFileError(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from isaacgymenvs_lite.wrappers.record_video import RecordVectorVideo, RecordVideo
     from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
     from isaacgymenvs_lite.wrappers.rsl_rl_env import RslRlVecEnvWrapper
-    from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
+    from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper
     from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 
 __all__ = [
@@ -42,7 +42,7 @@ _PLACES: dict[str, tuple[str, str | None]] = {
     "RecordVectorVideo": ("record_video", "av"),
     "RecordVideo": ("record_video", "av"),
     "RslRlVecEnvWrapper": ("rsl_rl_env", "rsl_rl"),
-    "Sb3VecEnvWrapper": ("sb3_env", "stable_baselines3"),
+    "Sb3VecEnvWrapper": ("sb3", "stable_baselines3"),
     "SkrlVecEnvWrapper": ("skrl_env", "skrl"),
 }
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from omegaconf import DictConfig
 
 from isaacgymenvs_lite.config.compose import compose_task
 from isaacgymenvs_lite.config.launch import check_config
@@ -63,7 +64,7 @@ def make_vector_env(
     Raises:
         ConfigError: an unknown key or a value that cannot be used.
     """
-    made, random = _make(task, num_envs, overrides, config_dir, keys)
+    made, random = make_task(task, num_envs, keys, overrides, config_dir)
     return GymnasiumVectorEnv(made, render_mode, width=width, height=height, random=random)
 
 
@@ -81,23 +82,38 @@ def make_single_env(
 
     Arguments and errors as `make_vector_env`.
     """
-    made, random = _make(task, 1, overrides, config_dir, keys)
+    made, random = make_task(task, 1, keys, overrides, config_dir)
     return GymnasiumEnv(made, render_mode, width=width, height=height, random=random)
 
 
-def _make(
+def make_task(
     task: str,
-    num_envs: int,
-    overrides: Sequence[str],
-    config_dir: str | Path | None,
+    num_envs: int | str,
     keys: dict[str, Any],
+    overrides: Sequence[str] = (),
+    config_dir: str | Path | None = None,
+    cfg: DictConfig | None = None,
 ) -> tuple[VecTask, RandomStream]:
-    words = [f"num_envs={num_envs}", "rl_device=cpu"]
-    words += [f"{key}={_as_word(value)}" for key, value in keys.items()]
-    cfg = compose_task(task, [*words, *overrides], config_dir)
+    """Return a task and its random numbers; see `make_vector_env`.
+
+    Args:
+        task: name of a task file.
+        num_envs: '' = the task file's own.
+        keys: keys of cfg/config.yaml.
+        overrides: words of the command line.
+        config_dir: a folder with further task files.
+        cfg: a composed tree to use in place of all these.
+    """
+    if cfg is None:
+        number = f"num_envs={num_envs}" if num_envs != "" else "num_envs=''"
+        words = [f"{key}={_as_word(value)}" for key, value in keys.items()]
+        cfg = compose_task(task, [number, "rl_device=cpu", *words, *overrides], config_dir)
+        is_seeded = "seed" in keys
+    else:
+        is_seeded = True
     settings = check_config(cfg)
     random = RandomStream()
-    if "seed" in keys and settings.seed >= 0:
+    if is_seeded and settings.seed >= 0:
         random.seed(settings.seed)
     with random:
         made = make_from_config(
@@ -106,7 +122,7 @@ def _make(
             rl_device=settings.rl_device,
             graphics_device_id=settings.graphics_device_id,
         )
-    limit_torch_threads(made, threads_for_envs(num_envs), settings.num_threads)
+    limit_torch_threads(made, threads_for_envs(made.num_envs), settings.num_threads)
     return made, random
 
 
@@ -158,7 +174,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self.stepper = AutoresetTask(task, type(self).__name__, random)
         self.task = self.stepper.task
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": _render_fps(self.task)}
+        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
         self._camera = AdapterCamera(self.task, render_mode, width, height)
         self.num_envs = self.task.num_envs
         self.single_observation_space = self.task.observation_space
@@ -292,7 +308,7 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
                 " GymnasiumVectorEnv takes more"
             )
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": _render_fps(self.task)}
+        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
         self._camera = AdapterCamera(self.task, render_mode, width, height)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
@@ -346,7 +362,7 @@ def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:
     return tensor.cpu().numpy()
 
 
-def _render_fps(task: VecTask) -> int:
+def render_fps(task: VecTask) -> int:
     """Return the pictures per second that show a task in real time, a whole number."""
     return max(1, round(1.0 / task.simulation.dt))
 

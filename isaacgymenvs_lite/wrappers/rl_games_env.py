@@ -8,6 +8,7 @@ from rl_games.common import env_configurations
 from rl_games.common.ivecenv import IVecEnv
 from torch import Tensor
 
+import isaacgymenvs_lite
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode, VecTask
 from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_threads
 
@@ -23,7 +24,8 @@ class RLGPUEnv(IVecEnv):
 
     Args:
         config_name: name of the environment in rl_games' configurations, `rlgpu`.
-        num_actors: rl_games' number of environments; not read, the task has its own.
+        num_actors: rl_games' number of environments, for `isaacgymenvs_lite.make` without
+            `num_envs`; a creator of your own does not receive it.
         kwargs: for the creator.
 
     Attributes:
@@ -33,6 +35,8 @@ class RLGPUEnv(IVecEnv):
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
         creator = env_configurations.configurations[config_name]["env_creator"]
+        if creator is isaacgymenvs_lite.make and "cfg" not in kwargs:
+            kwargs.setdefault("num_envs", num_actors)
         with trainer_sets_threads():  # rl_games has the key torch_threads
             self._wrap(creator(**kwargs))
 

@@ -14,9 +14,9 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.learning.cpu import precision
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
 from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.utils import precision
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, TINY_STYLE, train_in
 
 _TINY = (

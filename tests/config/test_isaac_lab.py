@@ -12,8 +12,8 @@ from isaacgymenvs_lite.errors import ConfigError
 LAB = (
     "+train.params.env={clip_observations: 5.0, clip_actions: 0.5}",
     "train.params.config.num_actors=-1",
-    "+train.params.config.device='cuda:0'",
-    "+train.params.config.device_name='cuda:0'",
+    "train.params.config.device='cuda:0'",
+    "train.params.config.device_name='cuda:0'",
     "train.params.seed=7",
 )
 

@@ -335,7 +335,7 @@ def test_bfloat16_trains(make_agent):
 
 @pytest.mark.parametrize(("speedup", "chosen"), [(5.0, torch.bfloat16), (0.5, torch.float32)])
 def test_auto_follows_the_measurement(speedup, chosen, make_agent, monkeypatch):
-    module = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
+    module = "isaacgymenvs_lite.utils.precision.measure_bfloat16_speedup"
     monkeypatch.setattr(module, lambda: speedup)
     agent = make_agent("train.params.config.mixed_precision=auto")
     dtypes = []

@@ -71,9 +71,9 @@ def agent(llc, make_agent) -> Any:
 def test_low_level_that_says_auto_computes_as_the_high_level(
     trained_in, expected, llc, make_agent, monkeypatch
 ):
-    measured = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
+    measured = "isaacgymenvs_lite.utils.precision.measure_bfloat16_speedup"
     monkeypatch.setattr(measured, lambda: pytest.fail("measured"))
-    supports = "isaacgymenvs_lite.learning.cpu.precision.supports_bfloat16"
+    supports = "isaacgymenvs_lite.utils.precision.supports_bfloat16"
     monkeypatch.setattr(supports, lambda: True)
     file = Path(llc[1])
     train_file = OmegaConf.load(file)

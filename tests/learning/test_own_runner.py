@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from rl_games.algos_torch import model_builder
 from rl_games.common.algo_observer import DefaultAlgoObserver
 from rl_games.torch_runner import Runner
 
-from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_files import load_train_file, read_train_file
 from isaacgymenvs_lite.config.train_params import torch_compile_setting
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
@@ -90,27 +91,6 @@ def test_an_agent_that_is_registered_by_hand(make_runner):
     assert reward.item() == pytest.approx(0.693147 * agents[0]._disc_reward_scale, rel=1e-5)
 
 
-def test_a_resolved_train_file_trains(make_runner, tmp_path):
-    """As docs/getting_started.md has it: a file of IsaacGymEnvs' keys, and where the task is."""
-    make_runner()  # the task that `rlgpu` means here
-    loaded = load_train_file("HumanoidAMPPPO", num_envs=8)
-    network, config = loaded["params"]["network"], loaded["params"]["config"]
-    assert "torch_compile" not in config
-    network["mlp"]["units"] = network["disc"]["units"] = [16, 8]
-    config |= {
-        **{"device": "cpu", "device_name": "cpu", "train_dir": str(tmp_path), "max_epochs": 1},
-        **{"horizon_length": 4, "minibatch_size": 16, "amp_minibatch_size": 8, "mini_epochs": 1},
-        **{"amp_obs_demo_buffer_size": 32, "amp_replay_buffer_size": 64, "amp_batch_size": 16},
-        "seq_length": 1,
-    }
-    loaded["params"]["torch_threads"] = 1
-    runner = Runner()
-    register(runner)
-    runner.load(loaded)
-    runner.run({"train": True})
-    assert list(tmp_path.glob("*/nn/*.pth"))
-
-
 class CountingBuilder(GenAMPBuilder):
     """A user's own network, which says how often it was built."""
 
@@ -121,17 +101,20 @@ class CountingBuilder(GenAMPBuilder):
         return super().build(name, **kwargs)
 
 
-def train_own(file: str, folder: Path, **more: Any) -> Any:
-    """Train one small epoch of a shipped file in an own Runner on HumanoidASE; return the agent."""
+def train_own(file: Path | str, folder: Path, task: str, **more: Any) -> Any:
+    """Train one small epoch of a train file in an own Runner; return the agent.
+
+    The file is shrunk by its values alone: what rl_games needs is in it.
+    """
     loaded = load_train_file(file, num_envs=8)
     network, config = loaded["params"]["network"], loaded["params"]["config"]
     for section in {"mlp", "disc", "enc", "style"} & set(network):
         network[section]["units"] = [16, 8]
-    config |= {
-        **{"device": "cpu", "device_name": "cpu", "train_dir": str(folder), "max_epochs": 1},
-        **{"horizon_length": 4, "minibatch_size": 32, "mini_epochs": 1, "mixed_precision": False},
-        **{"env_config": {"task": "HumanoidASE", "num_envs": 8, "rl_device": "cpu"}, **more},
-    }
+    small = {"horizon_length": 4, "minibatch_size": 32, "mini_epochs": 1, "batch_size": 16}
+    config |= {key: small[key] for key in small if key in config}
+    config |= {"train_dir": str(folder), "max_epochs": 1, **more}
+    if task != "HumanoidAMP":  # that is the default of `isaacgymenvs_lite.make`
+        config["env_config"] = {"task": task}
     agents: list[Any] = []
 
     class Observer(DefaultAlgoObserver):
@@ -147,11 +130,58 @@ def train_own(file: str, folder: Path, **more: Any) -> Any:
     return agents[0]
 
 
+SMALL_AMP = {
+    **{"amp_minibatch_size": 8, "amp_batch_size": 16, "amp_replay_buffer_size": 64},
+    **{"amp_obs_demo_buffer_size": 32, "warm_start_steps": 2},
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "task", "more"),
+    [
+        ("CartpolePPO", "Cartpole", {}),
+        ("AntSAC", "Ant", {"replay_buffer_size": 1000}),
+        ("HumanoidAMPPPO", "HumanoidAMP", SMALL_AMP),
+        ("HumanoidASEPPO", "HumanoidASE", SMALL_AMP),
+        ("HumanoidASETaskPPO", "HumanoidHeading", {}),
+        ("HumanoidASEHRLPPO", "HumanoidHeading", {}),
+    ],
+)
+def test_files_train_as_they_are_read(file, task, more: dict[str, Any], tmp_path):
+    agent = train_own(file, tmp_path, task, **more)
+    assert agent.vec_env.env.num_envs == 8
+    assert agent.config["device_name"] == "cpu"
+    assert list(tmp_path.glob("*/nn/*.pth"))
+
+
+def test_a_published_file_without_interpolations(tmp_path):
+    """ASE's train.py adds device, environments and a seed in place of -1, which numpy refuses."""
+    loaded = read_train_file("HumanoidAMPPPO")
+    for key in ("device", "device_name", "num_actors"):
+        del loaded["params"]["config"][key]
+    loaded["params"]["seed"] = -1
+    loaded["params"]["config"]["minibatch_size"] = 16384
+    OmegaConf.save(OmegaConf.create(loaded), tmp_path / "ase.yaml")
+    agent = train_own(tmp_path / "ase.yaml", tmp_path, "HumanoidAMP", **SMALL_AMP)
+    assert agent.vec_env.env.num_envs == 8
+
+
+def test_agents_of_rl_games_itself_take_our_files(tmp_path):
+    """They refuse the text `auto` of `mixed_precision`."""
+    register_env()
+    loaded = load_train_file("AntSAC", num_envs=4)
+    config = loaded["params"]["config"]
+    config |= {"env_config": {"task": "Ant"}, "replay_buffer_size": 1000, "batch_size": 16}
+    config |= {"train_dir": str(tmp_path), "max_epochs": 1, "torch_compile": False}
+    runner = Runner()
+    runner.load(loaded)
+    runner.run({"train": True})
+    assert list(tmp_path.glob("*/nn/*.pth"))
+
+
 def test_skills_and_a_hierarchy_on_a_task_by_its_name(tmp_path):
     """The task has its goal; skills, which no goal rewards, do not observe it."""
-    small = {"amp_minibatch_size": 8, "amp_batch_size": 16, "amp_replay_buffer_size": 64}
-    small |= {"amp_obs_demo_buffer_size": 32, "warm_start_steps": 2}
-    skills = train_own("HumanoidASEPPO", tmp_path / "skills", **small)
+    skills = train_own("HumanoidASEPPO", tmp_path / "skills", "HumanoidASE", **SMALL_AMP)
     task = skills.vec_env.env
     assert task.get_task_obs_size() == 5  # heading
     assert skills.num_policy_obs == task.num_obs - 5
@@ -159,9 +189,9 @@ def test_skills_and_a_hierarchy_on_a_task_by_its_name(tmp_path):
     (file,) = (tmp_path / "skills").glob("*/nn/*.pth")
     skills.network.network_builder.params["name"] = "own"
     save_train_file(skills, tmp_path / "llc.yaml")
-    keys = {"llc_config": str(tmp_path / "llc.yaml"), "llc_checkpoint": str(file)}
+    keys: dict[str, Any] = {"llc_config": str(tmp_path / "llc.yaml"), "llc_checkpoint": str(file)}
     model_builder.register_network("own", CountingBuilder)
-    hierarchy = train_own("HumanoidASEHRLPPO", tmp_path / "hrl", **keys)
+    hierarchy = train_own("HumanoidASEHRLPPO", tmp_path / "hrl", "HumanoidASE", **keys)
     assert CountingBuilder.built == 1
     assert hierarchy.llc.num_task_obs == 5
     assert hierarchy.llc.num_character_obs == skills.num_policy_obs

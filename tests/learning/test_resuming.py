@@ -107,7 +107,7 @@ def test_hierarchy_resumes_exactly(tmp_path):
     check_resuming(tmp_path, high)
 
 
-MEASUREMENT = "isaacgymenvs_lite.learning.cpu.precision.measure_bfloat16_speedup"
+MEASUREMENT = "isaacgymenvs_lite.utils.precision.measure_bfloat16_speedup"
 
 
 @pytest.mark.parametrize(("speedup", "chosen"), [(5.0, True), (0.5, False)])

@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from isaacgymenvs_lite.wrappers import GymnasiumVectorEnv, Sb3VecEnvWrapper
+from isaacgymenvs_lite.wrappers import GymnasiumEnv, Sb3VecEnvWrapper
 
 NUM_ENVS = 6
 
@@ -131,6 +131,6 @@ def test_pictures_are_tiled(gl, make_cartpole):
 
 
 def test_a_wrong_order_is_an_error(env, make_cartpole):
-    for wrapped in (env, VecNormalize(env), GymnasiumVectorEnv(make_cartpole())):
+    for wrapped in (env, VecNormalize(env), GymnasiumEnv(make_cartpole(num_envs=1))):
         with pytest.raises(WrapperError, match=r"Sb3VecEnvWrapper: got .* wrap the task itself"):
             Sb3VecEnvWrapper(wrapped)

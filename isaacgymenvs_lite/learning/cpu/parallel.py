@@ -23,7 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from isaacgymenvs_lite.learning.cpu.precision import resolve_mixed_precision
+from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 # Fewer rows than this are not worth another thread.

@@ -22,7 +22,7 @@ from isaacgymenvs_lite.checkpoints.llc_reference import SHIPPED_LLC, make_refere
 from isaacgymenvs_lite.checkpoints.packed import with_packed_settings
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.rl_games_settings import check_network, scale_units
-from isaacgymenvs_lite.config.train_files import load_train_file
+from isaacgymenvs_lite.config.train_files import read_train_file
 from isaacgymenvs_lite.env_interface import HierarchyEnv
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.learning.amp_config import GenAMPParams, read_agent_params
@@ -73,7 +73,7 @@ class LowLevelPolicy:
     """A trained GenAMP policy that never changes: evaluation mode, no gradients.
 
     Args:
-        llc_config: the train file that it was trained with; see `load_train_file`. The networks and
+        llc_config: the train file that it was trained with; see `read_train_file`. The networks and
             latents that a packed policy describes itself replace the file's.
         llc_checkpoint: its checkpoint, or the name of a shipped policy.
         sizes: of the task.
@@ -291,7 +291,7 @@ def _train_params(llc_config: str, state: dict[str, Any]) -> dict[str, Any]:
     training: the variant with the layers of the checkpoint is returned.
     """
     variants = [
-        with_packed_settings(load_train_file(llc_config, rl_device=device)["params"], state)
+        with_packed_settings(read_train_file(llc_config, rl_device=device)["params"], state)
         for device in _RL_DEVICES
     ]
     for params in variants:

@@ -36,7 +36,8 @@ from isaacgymenvs_lite.workflows.agent_files import (
 from isaacgymenvs_lite.workflows.library import load_into, read_parameters
 from isaacgymenvs_lite.workflows.sb3 import LIBRARY
 from isaacgymenvs_lite.workflows.sb3.isaac_lab import is_flat, to_sections
-from isaacgymenvs_lite.wrappers.sb3_env import Sb3VecEnvWrapper
+from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper
+from isaacgymenvs_lite.wrappers.sb3_settings import SCHEDULED, read_schedule
 
 # Set by the workflow, or able to name code.
 _RESERVED = (
@@ -47,9 +48,6 @@ _RESERVED_POLICY = (
     *("observation_space", "action_space", "lr_schedule", "activation_fn"),
     *("features_extractor_class", "features_extractor_kwargs", "optimizer_class"),
 )
-# Numbers, or "lin_3e-4": linearly to zero, as Stable-Baselines3's zoo and Isaac Lab write it.
-_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
-_LINEAR = "lin_"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,15 +212,11 @@ def _ppo_arguments(settings: Sb3Settings) -> dict[str, Any]:
     """
     arguments = dict(settings.ppo)
     schedules: dict[str, LinearSchedule] = {}
-    for key in _SCHEDULED:
-        value = arguments.get(key)
-        if isinstance(value, str) and value.startswith(_LINEAR):
-            try:
-                arguments[key] = float(value.removeprefix(_LINEAR))
-            except ValueError as error:
-                message = f"agent.ppo.{key}: got {value!r}, expected a number, or lin_ and a number"
-                raise ConfigError(message) from error
-            schedules[key] = LinearSchedule(arguments[key], 0.0, 1.0)
+    for key in SCHEDULED:
+        value = read_schedule(arguments.get(key), f"agent.ppo.{key}")
+        if isinstance(value, LinearSchedule):
+            schedules[key] = value
+            arguments[key] = value.start
     check_arguments(PPO, arguments, "agent.ppo", _RESERVED)
     return arguments | schedules
 

@@ -1,20 +1,15 @@
 """Isaac Lab's agent files for Stable-Baselines3: all keys in one section, classes by their names.
 
-    n_timesteps: 1.0e6
-    policy: MlpPolicy
-    n_steps: 16
-    batch_size: 4096
-    policy_kwargs: {activation_fn: nn.ELU, net_arch: [32, 32]}
-    normalize_input: True
-
-Older files write `policy_kwargs` as a line of Python, `"dict(activation_fn=nn.ELU, ...)"`, which
-Isaac Lab evaluates. Here it is parsed and never run; it may hold numbers, texts, lists,
-dictionaries and names of activations.
+n_timesteps: 1.0e6
+policy: MlpPolicy
+n_steps: 16
+batch_size: 4096
+policy_kwargs: {activation_fn: nn.ELU, net_arch: [32, 32]}
+normalize_input: True
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
 import logging
 import math
@@ -24,6 +19,7 @@ from typing import Any
 from stable_baselines3 import PPO
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.wrappers.sb3_settings import read_policy_kwargs
 
 log = logging.getLogger(__name__)
 
@@ -41,8 +37,6 @@ _NOT_KEYS = (
     *("env", "tensorboard_log", "_init_setup_model"),
     *("rollout_buffer_class", "rollout_buffer_kwargs"),
 )
-_MOST_TEXT = 2000
-_NN = ("nn.", "torch.nn.", "th.nn.")
 
 
 def is_flat(content: Mapping[str, Any]) -> bool:
@@ -119,56 +113,7 @@ def _normalizer(content: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def _policy(arguments: Any) -> dict[str, Any]:
     """Return `policy_kwargs` with our name of the activation."""
-    if isinstance(arguments, str):
-        arguments = _parsed(arguments)
-    if not isinstance(arguments, Mapping):
-        raise ConfigError(f"agent.policy_kwargs: got {arguments!r}, expected a mapping")
-    policy = dict(arguments)
-    function = policy.pop("activation_fn", "nn.Tanh")  # SB3's own
-    prefix = next((p for p in _NN if str(function).startswith(p)), None)
-    if not isinstance(function, str) or prefix is None:
-        raise ConfigError(
-            f"agent.policy_kwargs.activation_fn: got {function!r}, expected a name such as nn.ELU"
-        )
-    name = function.removeprefix(prefix).lower()
+    policy = read_policy_kwargs(arguments)
+    name = policy.pop("activation_fn", "Tanh").lower()  # SB3's own
     policy["activation"] = "leaky_relu" if name == "leakyrelu" else name
     return policy
-
-
-def _parsed(text: str) -> Any:
-    """Return the value of a line of Python, without running it.
-
-    Raises:
-        ConfigError: it holds more than numbers, texts, lists, dictionaries and activations.
-    """
-    refusal = (
-        f"agent.policy_kwargs={text[:60]!r}: expected a mapping, or dict(...) of numbers, lists and"
-        " activations such as nn.ELU; nothing of it is run"
-    )
-    if len(text) > _MOST_TEXT:
-        raise ConfigError(refusal)
-    try:
-        return _value(ast.parse(text.strip(), mode="eval").body)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ConfigError(refusal) from error
-
-
-def _value(node: ast.expr) -> Any:
-    match node:
-        case ast.Call(func=ast.Name(id="dict"), args=[], keywords=words):
-            if any(word.arg is None for word in words):
-                raise ValueError("**")
-            return {str(word.arg): _value(word.value) for word in words}
-        case ast.Dict(keys=keys, values=values):
-            if not all(
-                isinstance(key, ast.Constant) and isinstance(key.value, str) for key in keys
-            ):
-                raise ValueError("a key that is not text")
-            pairs = zip(keys, values, strict=True)
-            return {key.value: _value(value) for key, value in pairs}  # type: ignore[union-attr]
-        case ast.List(elts=entries) | ast.Tuple(elts=entries):
-            return [_value(entry) for entry in entries]
-        case ast.Attribute() if ast.unparse(node).startswith(_NN):
-            return ast.unparse(node)
-        case _:
-            return ast.literal_eval(node)

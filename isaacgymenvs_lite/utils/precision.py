@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.utils.threads import one_torch_thread
@@ -70,21 +69,6 @@ def supports_bfloat16() -> bool:
     return torch.backends.mkldnn.is_available() and bool(
         torch.ops.mkldnn._is_mkldnn_bf16_supported()
     )
-
-
-class BFloat16HiddenLayers(nn.Sequential):
-    """Layers of which all but the last compute under autocast to bfloat16, on a CPU.
-
-    Parameters, their gradients and the outputs stay float32.
-    """
-
-    def forward(self, inputs: Tensor) -> Tensor:
-        """Return the outputs (n, ...) of rows (n, ...)."""
-        *hidden, last = self
-        with torch.autocast("cpu", torch.bfloat16):
-            for layer in hidden:
-                inputs = layer(inputs)
-        return last(inputs.float())
 
 
 def measure_bfloat16_speedup() -> float:

@@ -1,11 +1,15 @@
 # pyright: reportMissingImports=false
-"""A task as a vectorised environment of Stable-Baselines3: numpy in and out."""
+"""A task as a vectorised environment of Stable-Baselines3: numpy in and out.
+
+The names are those of Isaac Lab's `isaaclab_rl.sb3`; docs/from_isaac_lab.md has a script.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -16,7 +20,25 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
 from isaacgymenvs_lite.wrappers.camera import AdapterCamera
-from isaacgymenvs_lite.wrappers.gymnasium_env import Bools, Floats, as_numpy
+from isaacgymenvs_lite.wrappers.gymnasium_env import Bools, Floats, GymnasiumVectorEnv, as_numpy
+from isaacgymenvs_lite.wrappers.isaac_lab_env import IsaacLabEnv
+from isaacgymenvs_lite.wrappers.sb3_settings import process_sb3_cfg
+
+__all__ = ["Sb3VecEnvWrapper", "process_sb3_cfg"]
+
+_BATCHED = (IsaacLabEnv, GymnasiumVectorEnv)
+# Wrappers that change nothing of what a step returns.
+_RECORDERS = (
+    *(gymnasium.wrappers.RecordVideo, gymnasium.wrappers.vector.RecordVideo),
+    *(gymnasium.wrappers.OrderEnforcing, gymnasium.wrappers.PassiveEnvChecker),
+)
+
+
+def _unrecorded(env: Any) -> Any:
+    """Return the environment in recorders of videos and Gymnasium's own checks."""
+    while isinstance(env, _RECORDERS):
+        env = env.env
+    return env
 
 
 class Sb3VecEnvWrapper(VecEnv):
@@ -30,20 +52,29 @@ class Sb3VecEnvWrapper(VecEnv):
     The library's own wrappers go around it: `VecNormalize(Sb3VecEnvWrapper(task))`.
 
     Args:
-        task: what `isaacgymenvs_lite.make` returns.
-        render_mode: `rgb_array` or None.
+        task: what `isaacgymenvs_lite.make` returns; or `gymnasium.make("Isaac-Cartpole-v0")` or
+            `gymnasium.make_vec`, also in a wrapper that records videos.
+        render_mode: `rgb_array` or None; an environment of Gymnasium has its own.
+        fast_variant: accepted for scripts of Isaac Lab, and not read: infos are complete.
 
     Attributes:
         task: the task.
         stepper: steps the task; its `last_step` is the last step as tensors.
 
     Raises:
-        WrapperError: `task` is not a task.
+        WrapperError: `task` is something else, or in a wrapper that changes what a step returns.
         ConfigError: another render mode.
     """
 
-    def __init__(self, task: Any, render_mode: str | None = None) -> None:
-        self.stepper = AutoresetTask(task, type(self).__name__)
+    def __init__(
+        self, task: Any, render_mode: str | None = None, fast_variant: bool = True
+    ) -> None:
+        self._env = task if isinstance(_unrecorded(task), _BATCHED) else None
+        if self._env is None:
+            self.stepper = AutoresetTask(task, type(self).__name__)
+        else:
+            self.stepper = self._env.unwrapped.stepper
+            render_mode = self._env.unwrapped.render_mode
         self.task = self.stepper.task
         self._camera = AdapterCamera(self.task, render_mode)
         self._actions = torch.zeros(self.task.num_envs, self.task.num_actions)
@@ -51,10 +82,15 @@ class Sb3VecEnvWrapper(VecEnv):
 
     def reset(self) -> Floats:
         """Start new episodes, with the seed given to `seed`; return observations (N, F)."""
-        observations = self.stepper.reset(self._seeds[0])
+        seed = self._seeds[0]
         self._reset_seeds()
         self._reset_options()
-        return as_numpy(observations["obs"])
+        if self._env is None:
+            return as_numpy(self.stepper.reset(seed)["obs"])
+        observations, _ = self._env.reset(seed=seed)
+        if isinstance(self._env.unwrapped, IsaacLabEnv):
+            observations = as_numpy(observations["policy"])
+        return observations
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Store actions (N, A) for `step_wait`."""
@@ -62,7 +98,12 @@ class Sb3VecEnvWrapper(VecEnv):
 
     def step_wait(self) -> tuple[Floats, Floats, Bools, list[dict[str, Any]]]:
         """Return observations (N, F), rewards (N,), dones (N,) and N infos; see the class."""
-        step = self.stepper.step(self._actions)
+        if self._env is None:
+            self.stepper.step(self._actions)
+        else:  # the recorders around the environment see the step
+            self._env.step(self._actions)
+        step = self.stepper.last_step
+        assert step is not None
         return (
             as_numpy(step.observations["obs"]),
             as_numpy(step.rewards),
@@ -96,7 +137,7 @@ class Sb3VecEnvWrapper(VecEnv):
     def close(self) -> None:
         """Free renderer and simulation."""
         self._camera.close()
-        self.stepper.close()
+        (self.stepper if self._env is None else self._env).close()
 
     def get_images(self) -> Sequence[Image]:
         """Return a picture of each environment.

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.cpu import precision
-from isaacgymenvs_lite.learning.cpu.precision import (
+from isaacgymenvs_lite.utils import precision
+from isaacgymenvs_lite.utils.precision import (
     measure_bfloat16_speedup,
     resolve_mixed_precision,
 )

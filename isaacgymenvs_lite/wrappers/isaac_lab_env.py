@@ -1,0 +1,126 @@
+"""Tasks as Isaac Lab's environments: `gymnasium.make("Isaac-Cartpole-v0", cfg=cfg)`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import torch
+from gymnasium.vector.utils import batch_space
+from omegaconf import DictConfig
+from torch import Tensor
+
+from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.rendering.scene import Image
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
+from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera
+from isaacgymenvs_lite.wrappers.gymnasium_env import make_task, render_fps
+
+
+def make_isaac_lab_env(
+    task: str,
+    cfg: DictConfig | None = None,
+    render_mode: str | None = None,
+    num_envs: int | str = "",
+    **keys: Any,
+) -> IsaacLabEnv:
+    """Make what `gymnasium.make("Isaac-Cartpole-v0", ...)` returns.
+
+    Args:
+        task: name of a task file.
+        cfg: a tree as `isaacgymenvs_lite.config.compose.compose_task` returns it; None composes
+            one from the other arguments.
+        render_mode: `rgb_array` or None.
+        num_envs: N; '' = the task file's own.
+        keys: keys of cfg/config.yaml: `seed=1`.
+
+    Raises:
+        ConfigError: `cfg` is no tree of this project, an unknown key, or a wrong value.
+    """
+    if cfg is not None and not (isinstance(cfg, DictConfig) and "task" in cfg):
+        raise ConfigError(
+            f"gymnasium.make: cfg={type(cfg).__name__}: expected a tree of"
+            f' isaacgymenvs_lite.config.compose.compose_task("{task}", ["num_envs=64"]); Isaac'
+            " Lab's own configurations describe its simulator"
+        )
+    made, random = make_task(task, num_envs, keys, cfg=cfg)
+    env = IsaacLabEnv(AutoresetTask(made, IsaacLabEnv.__name__, random), render_mode)
+    env.cfg = cfg
+    return env
+
+
+class IsaacLabEnv(gymnasium.Env[dict[str, Tensor], Tensor]):
+    """N environments of a task in one, as Isaac Lab's: batches of tensors.
+
+    A step that ends an episode returns the first observation of the next one. Observations are
+    {"policy": (N, F)}, with {"critic": (N, S)} for an asymmetric critic.
+
+    Args:
+        stepper: steps the task.
+        render_mode: `rgb_array` or None.
+
+    Attributes:
+        stepper: as given.
+        task: the task.
+        cfg: the tree that the task was made from, None without one.
+        num_envs: N.
+        device: torch device of all tensors.
+        step_dt: control step, s.
+        max_episode_length: control steps.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [None, RENDER_MODE]}  # noqa: RUF012  as Gymnasium
+
+    def __init__(self, stepper: AutoresetTask, render_mode: str | None = None) -> None:
+        self.stepper, self.task = stepper, stepper.task
+        self.cfg: DictConfig | None = None
+        self.num_envs, self.device = self.task.num_envs, torch.device(self.task.rl_device)
+        self.step_dt = self.task.simulation.dt
+        self.max_episode_length = self.task.max_episode_length
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": render_fps(self.task)}
+        self._camera = AdapterCamera(self.task, render_mode)
+        spaces = {"policy": self.task.observation_space}
+        if self.task.num_states > 0:
+            spaces["critic"] = self.task.state_space
+        self.single_observation_space = gymnasium.spaces.Dict(spaces)
+        self.single_action_space = self.task.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Start new episodes in all environments; `options` are not read."""
+        super().reset(seed=seed)
+        return _renamed(self.stepper.reset(seed)), {}
+
+    def step(self, action: Any) -> tuple[dict[str, Tensor], Any, Any, Any, dict[str, Any]]:
+        """Advance by one control step with actions (N, A).
+
+        Returns:
+            observations, rewards (N,), terminated (N,), truncated (N,), and infos: rows for each
+            environment by name, and `log` for all together.
+        """
+        step = self.stepper.step(torch.as_tensor(action, dtype=torch.float32))
+        infos = {**step.per_env, "log": step.scalars}
+        return _renamed(step.observations), step.rewards, step.terminated, step.truncated, infos
+
+    def render(self) -> Image | None:  # type: ignore[override]
+        """Return a picture (height, width, 3) of environment 0; None without a render mode.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        pictures = self._camera.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Free renderer and simulation; a second call does nothing."""
+        self._camera.close()
+        self.stepper.close()
+
+
+def _renamed(observations: Observations) -> dict[str, Tensor]:
+    names = {"obs": "policy", "states": "critic"}
+    return {names.get(name, name): rows for name, rows in observations.items()}
