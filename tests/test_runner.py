@@ -620,7 +620,7 @@ def test_the_newest_checkpoints_stay_and_what_was_there_before(in_tmp):
 def test_episodes_that_hardly_end_are_not_measured(in_tmp, caplog):
     words = ["task=Cartpole", *TINY_PPO, f"++{CONFIG}.imitation_frequency=1"]
     with caplog.at_level("INFO"):
-        run(compose([*words, "task.env.episodeLength=20000"]))
+        run(compose([*words, "task=Ant", "task.env.episodeLength=20000"]))
     assert "without exploration noise" not in caplog.text
 
 
