@@ -169,7 +169,9 @@ def test_rows_of_other_robots(tmp_path: Path, humanoid, columns: int, family: st
         assert f"its 'Frames' have {columns} columns" in line
         assert family in line
         assert "rows of 44 numbers" in line
-        assert line.endswith("in the order of its MJCF file; with robot=FILE file_fps=50")
+        assert line.endswith(
+            "in the order of its MJCF file; convert it with robot=FILE file_fps=50"
+        )
 
 
 def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> None:
