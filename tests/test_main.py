@@ -63,7 +63,7 @@ def test_it_trains_and_plays_in_another_folder(program, tmp_path):
     assert f"{typed} task=Cartpole" in trained.stdout + trained.stderr
     played = run(*program, "play", "task=Cartpole", *small, folder=tmp_path)
     assert played.returncode == 0, played.stderr
-    assert "Cartpole.pth" in played.stdout + played.stderr
+    assert "/nn/last_Cartpole_ep_1_rew_" in played.stdout + played.stderr
 
 
 def test_a_command_exits_with_the_code_of_its_module(program, tmp_path):

@@ -617,6 +617,13 @@ def test_the_newest_checkpoints_stay_and_what_was_there_before(in_tmp):
     assert sorted(found[1] for found in epochs if found) == ["5", "6"]  # one file an epoch
 
 
+def test_episodes_that_hardly_end_are_not_measured(in_tmp, caplog):
+    words = ["task=Cartpole", *TINY_PPO, f"++{CONFIG}.imitation_frequency=1"]
+    with caplog.at_level("INFO"):
+        run(compose([*words, "task=Ant", "task.env.episodeLength=20000"]))
+    assert "without exploration noise" not in caplog.text
+
+
 @pytest.mark.parametrize("algorithm", ["ppo", "lstm", "sac"])
 def test_the_best_checkpoint_earns_what_was_measured(algorithm, in_tmp, caplog):
     words = {

@@ -48,7 +48,8 @@ def check_robot(file: str, settings: RobotCheckSettings) -> None:
         require("PIL", "writing pictures")
     robot = load_clip_robot(file)
     for line in robot.prepared.describe():
-        log.info("%s", textwrap.fill(line, _COLUMNS, subsequent_indent="    "))
+        for part in textwrap.wrap(line, _COLUMNS, subsequent_indent="    "):
+            log.info("%s", part)
     if settings.out:
         pose = robot.prepared.start_qpos[None]
         views = [view_of(robot, azimuth_deg, ASPECT) for azimuth_deg in _AZIMUTHS_DEG]

@@ -58,7 +58,10 @@ class _Plan:
 
 _TASK_PER_STEP = "task reward per step"  # made here of two scalars
 _PLANS = (
-    _Plan("Task reward of an episode", {"task reward": REWARD_TAGS}),
+    _Plan(
+        "Task reward of an episode",
+        {"task reward": REWARD_TAGS, "mean policy": ("measured/reward",)},
+    ),
     _Plan(
         "Reward per step, by source",
         {
@@ -74,7 +77,7 @@ _PLANS = (
         {
             "in training": ("info/fall_rate",),
             "off the clip": ("info/off_clip_rate",),
-            "mean policy": (_FALL_TAG,),
+            "mean policy": (_FALL_TAG, "measured/fall_rate"),
         },
     ),
     _Plan("Tempo, multiple of the clip's", {"tempo": ("imitation/tempo",)}),
@@ -94,8 +97,17 @@ _PLANS = (
 _EACH = {GOAL_TAG: "Goal", "reward_terms/": "Reward term, per step", "losses/": "Loss"}
 
 
+def without_reward_of_one(scalars: Mapping[str, Series]) -> Mapping[str, Series]:
+    """Leave out rewards of 1 a step, which are no rewards: the chart of the lengths has them."""
+    reward, length = first_of(scalars, REWARD_TAGS), first_of(scalars, LENGTH_TAGS)
+    if len(reward) != len(length) or not np.allclose(reward.values, length.values, rtol=1e-4):
+        return scalars
+    return {tag: series for tag, series in scalars.items() if tag not in REWARD_TAGS}
+
+
 def main_charts(scalars: Mapping[str, Series]) -> list[Chart]:
     """Return the main charts of a training: those that the run has scalars for."""
+    scalars = without_reward_of_one(scalars)
     scalars = _finite({**scalars, **_derived(scalars)})
     charts = []
     for plan in _PLANS:

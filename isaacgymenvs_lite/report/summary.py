@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.report.charts import GOAL_TAG, LENGTH_TAGS, REWARD_TAGS
+from isaacgymenvs_lite.report.charts import (
+    GOAL_TAG,
+    LENGTH_TAGS,
+    REWARD_TAGS,
+    without_reward_of_one,
+)
 from isaacgymenvs_lite.report.drawing import short
 from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, first_of
 from isaacgymenvs_lite.yaml_text import parse_yaml
@@ -17,6 +22,8 @@ from isaacgymenvs_lite.yaml_text import parse_yaml
 # Name -> tags, and how the newest value is written.
 _NEWEST = {
     "task reward of an episode": (REWARD_TAGS, "{:.4g}"),
+    "measured reward": (("measured/reward",), "{:.4g}"),
+    "measured falls": (("measured/fall_rate",), "{:.0%}"),
     "steps of an episode": (LENGTH_TAGS, "{:.4g}"),
     "style reward per step": (("info/disc_reward_mean",), "{:.3f}"),
     "pose error": (("imitation/pose_error_m",), "{:.3f} m"),
@@ -36,6 +43,7 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
         config: text of its config.yaml; '' if there is none.
         scalars: of the run, see `read_scalars`.
     """
+    scalars = without_reward_of_one(scalars)
     clock = first_of(scalars, FPS_TAGS)
     tree = _tree(config)
     facts = {

@@ -228,7 +228,7 @@ def _moved_followers(
     for name in Followers(model).names:
         angle, given = float(qpos[model.joint(name).qposadr[0]]), float(positions[name][0])
         if abs(angle - given) > TOLERANCE_RAD:
-            notes.append(f"start pose: '{name}' follows: {angle:.3f} rad, not {given:.3f}")
+            notes.append(f"start pose: '{name}' follows at {angle:.3f} rad, not {given:.3f}")
     return notes
 
 

@@ -127,3 +127,12 @@ def test_charts_keep_where_a_run_was_resumed() -> None:
     for chart in charts:
         assert all(line.series.resumed_at == (100.0,) for line in chart.lines), chart.title
         assert chart.resumed_at == [100.0]
+
+
+def test_a_reward_of_one_a_step_is_left_out_and_measured_rewards_are_shown() -> None:
+    lengths = {"episode_lengths/step": series([10, 20]), "rewards/step": series([10, 20])}
+    titles = [chart.title for chart in main_charts(lengths)]
+    assert titles == ["Length of an episode, control steps"]
+    paid = {**lengths, "rewards/step": series([1, 2]), "measured/reward": series([3, 4])}
+    labels = [line.label for line in main_charts(paid)[0].lines]
+    assert labels == ["task reward", "mean policy"]

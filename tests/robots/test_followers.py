@@ -85,7 +85,7 @@ def test_the_start_pose_follows_and_says_where_it_differs_from_the_users():
     b = -0.2 - 0.1 + 0.5 * 0.5 + 0.2 * 0.5**2 + 0.4 * 0.5**3
     c = 0.1 - 2.0 * (b + 0.2) + 0.3 * (b + 0.2) ** 4
     np.testing.assert_allclose(robot.start_qpos[7:], [0.8, b, c, 0.25], atol=1e-12)
-    assert f"start pose: 'b' follows: {b:.3f} rad, not 1.000" in robot.notes
+    assert f"start pose: 'b' follows at {b:.3f} rad, not 1.000" in robot.notes
 
 
 def test_a_follower_of_a_fixed_slide_is_held():
