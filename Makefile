@@ -10,8 +10,12 @@ ARGS ?=
 # Python compiles a module at its first import; to compile all 17,000 of them takes over a minute.
 INSTALL := $(BIN)/python -m pip install -q --no-compile -c constraints.txt
 
-# An environment of an older Python is made anew.
-REMOVED := $(shell if [ -x $(BIN)/python ] && ! $(BIN)/python -c '$(IS_RECENT)' 2>/dev/null; then rm -rf $(VENV); fi)
+# .venv of an older Python is made anew; an environment that VENV names is left alone.
+ifneq ($(filter install install-dev train demo test test-slow lint ruff format docs bench wheel,$(MAKECMDGOALS)),)
+ifeq ($(VENV),.venv)
+REMOVED := $(shell if [ -x .venv/bin/python ] && ! .venv/bin/python -c '$(IS_RECENT)' 2>/dev/null; then rm -rf .venv; fi)
+endif
+endif
 
 .DEFAULT_GOAL := help
 .PHONY: help install install-dev train demo test test-slow lint ruff format docs bench wheel clean

@@ -158,7 +158,7 @@ class _Run:
             time.sleep(5e-3)
 
     def _holds_a_write(self) -> bool:
-        """Stop the process; return whether that was in a write, else let it go on."""
+        """Pause the process if it is writing a file; return whether it did."""
         assert self._process is not None
         assert self._process.pid is not None
         if not self._is_writing():

@@ -30,7 +30,7 @@ T = TypeVar("T", bound="DataclassInstance")
 
 
 class EscapingFormatter(logging.Formatter):
-    """Writes text and paths that a message quotes without control characters.
+    """Escapes control characters in the texts and paths of a message.
 
     A stranger's run folder may have them in its name.
     """

@@ -207,7 +207,7 @@ def _find_files(env: dict[str, Any], checkout: Path, maker: TaskMaker) -> None:
 
 
 def _of_sword_humanoid(env: dict[str, Any], checkout: Path) -> str:
-    """Return what a task with ASE's armed humanoid can show in place of its clip, else ''."""
+    """Return what to use for a missing clip of ASE's armed humanoid; '' for others."""
     asset = env.get("asset")
     model = str(asset.get("assetFileName")) if isinstance(asset, dict) else ""
     if Path(model).name != "amp_humanoid_sword_shield.xml":

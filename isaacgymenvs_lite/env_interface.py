@@ -217,7 +217,7 @@ def failures(dones: Tensor, infos: dict[str, Any]) -> Tensor:
 
 
 def goal_size(env: Any) -> int:
-    """Return how many of the last entries of an observation describe the goal of any task."""
+    """Return the number of goal entries that end an observation; 0 without a goal."""
     size_of = getattr(env, "get_task_obs_size", None)
     return 0 if size_of is None else int(size_of())
 

@@ -15,7 +15,7 @@ _PACKAGE_DIR = Path(__file__).resolve().parent
 
 
 PARTS = ("Classic", "HumanoidRandomization", "RobotRandomization", "ClassicPPO", "ClassicSAC")
-"""Files of cfg/ that tasks and trainings are made of, and that are none by themselves."""
+"""Files of cfg/ that others include, and that are no task or training by themselves."""
 
 
 def cfg_dir() -> Path:

@@ -529,7 +529,7 @@ def _population(
 
 
 def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
-    """Check a training whose settings change, numbers by path, as its start would.
+    """Check changed settings, numbers by their key path, as a start would.
 
     Raises:
         UserError: it could not begin with them.
@@ -668,8 +668,7 @@ def _measurement_observer(
 ) -> MeasurementObserver | None:
     """Return what measures the mean policy in a training; None if nothing does.
 
-    Without reference motions it also chooses the best checkpoint: by some 20 measurements, where
-    there is time for so many.
+    Without reference motions it also chooses the best checkpoint, by about 20 measurements at most.
     """
     has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
@@ -759,7 +758,7 @@ def _report_end(
     played = best if plays_best and best.exists() else newest
     if launch.settings.resume:  # the words that started it are known to the user alone
         name = "last" if played == newest else played.absolute()
-        play = f"repeat the command that started the run with test=True checkpoint={name}"
+        play = f"add test=True checkpoint={name} to the command that started the run"
     else:
         play = command.play(task, played.absolute(), is_newest=played == newest)
     log.info("saved %s; play it: %s", played, play)

@@ -30,8 +30,8 @@ log = logging.getLogger(__name__)
 SECTIONS = ("task.env", "train.params.network", "train.params.config")
 """Sections that the configuration of a run must have."""
 
-# All that config.yaml of a run, perhaps a stranger's, decides when the run goes on: how it trains.
-# Who looks on and what is sent away is typed again.
+# The only keys that resume= takes from a run's config.yaml, which a stranger may have written.
+# Viewers, videos and W&B are not among them.
 _OF_RUN = frozenset(
     (
         *("task", "train", "pbt", "task_name", "task_checkout", "experiment"),

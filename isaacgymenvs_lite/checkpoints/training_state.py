@@ -246,8 +246,8 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
 def _newest_state(run: RunFolder) -> Path | None:
     """Return the file to go on from: the newest training state, or a newer rescued checkpoint.
 
-    Without a state it is the newest checkpoint. A newer checkpoint in the run folder, which a kill
-    left, does not count, because a state goes on exactly; it is logged.
+    Without a state it is the newest checkpoint. A newer checkpoint in the run folder (after a kill)
+    is only logged: a state resumes exactly.
     """
     states = [file for file in run.files(f"{FOLDER}/*.pth") if _STATE.fullmatch(file.name)]
     state, checkpoint = newest(states), run.newest_checkpoint()
@@ -259,8 +259,8 @@ def _newest_state(run: RunFolder) -> Path | None:
     if not checkpoint.is_relative_to(run.path):
         return checkpoint
     log.warning(
-        "the run goes on from its training state of epoch %s; %s is of epoch %d, but has networks"
-        " and optimisers alone: to go on from it give resume=%s",
+        "resuming from the training state of epoch %s; the newer %s (epoch %d) has only networks"
+        " and optimisers: resume=%s resumes from it",
         *(state.stem, checkpoint.name, epoch, checkpoint),
     )
     return state

@@ -50,7 +50,7 @@ def default_rl_device() -> str:
 
 
 def default_seed(*, _root_: DictConfig) -> Any:
-    """Return the seed that the train file has as a value, as rl_games reads it, else 42."""
+    """Return the train file's seed if it is a plain value, not an interpolation, else 42."""
     params = OmegaConf.select(_root_, "train.params")
     if not isinstance(params, DictConfig) or OmegaConf.is_interpolation(params, "seed"):
         return _DEFAULT_SEED

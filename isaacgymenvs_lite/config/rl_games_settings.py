@@ -150,7 +150,7 @@ class PlayerSettings:
     """Episodes."""
     deterministic: bool = setting(True)
     n_game_life: int = setting(1, choices=(1,))
-    """Lives of a game; the tasks have no others."""
+    """Lives in a game; the tasks have one."""
     record: str | None = setting(None)
     """File that environment 0 is recorded to."""
     latent: str | None = setting(None)
@@ -310,7 +310,7 @@ INITIALIZERS: dict[str, type[Any] | None] = {
 }
 
 
-# A fixed sigma is a vector, for which the others are not defined.
+# Initialisers of a fixed sigma, a vector; others need matrices.
 _VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
 
 

@@ -54,8 +54,8 @@ def startup_notes(cfg: DictConfig, check_command: str) -> list[str]:
 def physx_only_keys(cfg: DictConfig, *, with_defaults: bool = False) -> list[str]:
     """Return the keys that have no effect here and were set by the user.
 
-    Set means: unlike our own YAML file of that name, or, in a task that we ship no file for, unlike
-    the files that it may inherit from. Values are compared as written, before interpolation.
+    A key is set if its value differs from our YAML file of that name, or, without one, from all
+    files that it may inherit from. Values are compared as written, before interpolation.
 
     Args:
         cfg: the composed tree.

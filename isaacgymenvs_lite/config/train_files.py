@@ -1,4 +1,4 @@
-"""Reads a train file alone: for an own rl_games Runner, or for a low-level controller."""
+"""Reads a train file without a task: for your own Runner or a low-level controller."""
 
 from __future__ import annotations
 

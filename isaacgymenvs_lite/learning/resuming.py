@@ -109,7 +109,7 @@ class Resuming(BaseAlgorithm):
         buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
         is_large = num_bytes(buffers) > _LARGE_BYTES
         if is_large and self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config:
-            buffers = {}  # a trial, and a minute of training at most
+            buffers = {}  # a run this short is quickly repeated
         group = current_group()
         state = TrainingState(weights, self._memory(), buffers or None, group.size)
         token, written = group.from_main(new_token()), None

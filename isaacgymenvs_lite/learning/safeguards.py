@@ -94,7 +94,7 @@ class Safeguards(Resuming):
             log.info("%s: a new training begins with the networks of this policy", self._source)
 
     def check_fits(self, weights: Mapping[str, Any], source: str) -> None:
-        """Check that the agent could go on with a checkpoint; it stays as it is.
+        """Check that the agent could load a checkpoint; nothing is loaded.
 
         Args:
             weights: the checkpoint.

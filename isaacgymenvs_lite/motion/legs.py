@@ -223,7 +223,7 @@ class LegSolver:
         return np.stack([self._sole(leg) for leg in self._legs])
 
     def _set(self, pose: npt.NDArray[np.float64]) -> None:
-        """Put the followers of a pose in their places, in place, and compute its kinematics."""
+        """Compute a pose's followers, in place, and its kinematics."""
         pose[:] = self._followers.placed(pose)
         self._data.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._data)

@@ -111,7 +111,7 @@ class PBTObserver(AlgoObserver):
         decides: whether this process decides; False of all but the first of a policy.
         share: receives the first process' decision (None elsewhere) and returns it in all.
         is_stopping: returns whether the training is about to end, so that nothing restarts.
-        check_settings: raises what the training would with such settings, numbers by path.
+        check_settings: raises if a training would refuse these numbers by key path.
     """
 
     stored = ()
@@ -227,7 +227,7 @@ class PBTObserver(AlgoObserver):
         return population
 
     def _leader(self, population: dict[int, Record]) -> int:
-        """Return the best policy; one with a checkpoint that cannot be used is removed before."""
+        """Return the best policy; remove those whose checkpoint cannot be used."""
         while True:
             leader = max(population, key=lambda index: population[index].true_objective)
             if leader == self._settings.policy_idx:

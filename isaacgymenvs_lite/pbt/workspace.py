@@ -176,7 +176,7 @@ class Workspace:
         """Check that all policies train the same.
 
         Args:
-            but_own: not the file of this policy, which begins.
+            but_own: skip the file of this new policy.
 
         Raises:
             ConfigError: one does not, or its file is broken.

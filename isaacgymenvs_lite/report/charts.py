@@ -98,7 +98,7 @@ _EACH = {GOAL_TAG: "Goal", "reward_terms/": "Reward term, per step", "losses/": 
 
 
 def without_reward_of_one(scalars: Mapping[str, Series]) -> Mapping[str, Series]:
-    """Leave out rewards of 1 a step, which are no rewards: the chart of the lengths has them."""
+    """Leave out a reward of 1 a step: it equals the episode length, which has a chart."""
     reward, length = first_of(scalars, REWARD_TAGS), first_of(scalars, LENGTH_TAGS)
     if len(reward) != len(length) or not np.allclose(reward.values, length.values, rtol=1e-4):
         return scalars

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.errors import ConfigError
 
 _Floats = npt.NDArray[np.floating]
 TOLERANCE_RAD = 0.005
-"""How far a follower may be from its place without a word: files are rounded."""
+"""Smaller deviations of a follower are not reported: files are rounded."""
 _LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
@@ -127,7 +127,7 @@ class Followers:
 
 
 def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tuple[_Follower, ...]:
-    """Return the followers in an order in which leaders that follow others come before theirs."""
+    """Return the followers, each after its leader if the leader follows, too."""
     placed: dict[int, _Follower] = {}
     while len(placed) < len(followers):
         ready = {
@@ -147,7 +147,7 @@ def _leaders_first(model: mujoco.MjModel, followers: dict[int, _Follower]) -> tu
 
 
 def _refuse_loop(model: mujoco.MjModel, equality: int) -> None:
-    """Refuse a constraint between two bodies of which one moves against the other."""
+    """Refuse a constraint between two bodies that can move apart."""
     ids = (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         ids = tuple(int(model.site_bodyid[site]) for site in ids)

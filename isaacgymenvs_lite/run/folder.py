@@ -241,7 +241,7 @@ class RunFolder:
         return newest(self.files("nn/*.pth"))
 
     def report_rescued(self, file: Path, key: str) -> None:
-        """Log that a file of the run, which `key` means, is a rescued one, if it is."""
+        """Log if a file of the run, found by `key`, is a rescued one."""
         if not file.is_relative_to(self.path):
             log.warning(
                 "%s takes a rescued checkpoint, %s: its run folder could not be written", key, file

@@ -28,7 +28,7 @@ def clip_spread_m(reference: ReferencePoses) -> float:
 
 
 _NOTABLE = 0.1
-"""Share of the best reward that a last policy may lose without a word."""
+"""Relative loss of the last policy above which it is reported."""
 
 
 class MeasurementObserver(AlgoObserver):
@@ -61,7 +61,7 @@ class MeasurementObserver(AlgoObserver):
     """
 
     MAX_TIME_SHARE = 0.02
-    _SHARE_TO_CHOOSE = 0.1  # a few of the 20 measurements of a training of seconds
+    _SHARE_TO_CHOOSE = 0.1  # even a training of seconds gets a few measurements
     _SEED = 1234
     best_pose_error_m: float | None = None
     best_reward: float | None = None
@@ -96,7 +96,7 @@ class MeasurementObserver(AlgoObserver):
         """Store the agent and start the clock."""
         self._algo = algo
         self._start_s = time.monotonic()
-        # Agents of other projects lack what measures and keeps them.
+        # Agents of other projects may lack `save_best`.
         self.chooses_best &= hasattr(algo, "save_best")
         if self.chooses_best:
             algo.best_is_measured = True

@@ -147,7 +147,7 @@ class TrainingObservers(MultiObserver):
 
     @property
     def how_best_was_measured(self) -> str:
-        """Words after the best number of the run; '' if it is of training episodes."""
+        """How the best number was measured; '' if in training episodes."""
         measured = self._measurement
         if measured is None or not measured.chooses_best:
             return ""

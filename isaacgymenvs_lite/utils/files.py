@@ -38,7 +38,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_no_links(folder: Path, below: str = "") -> None:
-    """Check that files written below a folder, perhaps a stranger's, are written nowhere else.
+    """Refuse links below a folder, through which files elsewhere could be written.
 
     Args:
         folder: may be a link itself.
@@ -52,8 +52,8 @@ def check_no_links(folder: Path, below: str = "") -> None:
     for path in itertools.chain([folder / below], found):
         if path.is_symlink() and path != folder:
             raise ConfigError(
-                f"{path} is a link, through which files elsewhere would be written; put what it"
-                " leads to in its place, or link the whole folder of the runs"
+                f"{path} is a link, through which files elsewhere would be written; replace it by"
+                " its target, or link the whole folder of the runs"
             )
 
 

@@ -56,8 +56,8 @@ class Viewers:
             prefix: of the names of videos.
 
         Raises:
-            ConfigError: the folder of videos cannot be written, that is a link or has one
-                below it, or a port was taken meanwhile.
+            ConfigError: the folder of videos cannot be written, is a link or contains one, or a
+                port was taken meanwhile.
         """
         settings, folder = self._settings, run_folder / "videos"
         self._env = env

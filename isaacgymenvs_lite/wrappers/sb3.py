@@ -35,7 +35,7 @@ _RECORDERS = (
 
 
 def _unrecorded(env: Any) -> Any:
-    """Return the environment in recorders of videos and Gymnasium's own checks."""
+    """Return the environment inside video recorders and Gymnasium's checks."""
     while isinstance(env, _RECORDERS):
         env = env.env
     return env

@@ -181,7 +181,7 @@ def test_agents_of_rl_games_itself_take_our_files(tmp_path):
 
 
 def test_skills_and_a_hierarchy_on_a_task_by_its_name(tmp_path):
-    """The task has its goal; skills, which no goal rewards, do not observe it."""
+    """The task has a goal; skills are not rewarded for it, nor observe it."""
     skills = train_own("HumanoidASEPPO", tmp_path / "skills", "HumanoidASE", **SMALL_AMP)
     task = skills.vec_env.env
     assert task.get_task_obs_size() == 5  # heading

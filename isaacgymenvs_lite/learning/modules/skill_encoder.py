@@ -110,7 +110,7 @@ class SkillRewards:
 
     @property
     def _observes_goal(self) -> bool:
-        """Whether the policy observes the task's goal: not if its reward does not count."""
+        """Whether the policy observes the goal: if `task_reward_w` is not 0."""
         return self._amp.task_reward_w != 0.0
 
     def _sizes_of_inputs(self, env: Any) -> dict[str, Any]:
@@ -120,7 +120,7 @@ class SkillRewards:
         return {"amp_latent_shape": (self._amp.latent_dim,), "input_shape": (self.num_policy_obs,)}
 
     def _preproc_obs(self, obs: Any) -> Any:
-        """As rl_games, of observations (..., O) without an ignored goal."""
+        """Preprocess observations (..., O) as rl_games, after dropping an ignored goal."""
         base: Any = super()
         return base._preproc_obs(obs[..., : self.num_policy_obs])
 

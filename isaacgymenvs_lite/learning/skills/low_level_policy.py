@@ -244,7 +244,7 @@ class LowLevelPolicy:
 
 
 def _model_builder(train_params: dict[str, Any], llc_config: str) -> Any:
-    """Return the model that a train file names, not built yet; a user may have registered its own.
+    """Return the unbuilt model that a train file names, which may be a user's registered one.
 
     Raises:
         ConfigError: the file is of no policy with skill latents.

@@ -47,15 +47,15 @@ BALL_COLUMNS = {
 }
 HINGE_COLUMNS = {"right_shin": 20, "right_lower_arm": 29, "left_shin": 34, "left_lower_arm": 43}
 MOVED_BODIES = (*BALL_COLUMNS, *HINGE_COLUMNS)
-# Clips of other robots in the same kind of text, by their columns.
+# Other robots' JSON clips, by their number of columns.
 _FAMILIES = {
     19: "as motion_imitation's of quadrupeds (root position, root quaternion, 12 joints)",
     61: "as AMP_for_hardware's of quadrupeds (root position, root quaternion, 12 joints, feet, and "
     "all velocities)",
 }
 _ROBOT_ROWS = (
-    "Rows of a robot are read from a .csv without header: root position (3, m), root quaternion "
-    "(4, xyzw), joints (rad) in the order of its MJCF file; with robot=FILE"
+    "Save a robot's rows as a .csv without header: root position (3, m), root quaternion "
+    "(4, xyzw), joints (rad) in the order of its MJCF file; convert it with robot=FILE"
 )
 # Durations that differ by less than this part of the usual one are rounded numbers.
 _DURATION_TOLERANCE = 1e-3

@@ -68,7 +68,7 @@ def read_joint_clip(
     quat_order: QuatOrder | None = None,
     up_b: Sequence[float] = UP,
 ) -> JointClip:
-    """Read the only clip of a file, or one of them: `FILE:MOTION`; else as `read_joint_clips`.
+    """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`.
 
     Raises:
         MotionFileError: also for a file of several motions.

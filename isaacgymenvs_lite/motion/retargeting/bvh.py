@@ -2,8 +2,8 @@
 
 Many programs write position channels for all joints, not for the root alone, and some write a ROOT
 that stands still above the hips that move. pybvh reads neither: `_split_positions` takes the
-positions out of the text. Those of a joint above the body are part of the root's motion; those of
-other joints are constant, the joint's offset or zero.
+positions out of the text. Those of joints above the body move the root; those of other joints must
+be constant: they replace the offset, or are zero.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
     """Read a BVH file.
 
     Args:
-        path: of the file. Its joints have three rotation channels or none, in any order. Positions
-            of joints below the root of the motion stay the same.
-        joints: names of joints that the caller needs. The lowest joint above all of them, or one of
-            them, becomes the root, with the motion of all joints above it. Empty: ROOT.
+        path: of the file. Its joints have three rotation channels or none, in any order. Joints
+            below the motion's root keep their positions.
+        joints: names of joints that the caller needs. Their lowest common ancestor, or one of them,
+            becomes the root, with the motion of all joints above it. Empty: ROOT.
 
     Raises:
         MissingPackageError: pybvh is not installed.
@@ -193,9 +193,9 @@ def _places_in_parents(
     above: Sequence[str],
     path: Path,
 ) -> list[FloatArray]:
-    """Set the offsets (J, 3) that constant positions replace; return the places of joints `above`.
+    """Replace offsets (J, 3) by constant positions, in place; return the places of joints `above`.
 
-    Positions of zero are no places: the offset counts.
+    Positions that are all zero are ignored.
 
     Args:
         names: of the J joints.

@@ -83,7 +83,7 @@ class SkeletonMapping:
 
     @property
     def to_z_up(self) -> FloatArray:
-        """(4,) xyzw, the rotation that turns `up` into z and the axis before it into x."""
+        """(4,) xyzw, turns `up` into z and the next axis (cyclic x, y, z) into x."""
         z = axis_vector(self.up)
         x = np.roll(np.abs(z), 1)
         return _quaternion(np.stack((x, np.cross(z, x), z)))

@@ -36,14 +36,14 @@ _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
 _SHORTEST_LEG_M, _LONGEST_LEG_M, _USUAL_LEG_M = 0.45, 1.4, 0.85
 _UNITS_M = (1.0, 0.01, 0.001, 0.0254, 0.056444, 0.1, 0.3048)
 _MAX_FRAMES = 1000
-# Cosines: a skeleton stands along an axis of its file; trunk and legs of a rest pose that stands; a
-# joint's axis against the body's. Feet are stretched in crawls and dances, their axis up may tilt.
+# Least cosines: an upright skeleton and an axis; trunk and legs at rest; a joint's axis and its
+# body's; the same for a foot's up axis, which tilts in crawls and dances.
 _STANDS, _STRAIGHT, _ALIGNED, _FOOT_UP = 0.7, 0.8, 0.3, -0.3
 # Knees that bend backward by this share of a leg's length on average are no knees.
 _BACKWARD = 0.03
-# In lengths of a leg: the height of the lowest joint of a body on the ground; how much farther from
-# this height it may be along the mapping's axis than along others; and how far it may be along an
-# axis that neither the mapping nor the pose suggests.
+# In leg lengths: the expected height of the lowest joint; how much more deviation from it is
+# accepted for the mapping's axis; the largest deviation for an axis that neither mapping nor pose
+# suggests.
 _LOWEST_JOINT, _PREFERRED, _GROUNDED = 0.1, 0.15, 0.12
 
 
