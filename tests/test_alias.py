@@ -109,7 +109,7 @@ def test_what_scripts_import_is_there_and_a_launcher_says_what_to_do_instead(tmp
     done = _run(tmp_path, IMPORTS)
     last = done.stderr.strip().splitlines()[-1]
     assert "isaacgymenvs.pbt.launcher.run_description.RunDescription: processes are not" in last
-    assert "start train.py once for each policy, with pbt=pbt_default pbt.policy_idx=0" in last
+    assert "start a training once for each policy, with pbt=pbt_default pbt.policy_idx=0" in last
 
 
 # --- a fork's train.py ------------------------------------------------------------------------

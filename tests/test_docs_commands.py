@@ -46,7 +46,7 @@ FIRST_PAGES = ("README.md", "docs/getting_started.md")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 # Not ours, and known to whoever types them.
-SYSTEM = {"git", "cd", "ssh", "tensorboard"}
+SYSTEM = {"git", "cd", "jupyter", "ssh", "tensorboard"}
 TORCHRUN = {"--standalone", "--nproc-per-node", "--nnodes", "--max-restarts"} | {
     f"--rdzv-{name}" for name in ("id", "backend", "endpoint")
 }

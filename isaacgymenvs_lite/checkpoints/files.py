@@ -28,6 +28,7 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
 from isaacgymenvs_lite.run.lock import FolderInUseError
+from isaacgymenvs_lite.typed_command import package_command
 from isaacgymenvs_lite.utils.files import atomic_write
 
 log = logging.getLogger(__name__)
@@ -321,7 +322,7 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     file = None if run is None else run.newest_checkpoint()
     if run is None or file is None:
         task = f"task={task_name}" if task_name else "any task"
-        command = f"python train.py task={task_name or 'HumanoidAMP'}"
+        command = package_command("train", f"task={task_name or 'HumanoidAMP'}")
         others = _tasks_of_checkpoints(train_dir) - {task_name}
         hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
         network = f" with the network {network_name}" if network_name else ""

@@ -51,13 +51,14 @@ def load_train_file(
     if not isinstance(config, dict):
         return content
     set_device(config, rl_device)
-    config.setdefault("num_actors", num_envs or 1)
     config.setdefault("reward_shaper", {})
     if params.get("seed") == -1:
         params["seed"] = resolve_seed(-1)
     if config.get("mixed_precision") == "auto":
         config["mixed_precision"] = resolve_mixed_precision("auto", rl_device)
+    config.setdefault("num_actors", 1)
     if num_envs is not None:
+        config["num_actors"] = num_envs
         fit_to_envs(params, num_envs)
     return content
 
@@ -66,7 +67,7 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     """Read a train file with its `${....task.env.numEnvs}` and the like resolved.
 
     The interpolations of a train file lead into a composed tree. Here it has the defaults of
-    cfg/config.yaml and the given values.
+    cfg/config.yaml, a task without asymmetric observations, and the given values.
 
     Args:
         path: a file, relative to the working directory or to the project's, or the name of one in
@@ -91,7 +92,8 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     if "params" not in content and "train" in content:
         tree = OmegaConf.merge(content, {"rl_device": rl_device})
     else:
-        task = {"name": "", "env": {"numEnvs": num_envs}}
+        env = {"numEnvs": num_envs, "asymmetric_observations": False}
+        task = {"name": "", "env": env}
         own = {"num_envs": num_envs, "rl_device": rl_device, "task": task, "train": content}
         tree = OmegaConf.merge(root, own)
     check_expansion(tree)

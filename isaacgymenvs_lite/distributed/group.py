@@ -224,8 +224,8 @@ def joined_group(
     if missing:
         raise ConfigError(
             f"multi_gpu=True: torchrun has not started this process ({', '.join(missing)} not"
-            " set); start several with torchrun --standalone --nproc-per-node=2 train.py ..."
-            " multi_gpu=True, or train in one with multi_gpu=False"
+            " set); start several with torchrun --standalone --nproc-per-node=2 -m"
+            " isaacgymenvs_lite.train ... multi_gpu=True, or train in one with multi_gpu=False"
         )
     names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
     group = ProcessGroup(*(int(os.environ[name]) for name in names))

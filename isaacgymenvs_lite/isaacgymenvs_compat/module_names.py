@@ -26,7 +26,7 @@ RENAMED: dict[str, str] = {
 STAND_INS: dict[str, str] = {
     **dict.fromkeys(
         ("pbt.experiments", "pbt.launcher"),
-        "processes are not started from Python here: start train.py once for each policy, with"
+        "processes are not started from Python here: start a training once for each policy, with"
         " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
     ),
 }

@@ -172,7 +172,8 @@ def _read(checkpoint: Path, library: Library) -> dict[str, Any]:
 def _wrong_kind(checkpoint: Path, library: Library, kind: str | None) -> str:
     hint = ""
     if kind == "rl_games":
-        hint = f"; play it with python train.py task=... test=True checkpoint={checkpoint}"
+        command = package_command("train", "task=HumanoidAMP", "test=True")
+        hint = f"; play it with {command} checkpoint={checkpoint}, and its own task"
     elif kind is not None:
         hint = f"; play it with {package_command('workflows', kind, 'play')}"
     what = f"a checkpoint of {kind}" if kind else "no checkpoint of a known library"

@@ -48,6 +48,7 @@ def test_a_run_folder_stands_for_its_train_file(tmp_path):
     OmegaConf.save(cfg, file)
     params = load_train_file(file)["params"]
     assert (params["config"]["latent_dim"], params["config"]["name"]) == (8, "HumanoidASE")
+    assert load_train_file(file, num_envs=8)["params"]["config"]["num_actors"] == 8
     on_gpu = load_train_file(file, rl_device="cuda:0")["params"]
     assert on_gpu["config"]["minibatch_size"] == 16384 != params["config"]["minibatch_size"]
 

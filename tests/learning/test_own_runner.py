@@ -142,6 +142,7 @@ SMALL_AMP = {
         ("CartpolePPO", "Cartpole", {}),
         ("AntSAC", "Ant", {"replay_buffer_size": 1000}),
         ("HumanoidAMPPPO", "HumanoidAMP", SMALL_AMP),
+        ("RobotAMPPPO", "RobotAMP", SMALL_AMP),
         ("HumanoidASEPPO", "HumanoidASE", SMALL_AMP),
         ("HumanoidASETaskPPO", "HumanoidHeading", {}),
         ("HumanoidASEHRLPPO", "HumanoidHeading", {}),

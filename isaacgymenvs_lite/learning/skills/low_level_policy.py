@@ -38,6 +38,7 @@ from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normaliz
 from isaacgymenvs_lite.learning.modules.skill_encoder import SkillEncoder
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.typed_command import package_command
 
 _RL_DEVICES = ("cpu", "cuda:0")
 
@@ -279,7 +280,7 @@ def find_llc_checkpoint(llc_checkpoint: str) -> Path:
     ships = f", or llc_checkpoint={SHIPPED_LLC}, which ships" if SHIPPED_LLC in shipped else ""
     raise CheckpointError(
         f"train.params.config.llc_checkpoint{what}; expected a low-level controller: the path of a"
-        " checkpoint that python train.py task=HumanoidASE has written to"
+        f" checkpoint that {package_command('train', 'task=HumanoidASE')} has written to"
         f" runs/HumanoidASE_<time>/nn{ships}"
     )
 
