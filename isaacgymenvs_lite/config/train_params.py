@@ -48,29 +48,25 @@ _PARAMS_KEYS = frozenset(
         *("torch_threads", _ISAAC_LAB_SECTION),
     )
 )
-# A word in a name -> algorithm, model and network of its family; the first that is found counts.
+# A word in a name -> algorithm of its family; the first that is found counts.
 _FAMILIES = {
-    "hrl": ("hrl", "hrl", "hrl"),
-    "ase": ("ase", "ase", "ase"),
-    "gen": ("gen_amp", "continuous_gen_amp", "gen_amp"),
-    "amp": ("amp_continuous", "continuous_amp", "amp"),
-    "sac": ("sac", "soft_actor_critic", "soft_actor_critic"),
-    "ppo": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
-    "a2c": ("a2c_continuous", "continuous_a2c_logstd", "actor_critic"),
+    **{"hrl": "hrl", "ase": "ase", "gen": "gen_amp", "amp": "amp_continuous", "sac": "sac"},
+    **dict.fromkeys(("ppo", "a2c"), "a2c_continuous"),
 }
-# Algorithms -> the registered models and networks that they run with. Forks' own names are not
-# checked.
+# Algorithm -> the registered models and networks that it runs with, the usual one first. Forks' own
+# names are not checked.
+_AMP = (("continuous_amp", "amp"), ("amp",))
+_HRL = (("hrl", "continuous_hrl"), ("hrl",))
 _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "a2c_continuous": (
         ("continuous_a2c_logstd", "continuous_a2c_tanh"),
         ("actor_critic", "simplenet"),
     ),
     "sac": (("soft_actor_critic",), ("soft_actor_critic",)),
-    **dict.fromkeys(("amp", "amp_agent", "amp_continuous"), (("continuous_amp", "amp"), ("amp",))),
-    **dict.fromkeys(
-        ("gen_amp", "ase"), (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase"))
-    ),
-    **dict.fromkeys(("hrl", "hrl_continuous"), (("continuous_hrl", "hrl"), ("hrl",))),
+    **dict.fromkeys(("amp", "amp_agent", "amp_continuous"), _AMP),
+    "gen_amp": (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase")),
+    "ase": (("ase", "continuous_gen_amp", "gen_amp"), ("ase", "gen_amp")),
+    **dict.fromkeys(("hrl", "hrl_continuous"), _HRL),
 }
 # rl_games' own that no algorithm here runs with.
 _NOT_RUN = (
@@ -312,8 +308,9 @@ def _family_of(
 ) -> dict[str, str] | None:
     """Return the names of the published family that names are most like; None if like none."""
     words = {word.lower() for name in given.values() for word in _WORD.findall(name)}
-    for mark, names in _FAMILIES.items():
-        family = dict(zip(sections, names, strict=True))
+    for mark, algo in _FAMILIES.items():
+        models, networks = _GOES_WITH[algo]
+        family = dict(zip(sections, (algo, models[0], networks[0]), strict=True))
         if mark in words and all(family[key] in sections[key] for key in sections):
             return family
     return None
