@@ -193,7 +193,7 @@ def test_a_job_trains_what_a_run_of_its_own_trains(words, train_here, tmp_path):
 def test_a_run_returns_its_best_mean_reward(measured, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [*CARTPOLE, f"{CONFIG}.horizon_length=32", "max_iterations=6"]
-    words += [] if measured else [f"+{CONFIG}.imitation_frequency=0"]
+    words += [f"++{CONFIG}.imitation_frequency={int(measured)}"]
     number = runner.run(compose(words))
     (run,) = tmp_path.glob("runs/*")
     log = EventAccumulator(str(run / "summaries"), {"scalars": 0})

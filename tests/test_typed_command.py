@@ -149,7 +149,7 @@ def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
     resumed = _run(
         f"'{sys.executable}' -m isaacgymenvs_lite.train resume=last max_iterations=3", tmp_path
     )
-    (saved,) = re.search(r"^saved (\S+); play it: repeat the command", resumed, re.M).groups()  # type: ignore[union-attr]
+    (saved,) = re.search(r"^saved (\S+); play it: add test=True ", resumed, re.M).groups()  # type: ignore[union-attr]
     said = _run(play, tmp_path)
     assert f"checkpoint: {tmp_path / saved}\n" in said
     assert "played " in said

@@ -8,7 +8,7 @@ writers and broken by `mutators`; the first of each kind are hostile ones made b
 by the public loader in a process with limits, every 50th also by the kind's command; `--processes`
 of each kind are read by the command in a process of its own.
 
-refused: a UserError of one line and at most 500 characters that names the file. other: anything
+refused: a UserError of one line and at most 2000 characters that names the file. other: anything
 else, a traceback or a warning among them. hangs: over 5 s of the processor. memory: the process
 grew by more than 1 GiB. code: the file ran something. The files of the last four are kept, with how
 to repeat them, and the exit code is 1.

@@ -22,10 +22,8 @@ from typing import Any
 
 from benchmarks.fuzz.kinds import Kind
 from benchmarks.fuzz.mutators import mutate_bytes
-from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.errors import MAX_MESSAGE, UserError
 
-MAX_MESSAGE = 500
-"""Characters of an error; a prefix such as `error: ` does not count."""
 _EXIT_USER_ERROR = 2
 _CANARY = "canary"
 _PREFIX = "error: "

@@ -101,7 +101,7 @@ class _LongError(UserError):
     """An error that does not keep to the limits of the project's."""
 
     def __str__(self) -> str:
-        return "input.txt: " + "x" * 500
+        return "input.txt: " + "x" * 2000
 
 
 class _TwoLinesError(UserError):

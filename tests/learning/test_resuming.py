@@ -223,7 +223,7 @@ def test_one_line_names_a_checkpoint_that_is_newer_than_the_state(stopped, tmp_p
     caplog.clear()
     go_on("resume=last")
     assert "resumed after epoch 2" in caplog.text
-    assert caplog.text.count("is of epoch 3, but has networks and optimisers alone") == 1
+    assert caplog.text.count("(epoch 3) has only networks and optimisers") == 1
 
 
 def test_names_of_folders_are_printed_without_control_characters(stopped, monkeypatch, capsys):
