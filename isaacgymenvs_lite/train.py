@@ -211,7 +211,7 @@ def _options_first(arguments: Sequence[str]) -> list[str]:
     """Return the command line with Hydra's options before the settings, as Hydra reads them.
 
     Raises:
-        ConfigError: an option with dashes is not Hydra's, such as those of ASE's launcher.
+        ConfigError: Hydra does not know an option with dashes, as `--task` of ASE's launcher.
     """
     parser = options_parser()
     parser.allow_abbrev = False

@@ -44,7 +44,7 @@ TINY_DISCRIMINATOR = (
 )
 
 TINY_AMP = (*TINY_PPO, *TINY_DISCRIMINATOR)
-"""Of AMP."""
+"""What AMP needs: TINY_PPO and a small discriminator."""
 
 TINY_STYLE = ("train.params.network.style.units=[10,6]", f"{CONFIG}.warm_start_steps=0")
 """What ASE needs beside TINY_AMP."""

@@ -72,7 +72,7 @@ class _EndsAtItsLimits(RLGamesSACAgent):
 
 
 class BFloat16HiddenLayers(nn.Sequential):
-    """Layers of which all but the last compute under autocast to bfloat16, on a CPU.
+    """Layers that compute under autocast to bfloat16 on a CPU, except the last layer.
 
     Parameters, their gradients and the outputs stay float32.
     """

@@ -232,7 +232,7 @@ class JointClip:
         Args:
             joint_names: of the robot's joint coordinates, in its order.
             by_order: ignore the names of the file.
-            followers: those of `joint_names` whose angles follow from others; the file may leave
+            followers: the joints whose angles follow from other joints; the file may leave
                 them out, and they are NaN then.
 
         Raises:

@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
 """A task as a vectorised environment of Stable-Baselines3: numpy in and out.
 
-The names are those of Isaac Lab's `isaaclab_rl.sb3`; docs/from_isaac_lab.md has a script.
+Isaac Lab's `isaaclab_rl.sb3` has the same names; docs/from_isaac_lab.md has a script.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
 _JOINT_NAMES = ("joint_names", "dof_names")
 _FRAMES, _FPS = "frames", "fps"
-# Of an array: joints and the root's numbers.
+# An array holds joint angles and numbers of the root.
 _MAX_NUMBERS = 2 * MAX_POSES
 
 

@@ -58,7 +58,7 @@ _EXPECTED = "archive of a robot's clip"
 _SAME_DISTANCE_M = 1e-3
 # A body nearer to the root than this does not show how the root is turned; so many frames do.
 _MIN_ARM_M, _COMPARED_FRAMES = 0.01, 256
-# Of an array: four numbers for each pose of a body, and some bodies beside those with joints.
+# An array holds four numbers for each pose of a body; some bodies have no joint.
 _MAX_NUMBERS = 8 * MAX_POSES
 
 

@@ -107,7 +107,7 @@ class _Skeleton:
         return _unit(left.mean(dim=0).numpy()), _unit(up.mean(dim=0).numpy())
 
     def knees_bend_backward(self) -> bool:
-        """Return whether they do, as those of a figure in a mirror."""
+        """Return whether the knees bend backward, as in a mirror image of a figure."""
         place = self.places
         forward = np.cross(self.left, place["head"] - place["pelvis"])
         bends = [
@@ -286,7 +286,7 @@ def _wrong_axes(skeleton: _Skeleton, mapping: SkeletonMapping) -> str:
 def _better_axes(
     skeleton: _Skeleton, body: str, frame: FloatArray | None
 ) -> tuple[str, str] | None:
-    """Return the axes forward and up of a body's joint if those of `frame` (4,) are others."""
+    """Return better axes forward and up for a body's joint than `frame` (4,); None if it fits."""
     left, up = skeleton.axes_in_joint(body)
 
     def parts(frame: FloatArray) -> tuple[float, float]:

@@ -168,7 +168,7 @@ JOINT Hips"""
 def test_joints_above_the_hips_are_part_of_the_roots_motion(
     walk_file: Path, write_bvh, rotate_root: float, root_channels: str, sway: float
 ) -> None:
-    """As in files of BONES-SEED, SOMA and Bandai-Namco, whose ROOT stands still."""
+    """The ROOT stands still in files of BONES-SEED, SOMA and Bandai-Namco."""
     before, mapping = read(walk_file)
     text = below_other_joints(walk_file.read_text(), rotate_root, root_channels, sway)
     walk_file.write_text(text)

@@ -57,7 +57,7 @@ def test_a_recognised_skeleton_in_other_axes_and_units(
     ],
 )
 def test_a_skeleton_of_other_names(write_bvh, names: str) -> None:
-    """As SOMA, Bandai-Namco, Blender, SMPL and Biped call their joints."""
+    """SOMA, Bandai-Namco, Blender, SMPL and Biped have these joint names."""
     walk = load_clips("walk_slow")[0][0]
     text = write_bvh(Path("a.bvh"), walk, "cmu", axes=Z_UP, joint_axes=Z_UP, unit_m=1.0).read_text()
     parts = ("UpLeg", "Leg", "Foot", "ToeBase", "Arm", "ForeArm", "Hand")
