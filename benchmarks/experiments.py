@@ -10,7 +10,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, unknown
 
 TABLE = Path(__file__).with_name("experiments.yaml")

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate

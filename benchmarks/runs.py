@@ -15,7 +15,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from benchmarks.machine import describe_machine
-from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.run.folder import RunFolder
 

@@ -24,6 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from isaacgymenvs_lite.config.resolvers import register_for
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR
 from isaacgymenvs_lite.isaacgymenvs_compat.module_names import (
     RENAMED,
@@ -111,12 +112,7 @@ def _import(name: str, alias: str, reason: str | None) -> ModuleType:
 
 def _prepare(module: str) -> None:
     """Do what importing a published module does beside defining its names."""
-    if module == "":
-        from isaacgymenvs_lite.config.resolvers import let_scripts_register, register_resolvers
-
-        register_resolvers()
-        let_scripts_register()
-    elif module == _RUNNER_USERS:
+    if module == _RUNNER_USERS:
         from isaacgymenvs_lite.isaacgymenvs_compat.runner import adapt_runner
 
         adapt_runner()
@@ -144,6 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # As python does for a script: its neighbours can be imported.
     sys.path.insert(0, str(args.script.resolve().parent))
     _show_our_log()
+    register_for(args.script.read_text(encoding="utf-8"))
     with _cpu_in_place_of_a_missing_gpu():
         runpy.run_path(str(args.script), run_name="__main__")
 

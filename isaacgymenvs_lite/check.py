@@ -14,6 +14,7 @@ but `task.env` is checked.
 from __future__ import annotations
 
 import argparse
+import copy
 import logging
 import re
 import sys
@@ -25,24 +26,21 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
-from isaacgymenvs_lite.config.foreign_files import is_foreign
-from isaacgymenvs_lite.config.launch import check_config
+from isaacgymenvs_lite.config.launch import CheckedConfig, read_config
+from isaacgymenvs_lite.config.notes import cpu_defaults_note, keys_without_effect
 from isaacgymenvs_lite.config.published_names import (
     longest_task,
     missing_choice,
     missing_task,
-    missing_task_of_file,
     task_in_name,
 )
-from isaacgymenvs_lite.config.startup_notes import cpu_defaults_note, physx_only_keys
-from isaacgymenvs_lite.config.train_files import merge_defaults
+from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
+from isaacgymenvs_lite.config.train_files import compose_file
 from isaacgymenvs_lite.config.train_params import (
-    apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import select
@@ -109,12 +107,14 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
             train = _train_file_of(path, str(content.get("name") or ""))
             words.append(f"train={train or ANY_TRAIN_FILE}")
             has_train = train is not None
-        cfg = compose(words)
-        check_config(cfg)
-        apply_wrapper_limits(cfg)
-        lines = [_title(path, kind, cfg, guessed)]
-        known = kind == "train" or _has_class(cfg)
-        lines += _describe_composed(cfg, kind, has_train) if known else _describe_unknown(cfg)
+        config = read_config(compose(words))
+        task = str(config.tree["task"]["name"])
+        lines = [_title(path, kind, task, guessed)]
+        known = kind == "train" or _has_class(task)
+        if known:
+            lines += _describe_composed(config, kind, has_train)
+        else:
+            lines += _describe_unknown(config.tree)
     for line in dict.fromkeys(logged):
         lines.append(f"note: {line}")
     checked = "it" if known else "the rest of it"
@@ -123,37 +123,39 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
     return [*lines, f"nothing is wrong with {checked}"]
 
 
-def _has_class(cfg: DictConfig) -> bool:
+def _has_class(task: str) -> bool:
     from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
 
-    return is_task(str(cfg.task.name))
+    return is_task(task)
 
 
-def _describe_unknown(cfg: DictConfig) -> list[str]:
+def _describe_unknown(tree: dict[str, Any]) -> list[str]:
     """Return the description of a task file without the class of the task."""
     lines = [
-        f"the class of '{cfg.task.name}' is not here, so that the keys of task.env are not checked;"
-        " install the package that has it, or register it in a script (docs/own_task.md)"
+        f"the class of '{tree['task']['name']}' is not here, so that the keys of task.env are not"
+        " checked; install the package that has it, or register it in a script (docs/own_task.md)"
     ]
-    if unread := physx_only_keys(cfg, with_defaults=True):
+    if unread := keys_without_effect(tree):
         lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
     return lines
 
 
-def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]:
+def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
     # torch, MuJoCo and rl_games: once the configuration is known to compose
     from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
     from isaacgymenvs_lite.env_factory import make_from_config
     from isaacgymenvs_lite.registration import build_runner, known_names
 
-    small = cfg.copy()
-    small.task.env.numEnvs = 2
+    tree = config.tree
+    num_envs = int(tree["task"]["env"]["numEnvs"])
+    small = copy.deepcopy(tree)
+    small["task"]["env"]["numEnvs"] = 2
     task = make_from_config(small, sim_device="cpu", rl_device="cpu")
     try:
-        lines = _task_lines(cfg, task)
+        lines = _task_lines(num_envs, task)
         params = prepare_train_params(
-            cfg,
-            num_envs=int(cfg.task.env.numEnvs),
+            tree,
+            num_envs=num_envs,
             seed=1,
             num_agents=task.num_agents,
             num_states=task.num_states,
@@ -164,13 +166,12 @@ def _describe_composed(cfg: DictConfig, kind: str, has_train: bool) -> list[str]
         task.close()
     if has_train:
         lines += _train_lines(params)
-    if path := checkpoint_in_file(cfg):
-        lines.append(f"goes on from {resolve_checkpoint(path, 'runs', str(cfg.task.name))}")
-    is_task = kind == "task"
-    unread = physx_only_keys(cfg, with_defaults=True) if is_task else _unread_train_keys(cfg)
+    if path := checkpoint_in_file(tree):
+        lines.append(f"goes on from {resolve_checkpoint(path, 'runs', tree['task']['name'])}")
+    unread = keys_without_effect(tree) if kind == "task" else _unread_train_keys(tree)
     if unread:
         lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
-    if note := cpu_defaults_note(cfg):
+    if note := cpu_defaults_note(config.cfg):
         lines.append(note)
     return lines
 
@@ -206,15 +207,15 @@ def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
     name = str(content.get("name") or "") if "params" not in content else ""
     missing = missing_task(name) if name else None
     if missing is None and (not name or name == path.stem):
-        task = missing_task_of_file(path.stem) or missing_task_of_file(_run_name(content))
-        missing = missing_task(task) if task else None
+        missing = missing_task(path.stem) or missing_task(_run_name(content))
     if missing:
         raise ConfigError(f"{path.name} is not checked: {missing}")
 
 
 def _kind(path: Path) -> tuple[str, DictConfig]:
-    groups = dict.fromkeys(group for key, group in _GROUPS.items() if key in read_yaml(path))
-    content = merge_defaults(path, group=next(iter(groups), "train"))
+    written = read_yaml(path)
+    groups = [group for key, group in _GROUPS.items() if key in written]
+    content = compose_file(path, groups[0] if groups else "train")
     if "params" in content:
         return "train", content
     if "env" in content:
@@ -276,19 +277,19 @@ def _written(content: DictConfig, path: str) -> Any:
     return select(OmegaConf.to_container(content, resolve=False), path)
 
 
-def _title(path: Path, kind: str, cfg: DictConfig, guessed: bool) -> str:
+def _title(path: Path, kind: str, task: str, guessed: bool) -> str:
     if kind == "task":
-        return f"{path.name}: a task file, of the task {cfg.task.name}"
+        return f"{path.name}: a task file, of the task {task}"
     hint = "; task=<name> checks it with another" if guessed else ""
-    return f"{path.name}: a train file, checked with task={cfg.task.name}{hint}"
+    return f"{path.name}: a train file, checked with task={task}{hint}"
 
 
-def _task_lines(cfg: DictConfig, task: Any) -> list[str]:
+def _task_lines(num_envs: int, task: Any) -> list[str]:
     states = f", {task.num_states} privileged observations" if task.num_states else ""
     return [
         f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
         f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
-        f" {int(cfg.task.env.numEnvs):,} environments"
+        f" {num_envs:,} environments"
     ]
 
 
@@ -329,8 +330,9 @@ def _network_line(network: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _unread_train_keys(cfg: DictConfig) -> list[str]:
-    return [f"params.config.{key}" for key in _UNREAD_CONFIG if key in cfg.train.params.config]
+def _unread_train_keys(tree: dict[str, Any]) -> list[str]:
+    config = tree["train"]["params"]["config"]
+    return [f"params.config.{key}" for key in _UNREAD_CONFIG if key in config]
 
 
 @contextmanager

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import random
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,13 @@ import mujoco
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
 from isaacgymenvs_lite.config import checkouts
 from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
-from isaacgymenvs_lite.config.launch import check_config, resolve_seed
+from isaacgymenvs_lite.config.launch import read_config, resolve_seed
 from isaacgymenvs_lite.config.train_params import ISAAC_LAB_ACTIONS
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import is_package_name
@@ -33,6 +34,7 @@ from isaacgymenvs_lite.motion.loader import (
 from isaacgymenvs_lite.paths import assets_dir, user_path
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.schema import plain, select
 from isaacgymenvs_lite.tasks import find_task
 from isaacgymenvs_lite.tasks.base.assets import shipped_assets
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -76,7 +78,8 @@ def make_task(
         )
     else:
         cfg = _with_checkout(cfg)
-    settings = check_config(cfg)
+    config = read_config(cfg)
+    settings = config.settings
     seed_everything(resolve_seed(settings.seed, settings.torch_deterministic))
     # Captured frames are drawn without a display, where Isaac Gym needed a virtual one.
     opens_window = not headless and not virtual_screen_capture
@@ -85,7 +88,7 @@ def make_task(
     if virtual_screen_capture:
         ensure_gl()
     env = make_from_config(
-        cfg,
+        config.tree,
         sim_device=sim_device,
         rl_device=rl_device,
         graphics_device_id=graphics_device_id,
@@ -119,7 +122,7 @@ def _with_checkout(cfg: DictConfig) -> DictConfig:
 
 
 def make_from_config(
-    cfg: DictConfig,
+    cfg: Mapping[Any, Any],
     *,
     sim_device: str,
     rl_device: str,
@@ -128,15 +131,16 @@ def make_from_config(
     virtual_screen_capture: bool = False,
     force_render: bool = False,
 ) -> VecTask:
-    """Make the task that a composed tree describes.
+    """Make the task that a tree describes, resolved or as it was composed.
 
     Raises:
         ConfigError: `cfg.task.name` is no task, or a key or value of it cannot be used.
         MotionFileError: a motion clip that cannot be used.
     """
-    task_cfg: Any = OmegaConf.to_container(cfg.task, resolve=True)
+    tree = plain(cfg)
+    task_cfg: Any = copy.deepcopy(tree["task"])
     maker = find_task(str(task_cfg["name"]))
-    if checkout := cfg.get(checkouts.KEY):
+    if checkout := tree.get(checkouts.KEY):
         _find_files(task_cfg["env"], user_path(checkout).absolute(), maker)
     task = maker(
         cfg=task_cfg,
@@ -147,7 +151,7 @@ def make_from_config(
         virtual_screen_capture=virtual_screen_capture,
         force_render=force_render,
     )
-    if limit := OmegaConf.select(cfg, ISAAC_LAB_ACTIONS):
+    if limit := select(tree, ISAAC_LAB_ACTIONS):
         # Isaac Lab's wrapper has this space, and rl_games scales actions to it.
         task.act_space = gymnasium.spaces.Box(-limit, limit, task.act_space.shape, np.float32)
     return task
@@ -165,17 +169,17 @@ def model_of_recording(file: Path, words: Sequence[str]) -> mujoco.MjModel:
     """
     config = run_config_file(file)
     if words:
-        cfg = compose([*words, "num_envs=1"])
+        tree = plain(compose([*words, "num_envs=1"]))
     elif config.is_file():
-        cfg = OmegaConf.create(read_run_config(config, {}))
-        OmegaConf.update(cfg, "task.env.numEnvs", 1)
+        tree = read_run_config(config, {})
+        tree["task"]["env"]["numEnvs"] = 1
     else:
         raise ConfigError(
             f"{file}: which task? expected it in <run>/diverged/, beside the run's config.yaml, or"
             " the words of its training after FILE: task=Ant"
         )
-    seed_everything(max(0, int(cfg.get("seed") or 0)))
-    task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
+    seed_everything(max(0, int(tree.get("seed") or 0)))
+    task = make_from_config(tree, sim_device="cpu", rl_device="cpu")
     task.close()
     return task.simulation.model
 

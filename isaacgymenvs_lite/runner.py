@@ -9,6 +9,7 @@ with load_player(cfg) as player:    # a policy and its task, for a loop of one's
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import io
 import logging
@@ -25,21 +26,23 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
 from rl_games.common.algo_observer import AlgoObserver
-from rl_games.torch_runner import Runner, _override_sigma
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.training_state import run_of_file
-from isaacgymenvs_lite.config.launch import LaunchSettings, check_config, resolve_seed
-from isaacgymenvs_lite.config.resolvers import without_environment
+from isaacgymenvs_lite.config.launch import (
+    CheckedConfig,
+    LaunchSettings,
+    read_config,
+    resolve_seed,
+)
+from isaacgymenvs_lite.config.resolvers import forbidden_resolver
 from isaacgymenvs_lite.config.run_names import (
     DEFAULT_TRAIN_DIR,
     TRAIN_DIR,
     read_run_name,
     run_name_of,
 )
-from isaacgymenvs_lite.config.startup_notes import startup_notes
 from isaacgymenvs_lite.config.train_params import (
-    apply_wrapper_limits,
     check_env_name,
     checkpoint_in_file,
     prepare_train_params,
@@ -58,20 +61,19 @@ from isaacgymenvs_lite.errors import (
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.pbt.observer import (
     PBTObserver,
+    first_mutation,
     mutable_settings,
-    mutate_first,
     population_of,
     run_suffix,
 )
 from isaacgymenvs_lite.pbt.restart import RestartRequest
-from isaacgymenvs_lite.registration import build_runner, known_names
 from isaacgymenvs_lite.run import MeasurementObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
 from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
 from isaacgymenvs_lite.run.stop_request import StopRequest
-from isaacgymenvs_lite.schema import leaves
+from isaacgymenvs_lite.schema import leaves, select
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
@@ -99,7 +101,7 @@ _MANY_ENVS = 100_000
 
 
 def run(
-    cfg: DictConfig,
+    cfg: DictConfig | CheckedConfig,
     command: TypedCommand | None = None,
     *,
     stop: StopRequest | None = None,
@@ -108,7 +110,7 @@ def run(
     """Train (`test=False`) or play (`test=True`) as a composed tree says.
 
     Args:
-        cfg: the tree.
+        cfg: the tree, or what `read_config` made of it.
         command: the command line that the tree was composed from, for hints; None if a program
             composed it.
         stop: stores whether the user has ended a training; None: the caller does not need it.
@@ -121,15 +123,15 @@ def run(
         UserError: a mistake that the user can correct; nothing was trained then.
         RestartRequest: the training goes on in a new process, see `train`.
     """
-    settings = check_config(cfg)
-    if settings.test:
-        return play(cfg, command, direction=direction)
-    return train(cfg, command, stop=stop, direction=direction)
+    config = _checked(cfg)
+    if config.settings.test:
+        return play(config, command, direction=direction)
+    return train(config, command, stop=stop, direction=direction)
 
 
 @torch_settings_kept()
 def train(
-    cfg: DictConfig,
+    cfg: DictConfig | CheckedConfig,
     command: TypedCommand | None = None,
     *,
     stop: StopRequest | None = None,
@@ -138,7 +140,7 @@ def train(
     """Train the agent of a composed tree in a run folder of its own.
 
     Args:
-        cfg: the tree.
+        cfg: as in `run`.
         command: as in `run`.
         stop: as in `run`.
         direction: as in `run`.
@@ -157,10 +159,10 @@ def train(
             `pbt.restart.start_again`; everything of this one is closed.
     """
     command = command or TypedCommand()
-    settings = check_config(cfg)
-    joined = _joined_processes(cfg, settings)
-    with _memory_errors_explained(cfg), joined as group, ExitStack() as stack:
-        launch = _read_launch_together(cfg, settings, command, group, stack)
+    config = _checked(cfg)
+    joined = _joined_processes(config)
+    with _memory_errors_explained(config), joined as group, ExitStack() as stack:
+        launch = _read_launch_together(config, group, stack)
         return _train(launch, command, group, stop or StopRequest(), direction)
 
 
@@ -224,9 +226,9 @@ def _set_up_training(
     objective = objective_of(
         params["config"], measurement is not None and hasattr(task, "motion_lib")
     )
-    objective.check_direction(direction, str(launch.cfg.task.name))
+    objective.check_direction(direction, launch.task_name)
     observers = TrainingObservers(
-        launch.cfg,
+        launch.tree,
         launch.settings,
         launch.folder.name,
         measurement,
@@ -297,12 +299,12 @@ def _make_task(
 
 @torch_settings_kept()
 def play(
-    cfg: DictConfig, command: TypedCommand | None = None, *, direction: str = ""
+    cfg: DictConfig | CheckedConfig, command: TypedCommand | None = None, *, direction: str = ""
 ) -> float | None:
     """Play the policy of a composed tree's checkpoint, and log what it reaches.
 
     Args:
-        cfg: the tree.
+        cfg: as in `run`.
         command: as in `run`.
         direction: as in `run`.
 
@@ -314,15 +316,15 @@ def play(
     Raises:
         UserError: a mistake that the user can correct.
     """
-    launch = _read_launch(cfg, check_config(cfg), command or TypedCommand())
+    launch = _read_launch(_checked(cfg))
     with (
-        _memory_errors_explained(cfg),
+        _memory_errors_explained(launch.config),
         _open_tasks(launch) as make_task,
         Viewers(launch.settings) as viewers,
     ):
         player = _make_player(launch, make_task(launch.num_envs))
         objective = objective_of(player.config, hasattr(player.env, "motion_lib"))
-        objective.check_direction(direction, str(cfg.task.name))
+        objective.check_direction(direction, launch.task_name)
         folder = run_of_checkpoint(launch.checkpoint) or launch.folder.path
         stamp = Path(launch.folder.name).name.removeprefix(launch.name)
         viewers.start(player.env, folder, _end_play, f"play{stamp}")
@@ -343,7 +345,7 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
     Raises:
         UserError: the tree cannot be used, or the checkpoint is of another network or task.
     """
-    launch = _read_launch(cfg, check_config(cfg))
+    launch = _read_launch(_checked(cfg))
     with _open_tasks(launch) as make_task:
         yield _make_player(launch, make_task(launch.num_envs))
 
@@ -353,36 +355,53 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class _Launch:
-    """What a composed tree says about a run, before anything is made.
+    """What a configuration says about a run, before anything is made.
 
     Attributes:
-        cfg: the tree.
-        settings: its root.
+        config: the checked configuration.
         seed: of the agent.
         name: of the checkpoints, the last part of the run's name.
         folder: of the run; only a training makes it.
         checkpoint: path of the file that the run starts from, '' for none.
     """
 
-    cfg: DictConfig
-    settings: LaunchSettings
+    config: CheckedConfig
     seed: int
     name: str
     folder: RunFolder
     checkpoint: str
 
     @property
+    def settings(self) -> LaunchSettings:
+        """The root of the tree."""
+        return self.config.settings
+
+    @property
+    def tree(self) -> dict[str, Any]:
+        """The resolved tree."""
+        return self.config.tree
+
+    @property
+    def task_name(self) -> str:
+        """Name of the task."""
+        return str(self.tree["task"]["name"])
+
+    @property
     def num_envs(self) -> int:
         """Environments of the training or the play."""
-        return int(self.cfg.task.env.numEnvs)
+        return int(self.tree["task"]["env"]["numEnvs"])
 
     @property
     def repeatable(self) -> DictConfig:
         """The tree as config.yaml stores it: with the drawn seed, and nothing to resume.
 
-        Values of the environment are written out: a file that reads them could not be used again.
+        Values that a command line takes from elsewhere (`${oc.env:X}`) are written out: a file that
+        reads them could not be used again.
         """
-        cfg = without_environment(self.cfg)
+        cfg = self.config.cfg.copy()
+        for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
+            if isinstance(text, str) and forbidden_resolver(text):
+                OmegaConf.update(cfg, path, select(self.tree, path))
         with open_dict(cfg):
             cfg.seed, cfg.resume = self.seed, ""
         return cfg
@@ -402,50 +421,46 @@ class _Launch:
         return self.folder.checkpoints / f"{self.name}{suffix}.pth"
 
 
-def _read_launch(
-    cfg: DictConfig, settings: LaunchSettings, command: TypedCommand | None = None
-) -> _Launch:
-    """Find the checkpoint of a checked tree, and seed Python, numpy and torch.
+def _checked(cfg: DictConfig | CheckedConfig) -> CheckedConfig:
+    return cfg if isinstance(cfg, CheckedConfig) else read_config(cfg)
 
-    With a command line, notes about the configuration are logged.
-    """
-    apply_wrapper_limits(cfg)
-    resumed = Path(settings.resume) if settings.resume else None
-    if resumed is not None and not resumed.is_file():
-        raise ConfigError(
-            f"resume={resumed}: a program composes such a tree with"
-            " checkpoints.run_config.resumed_tree(['resume=...'])"
-        )
-    if command is not None:
-        for note in startup_notes(cfg, command.check(str(cfg.task.name))):
-            log.info("%s", note)
+
+def _read_launch(config: CheckedConfig) -> _Launch:
+    """Find the checkpoint of a configuration, and seed Python, numpy and torch."""
+    settings, tree = config.settings, config.tree
     seed = resolve_seed(settings.seed, settings.torch_deterministic)
     seed_everything(seed, settings.torch_deterministic)
-    name = run_name_of(cfg)
-    train_dir = Path(OmegaConf.select(cfg, TRAIN_DIR) or DEFAULT_TRAIN_DIR)
-    if resumed is not None:
-        folder = RunFolder.at(run_of_file(resumed), train_dir)
-        return _Launch(cfg, settings, seed, name.name, folder, str(resumed))
+    name = run_name_of(tree)
+    train_dir = Path(select(tree, TRAIN_DIR) or DEFAULT_TRAIN_DIR)
+    if settings.resume:
+        if not Path(settings.resume).is_file():
+            raise ConfigError(
+                f"resume={settings.resume}: a program composes such a tree with"
+                " checkpoints.run_config.resumed_tree(['resume=...'])"
+            )
+        folder = RunFolder.at(run_of_file(Path(settings.resume)), train_dir)
+        return _Launch(config, seed, name.name, folder, settings.resume)
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
-        stamped = str(name) + run_suffix(cfg) + datetime.now().strftime("_%d-%H-%M-%S")
+        stamped = str(name) + run_suffix(tree) + datetime.now().strftime("_%d-%H-%M-%S")
         folder = RunFolder(train_dir, stamped, is_exact=False)
-    given = settings.checkpoint or checkpoint_in_file(cfg)
-    checkpoint = checkpoints.checkpoint_of_tree(cfg, given, train_dir)
+    given = settings.checkpoint or checkpoint_in_file(tree)
+    checkpoint = checkpoints.checkpoint_of_tree(tree, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(cfg, settings, seed, name.name, folder, checkpoint)
+    return _Launch(config, seed, name.name, folder, checkpoint)
 
 
 @contextmanager
-def _joined_processes(cfg: DictConfig, settings: LaunchSettings) -> Iterator[ProcessGroup]:
+def _joined_processes(config: CheckedConfig) -> Iterator[ProcessGroup]:
     """Give the processes that train together: those that torchrun has started, or this one.
 
     Raises:
         ConfigError: torchrun and `multi_gpu` contradict each other.
         UserError: as `ProcessGroup.fail_together`.
     """
+    settings = config.settings
     if not settings.multi_gpu and started_by_torchrun():
         raise ConfigError(
             f"torchrun has started {os.environ['WORLD_SIZE']} processes, but multi_gpu is False:"
@@ -456,23 +471,13 @@ def _joined_processes(cfg: DictConfig, settings: LaunchSettings) -> Iterator[Pro
         return
     with joined_group(settings.rl_device, settings.distributed_timeout_s) as group:
         versions = {f"version of {name}": metadata.version(name) for name in _SAME_VERSIONS}
-        group.check_equal({**versions, **_flat(cfg)}, "setting")
+        values = leaves(OmegaConf.to_container(config.cfg, resolve=False))
+        flat = {path: str(value) for path, value in values if path not in _OF_MACHINES}
+        group.check_equal({**versions, **flat}, "setting")
         yield group
 
 
-def _flat(cfg: DictConfig) -> dict[str, str]:
-    """Return the leaves of a tree as texts, without what may differ between machines."""
-    values = leaves(OmegaConf.to_container(cfg, resolve=False))
-    return {path: str(value) for path, value in values if path not in _OF_MACHINES}
-
-
-def _read_launch_together(
-    cfg: DictConfig,
-    settings: LaunchSettings,
-    command: TypedCommand,
-    group: ProcessGroup,
-    stack: ExitStack,
-) -> _Launch:
+def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: ExitStack) -> _Launch:
     """Return the launch of this process; what all processes need to agree on, the main one decides.
 
     That is the run folder, which it reserves until `stack` ends, the checkpoint, the precision and
@@ -481,9 +486,14 @@ def _read_launch_together(
     main: _Launch | None = None
     with group.together():
         if group.is_main:
-            main = _with_decided_precision(_read_launch(cfg, settings, command))
-            main = replace(main, cfg=main.cfg.copy())
-            mutate_first(main.cfg, main.seed)
+            main = _read_launch(config)
+            decided = first_mutation(config.tree, main.seed)
+            # config.yaml stores what a measurement decides: a resumed run computes as before.
+            if (precision := select(config.tree, _PRECISION)) == "auto":
+                device = config.settings.rl_device
+                decided[_PRECISION] = resolve_mixed_precision(precision, device)
+            if decided:
+                main = replace(main, config=config.changed(decided))
             stack.enter_context(main.folder)
     decided = group.from_main(
         main
@@ -491,22 +501,17 @@ def _read_launch_together(
             "seed": main.seed,
             "full_experiment_name": main.folder.name,
             "checkpoint": "" if main.settings.resume else main.checkpoint,
-            _PRECISION: OmegaConf.select(main.cfg, _PRECISION),
-            **mutable_settings(main.cfg),
+            _PRECISION: select(main.tree, _PRECISION),
+            **mutable_settings(main.tree),
         }
     )
     if main is not None:
         return main
-    own = cfg.copy()
     decided["seed"] += group.rank
-    if OmegaConf.select(own, _PRECISION) != "auto":
+    if select(config.tree, _PRECISION) != "auto":
         del decided[_PRECISION]
-    with open_dict(own):
-        for path, value in {**decided, **_QUIET}.items():
-            OmegaConf.update(own, path, value, force_add=True)
-        if group.device_of(str(own.rl_device)) != str(own.rl_device):
-            own.rl_device = group.device_of(str(own.rl_device))
-    return _read_launch(own, check_config(own))
+    device = group.device_of(config.settings.rl_device)
+    return _read_launch(config.changed({**decided, **_QUIET, "rl_device": device}))
 
 
 @contextmanager
@@ -518,7 +523,7 @@ def _population(
     Of several processes that train the policy the main one decides, and all restart.
     """
     with population_of(
-        launch.cfg, launch.seed, launch.folder.train_dir, decides=group.is_main
+        launch.tree, launch.seed, launch.folder.train_dir, decides=group.is_main
     ) as pbt:
         if pbt is not None:
             pbt.is_stopping = lambda: stop.requested
@@ -534,27 +539,10 @@ def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float
     Raises:
         UserError: it could not begin with them.
     """
-    changed = replace(launch, cfg=launch.cfg.copy())
-    for path, value in settings.items():
-        OmegaConf.update(changed.cfg, path, value)
-    check_config(changed.cfg)
+    changed = replace(launch, config=launch.config.changed(settings))
     with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
         make_task(1)
         _read_params(changed, task)
-
-
-def _with_decided_precision(launch: _Launch) -> _Launch:
-    """Replace `mixed_precision: auto` by what a measurement on this CPU decides.
-
-    config.yaml stores the decision, so that a resumed run computes as before.
-    """
-    value = OmegaConf.select(launch.cfg, _PRECISION)
-    if value != "auto":
-        return launch
-    cfg = launch.cfg.copy()
-    decided = resolve_mixed_precision(value, launch.settings.rl_device)
-    OmegaConf.update(cfg, _PRECISION, decided)
-    return replace(launch, cfg=cfg)
 
 
 @contextmanager
@@ -569,10 +557,10 @@ def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
         opened.callback(torch.set_num_threads, torch.get_num_threads())
 
         def make(num_envs: int) -> VecTask:
-            cfg = launch.cfg.copy()
-            OmegaConf.update(cfg, "task.env.numEnvs", num_envs)
+            tree = copy.deepcopy(launch.tree)
+            tree["task"]["env"]["numEnvs"] = num_envs
             task = make_from_config(
-                cfg,
+                tree,
                 sim_device=settings.sim_device,
                 rl_device=settings.rl_device,
                 graphics_device_id=settings.graphics_device_id,
@@ -588,9 +576,11 @@ def _open_tasks(launch: _Launch) -> Iterator[Callable[[int], VecTask]]:
 
 def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     """Return the section `params` of the train file, checked and completed for a task."""
+    from isaacgymenvs_lite.registration import build_runner, known_names  # rl_games' Runner
+
     settings = launch.settings
     params = prepare_train_params(
-        launch.cfg,
+        launch.tree,
         num_envs=task.num_envs,
         seed=launch.seed,
         run_name=launch.folder.name,
@@ -626,8 +616,8 @@ def _check_memory(launch: _Launch, probe: VecTask) -> None:
 
 def _load_runner(
     params: dict[str, Any], task: VecTask, observer: AlgoObserver | None = None
-) -> Runner:
-    """Return a Runner that has loaded a train file, and whose agent or player gets a task.
+) -> Any:
+    """Return rl_games' Runner that has loaded a train file, and whose agent or player gets a task.
 
     Args:
         params: the section `params` of the train file.
@@ -635,6 +625,8 @@ def _load_runner(
         observer: of an agent; None for a player.
     """
     vec_env = RLGPUEnv.from_task(task)
+    from isaacgymenvs_lite.registration import build_runner
+
     runner = build_runner(observer)
     runner.load({"params": params})
     # After `load`, which copies its argument. A player acts in the task itself.
@@ -659,6 +651,8 @@ def _make_player(launch: _Launch, task: VecTask) -> Any:
         player = _load_runner(params, task).create_player()
         if launch.checkpoint:
             player.restore(launch.checkpoint)
+        from rl_games.torch_runner import _override_sigma
+
         _override_sigma(player, launch.overrides)
     return player
 
@@ -697,12 +691,13 @@ def _measurement_observer(
 
 def _log_opening(launch: _Launch, training: _Training) -> None:
     """Log what is trained on what, where its results are, and how to look at them."""
-    cfg, folder = launch.cfg, launch.folder
-    clip = cfg.task.env.get("motion_file")
+    tree, folder = launch.tree, launch.folder
+    clip = tree["task"]["env"].get("motion_file")
     on = f" on {Path(str(clip)).name}" if clip and hasattr(training.task, "motion_lib") else ""
     log.info(
         "training %s with %s%s in %d environments: %s",
-        *(cfg.task.name, cfg.train.params.algo.name, on, launch.num_envs, folder.path),
+        *(launch.task_name, tree["train"]["params"]["algo"]["name"], on),
+        *(launch.num_envs, folder.path),
     )
     log.info(
         "its curves: tensorboard --logdir %s; a page: %s",
@@ -754,13 +749,12 @@ def _report_end(
     best, newest = launch.checkpoint_file(""), launch.folder.newest_checkpoint()
     if newest is None:
         return
-    task = str(launch.cfg.task.name)
     played = best if plays_best and best.exists() else newest
     if launch.settings.resume:  # the words that started it are known to the user alone
         name = "last" if played == newest else played.absolute()
         play = f"add test=True checkpoint={name} to the command that started the run"
     else:
-        play = command.play(task, played.absolute(), is_newest=played == newest)
+        play = command.play(launch.task_name, played.absolute(), is_newest=played == newest)
     log.info("saved %s; play it: %s", played, play)
     if was_stopped:
         resume = command.resume(launch.folder.path, current_group().size)
@@ -785,7 +779,7 @@ def _check_saved(folder: RunFolder) -> None:
 
 
 @contextmanager
-def _memory_errors_explained(cfg: DictConfig) -> Iterator[None]:
+def _memory_errors_explained(config: CheckedConfig) -> Iterator[None]:
     """Turn a lack of memory into one line about the settings that need less.
 
     Raises:
@@ -800,7 +794,7 @@ def _memory_errors_explained(cfg: DictConfig) -> Iterator[None]:
             raise
         raise ConfigError(
             "not enough memory for this training: lower num_envs"
-            f" ({cfg.task.env.numEnvs} now), train.params.config.horizon_length or"
+            f" ({config.tree['task']['env']['numEnvs']} now), train.params.config.horizon_length or"
             f" train.params.network.mlp.units ({one_line(error) or 'MemoryError'})"
         ) from error
 

@@ -15,7 +15,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import hydra
@@ -25,43 +25,28 @@ from tqdm import tqdm
 
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments, inherited_settings
 from isaacgymenvs_lite.command_line import EscapingFormatter
-from isaacgymenvs_lite.config.compose import checked_program, make_loader
-from isaacgymenvs_lite.config.hydra_bridge import (
-    CONFIG_NAME,
-    HYDRA_VERSION_BASE,
-    NamedFiles,
-    options_parser,
-    sweeps_report_to,
-)
-from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
-from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.config.path_overrides import PathOverrides
+from isaacgymenvs_lite.config.compose import HYDRA_VERSION_BASE, ComposeError, explain
+from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.run_names import train_dir_of
+from isaacgymenvs_lite.config.staging import ROOT, StagedFiles, staged
 from isaacgymenvs_lite.distributed import started_by_torchrun
 from isaacgymenvs_lite.distributed.restarts import words_after_restart
 from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
     EXIT_USER_ERROR,
     ConfigError,
+    JobError,
     PeerError,
     PeerMistakeError,
     StoppedAtOnceError,
     UserError,
+    one_line,
 )
-from isaacgymenvs_lite.paths import cfg_dir, check_working_folder
+from isaacgymenvs_lite.paths import check_working_folder
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
-from isaacgymenvs_lite.sweep import (
-    Sweep,
-    is_sweep,
-    numbered_output,
-    run_job,
-    this_process,
-    waiting_for_jobs,
-    with_failures_allowed,
-)
+from isaacgymenvs_lite.sweep import Summary, check_words, is_sweep, run_job, waiting_for_jobs
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
-from isaacgymenvs_lite.utils.late_compile import compiling_late
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +54,14 @@ EXIT_FAILED_JOBS = 1
 
 # How long another process of a data-parallel training has to report its mistake.
 _REPORT_S = 10.0
+# Hydra's options, and whether a value follows.
+_OPTIONS = {
+    **dict.fromkeys(("--help", "-h", "--hydra-help", "--version", "--resolve"), False),
+    **dict.fromkeys(("--run", "-r", "--multirun", "-m"), False),
+    **dict.fromkeys(("--cfg", "-c", "--package", "-p", "--info", "-i"), True),
+    **dict.fromkeys(("--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"), True),
+    **dict.fromkeys(("--shell-completion", "-sc"), False),
+}
 
 
 def main() -> None:
@@ -81,7 +74,14 @@ def main() -> None:
     configure_logging()
     try:
         check_working_folder()
-        _run_hydra()
+        command = TypedCommand.of_this_process()
+        _go_on_after_restart()
+        if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
+            from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
+
+            _run_job(resumed_tree(sys.argv[1:]), command)
+        else:
+            _run_hydra(sys.argv[1:], command)
     except UserError as error:
         _fail(error)
     except KeyboardInterrupt as interrupt:
@@ -92,40 +92,36 @@ def main() -> None:
         sys.exit(status)
 
 
-def configure_logging() -> None:
-    """Send the log to stderr, messages only, without breaking a progress bar."""
-    # Of several processes one logs; the others report what only they can.
-    level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
-    logging.basicConfig(level=level, handlers=[message_handler()], force=True)
-
-
-def message_handler() -> logging.Handler:
-    """Return what writes a log as this command line does."""
-    handler = _ProgressBarHandler()
-    handler.setFormatter(_MessageFormatter())
-    return handler
-
-
-def _run_hydra() -> None:
+def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
     """Let Hydra compose the configuration and run the job.
 
     Raises:
         ConfigError: the configuration cannot be composed.
+        JobError: a launcher has failed, such as a process that was killed.
     """
-    command = TypedCommand.of_this_process()
-    _go_on_after_restart()
-    if any(word.startswith("resume=") and word != "resume=" for word in sys.argv[1:]):
-        from isaacgymenvs_lite.checkpoints.run_config import resumed_tree  # imports torch
-
-        _run_job(resumed_tree(sys.argv[1:]), command)
-        return
-    sys.argv[1:] = _options_first(sys.argv[1:])
-    command = command.after(inherited_settings(sys.argv[1:]))
-    sys.argv[1:] = complete_arguments(sys.argv[1:])
+    check_words(words)
+    Summary.num_failed = 0
+    command = command.after(inherited_settings(words))
+    options, overrides = _split_options(complete_arguments(words))
+    folders = [
+        next((options.pop(name) for name in names if name in options), None)
+        for names in (("--config-dir", "-cd"), ("--config-path", "-cp"))
+    ]
     register_resolvers()
     # Hydra prints its errors itself, over several lines, and exits; in this mode it raises them.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    started, parent, sweep = False, this_process(), Sweep()
+    with staged(overrides, *folders) as files:
+        launcher = next((word for word in overrides if word.startswith("hydra/launcher=")), None)
+        typed = [part for option in options.items() for part in option if part is not None]
+        sys.argv[1:] = [*typed, *files.words]
+        with waiting_for_jobs() if launcher else contextlib.nullcontext():
+            _compose_and_run(files, command, launcher)
+    if Summary.num_failed:
+        sys.exit(EXIT_FAILED_JOBS)
+
+
+def _compose_and_run(files: StagedFiles, command: TypedCommand, launcher: str | None) -> None:
+    started, parent = False, os.getpid()
 
     def job(cfg: DictConfig) -> float | None:
         nonlocal started
@@ -134,23 +130,53 @@ def _run_hydra() -> None:
         started = True
         return _run_job(cfg, command)
 
-    decorate = hydra.main(
-        config_path=str(cfg_dir()), config_name=CONFIG_NAME, version_base=HYDRA_VERSION_BASE
-    )
-    named = PathOverrides.from_words(with_failures_allowed(sys.argv[1:]))
-    sys.argv[1:] = named.words
+    program: Callable[..., None] = hydra.main(
+        config_path=str(files.folder), config_name=ROOT, version_base=HYDRA_VERSION_BASE
+    )(job)
     try:
-        with checked_program(named.files), sweeps_report_to(sweep.add, waiting_for_jobs):
-            decorate(job)()
+        program()
     except ComposeError as error:
-        if started:
+        if started or isinstance(error, UserError):
             raise
-        if not sweep.all_failed:  # of which Optuna would only say that there is no best trial
-            raise _explain(error, named.files) from error
-    finally:
-        sweep.report()
-    if sweep.num_failed:
-        sys.exit(EXIT_FAILED_JOBS)
+        raise explain(error, files) from error
+    except UserError:
+        raise
+    except Exception as error:
+        if launcher is None:
+            raise
+        raise JobError(
+            f"{launcher} has failed: {type(error).__name__}: {one_line(error)}; of this batch of"
+            " jobs only their run folders are left"
+        ) from error
+
+
+def _split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
+    """Return Hydra's options with their values, and the overrides, which Hydra reads after them.
+
+    Raises:
+        ConfigError: Hydra does not know an option with dashes, as `--task` of ASE's launcher.
+    """
+    options, overrides = dict[str, str | None](), list[str]()
+    rest = iter(words)
+    for word in rest:
+        name, equals, value = word.partition("=")
+        if not word.startswith("-"):
+            overrides.append(word)
+        elif name == "--experimental-rerun":
+            raise ConfigError(
+                "--experimental-rerun reads a pickle, which can run code; give the words of the"
+                " command line once more (config.yaml in the run folder has them)"
+            )
+        elif name not in _OPTIONS:
+            raise ConfigError(
+                f"unknown option '{word}': settings are written without dashes,"
+                f" {name.lstrip('-')}=<value>; --help lists them"
+            )
+        elif equals or not _OPTIONS[name]:
+            options[name] = value if equals else None
+        else:
+            options[name] = next(rest, None)
+    return options, overrides
 
 
 def _go_on_after_restart() -> None:
@@ -177,60 +203,21 @@ def _run_job(cfg: DictConfig, command: TypedCommand) -> float | None:
         start_again(request, command.words)
 
 
-def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: str) -> float | None:
-    """Do the same as one of several jobs, in the sweep's own process, `parent`, or another one.
-
-    Raises:
-        JobError: the job has failed.
-    """
-    words = words_of_job(command.words, HydraConfig.get().overrides.task)
+def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> float | None:
+    """Do the same as one of several jobs, in the sweep's own process, `parent`, or another one."""
+    hydra_job = HydraConfig.get()
+    words = words_of_job(command.words, hydra_job.overrides.task)
     job = dataclasses.replace(command, words=tuple(words), is_job=True)
-    in_parent = parent == this_process()
-    with contextlib.nullcontext() if in_parent else numbered_output():
-        if not in_parent:
-            configure_logging()
-        return run_job(functools.partial(_run, cfg, job), cfg, command.words, parent)
+    if os.getpid() != parent:
+        configure_logging(prefix=f"#{hydra_job.job.num} ")
+    return run_job(functools.partial(_run, cfg, job), parent)
 
 
 def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
-    check_config(cfg)
-    with compiling_late():
-        from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
+    config = read_config(cfg)
+    from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
 
-    return run(cfg, command, **of_sweep)
-
-
-def _explain(error: Exception, files: NamedFiles) -> ConfigError:
-    """Return the one-line error for what Hydra raised on this command line."""
-    args = options_parser().parse_args()
-    loader = make_loader(args.config_dir, args.config_path, files)
-    return explain(error, args.overrides, loader, args.config_name or CONFIG_NAME)
-
-
-def _options_first(arguments: Sequence[str]) -> list[str]:
-    """Return the command line with Hydra's options before the settings, as Hydra reads them.
-
-    Raises:
-        ConfigError: Hydra does not know an option with dashes, as `--task` of ASE's launcher.
-    """
-    parser = options_parser()
-    parser.allow_abbrev = False
-    options, others = parser.parse_known_intermixed_args(list(arguments))
-    if options.experimental_rerun is not None:
-        raise ConfigError(
-            "--experimental-rerun reads a pickle, which can run code; give the words of the command"
-            " line once more (config.yaml in the run folder has them)"
-        )
-    if others:
-        name = others[0].lstrip("-").split("=")[0]
-        raise ConfigError(
-            f"unknown option '{others[0]}': settings are written without dashes, {name}=<value>; "
-            "--help lists them"
-        )
-    first = list(arguments)
-    for word in options.overrides:
-        first.remove(word)
-    return [*first, *options.overrides]
+    return run(config, command, **of_sweep)
 
 
 def _fail(error: UserError) -> NoReturn:
@@ -244,6 +231,23 @@ def _fail(error: UserError) -> NoReturn:
     else:
         print(f"error: {error}", file=sys.stderr)
     sys.exit(EXIT_USER_ERROR)
+
+
+# --- the log --------------------------------------------------------------------------------------
+
+
+def configure_logging(prefix: str = "") -> None:
+    """Send the log to stderr, messages only, without breaking a progress bar."""
+    # Of several processes one logs; the others report what only they can.
+    level = logging.INFO if os.environ.get("RANK", "0") == "0" else logging.ERROR
+    logging.basicConfig(level=level, handlers=[message_handler(prefix)], force=True)
+
+
+def message_handler(prefix: str = "") -> logging.Handler:
+    """Return what writes a log as this command line does; each message begins with `prefix`."""
+    handler = _ProgressBarHandler()
+    handler.setFormatter(_MessageFormatter(f"{prefix}%(message)s"))
+    return handler
 
 
 class _ProgressBarHandler(logging.Handler):

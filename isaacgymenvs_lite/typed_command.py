@@ -74,14 +74,6 @@ class TypedCommand:
             words = [*start, *program, "multi_gpu=True"]
         return shlex.join(words)
 
-    def check(self, task: str) -> str:
-        """Return the command that describes the run's files, for a shell; `task` as in `play`."""
-        named = {_key(word): word.partition("=")[2] for word in self._task_words(task)}
-        task, train = named["task"], named.get("train")
-        words = [task] if train is None else [train, f"task={task}"]
-        words += [word for word in self.words if _key(word) == "rl_device"]
-        return package_command("check", *words)
-
     def _task_words(self, default: str) -> list[str]:
         """Return `task=`, and `train=` unless it is the task's default."""
         typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}

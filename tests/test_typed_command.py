@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import os
 import re
 import shlex
@@ -14,12 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite import check, typed_command
-from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite import typed_command
 from isaacgymenvs_lite.paths import cfg_dir
-from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command, words_of_job
-from tests.tiny import TINY_AMP
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PLAYED = "test=True checkpoint=last num_envs=16"
@@ -68,12 +64,6 @@ def test_playing_a_job_of_a_sweep() -> None:
 def test_going_on() -> None:
     typed = command("num_envs=64", "task=Ant", "checkpoint=runs/a/nn/a.pth", "max_iterations=9")
     assert typed.resume(Path("runs/my ant")) == "python train.py 'resume=runs/my ant'"
-
-
-def test_checking() -> None:
-    assert command("num_envs=3").check("Default") == package_command("check", "Default")
-    expected = package_command("check", "AntSAC", "task=Ant")
-    assert command("task=Ant", "train=AntSAC").check("x") == expected
 
 
 def test_a_command_of_the_package_runs_in_any_shell(tmp_path, monkeypatch) -> None:
@@ -153,17 +143,3 @@ def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
     said = _run(play, tmp_path)
     assert f"checkpoint: {tmp_path / saved}\n" in said
     assert "played " in said
-
-
-def test_the_list_that_a_start_refers_to(tmp_path, monkeypatch, caplog, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    words = ("task=HumanoidAMP", *TINY_AMP, "max_iterations=1")
-    with caplog.at_level(logging.INFO):
-        run(compose(words), command(*words))
-    (line,) = (line for line in caplog.messages if "for learning on a CPU" in line)
-    assert len(line) < 200
-    program, listing = line.split("listed by: ")[1].split(" check ")
-    assert package_command("check") == f"{program} check"
-    assert check.main(shlex.split(listing)) == 0
-    listed = capsys.readouterr().out
-    assert "defaults for learning on a CPU (on a GPU): numEnvs 512 (4096), " in listed

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite import train
+from isaacgymenvs_lite.config.launch import CheckedConfig
 
 
 def make_train_command(
@@ -25,8 +26,12 @@ def make_train_command(
         folder: the working folder.
         run: is called in place of `runner.run`; jobs of a sweep give it `stop` and `direction`.
     """
+
+    def run_tree(config: CheckedConfig, *arguments: object, **of_sweep: object) -> object:
+        return run(config.cfg, *arguments, **of_sweep)
+
     stand_in = types.ModuleType("isaacgymenvs_lite.runner")
-    stand_in.run = run  # type: ignore[attr-defined]
+    stand_in.run = run_tree  # type: ignore[attr-defined]
     monkeypatch.chdir(folder)
     monkeypatch.setitem(sys.modules, "isaacgymenvs_lite.runner", stand_in)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.archive import (
     ArchiveError,
@@ -28,6 +28,7 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
 from isaacgymenvs_lite.run.lock import FolderInUseError
+from isaacgymenvs_lite.schema import select
 from isaacgymenvs_lite.typed_command import package_command
 from isaacgymenvs_lite.utils.files import atomic_write
 
@@ -268,19 +269,19 @@ def _modernize(state: dict[str, Any]) -> dict[str, Any]:
 # --- finding -----------------------------------------------------------------------------------
 
 
-def checkpoint_of_tree(cfg: DictConfig, checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path that `checkpoint` means to a composed tree, to train, play or export.
+def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
+    """Return the path that `checkpoint` means to a resolved tree, to train, play or export.
 
     Args:
-        cfg: the tree; `last` is the newest checkpoint of its task and of its kind of network.
+        tree: the tree; `last` is the newest checkpoint of its task and of its kind of network.
         checkpoint: as `resolve_checkpoint`.
         train_dir: folder of the run folders.
 
     Raises:
         CheckpointError: there is no such file.
     """
-    network = OmegaConf.select(cfg, "train.params.network.name")
-    return resolve_checkpoint(checkpoint, train_dir, str(cfg.task.name), str(network or ""))
+    network = select(tree, "train.params.network.name")
+    return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
 
 
 def resolve_checkpoint(
@@ -367,7 +368,7 @@ def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:
     """Return settings of a run by their paths; None if it is no run of this project."""
     from omegaconf.errors import OmegaConfBaseException
 
-    from isaacgymenvs_lite.config.yaml_files import read_yaml
+    from isaacgymenvs_lite.config.staging import read_yaml
 
     try:
         cfg = read_yaml(run / "config.yaml")

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.hydra_bridge import quoted
+from isaacgymenvs_lite.config.staging import quoted
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import leaves, select
 

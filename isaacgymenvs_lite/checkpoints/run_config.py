@@ -9,19 +9,16 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.checkpoints.training_state import resume_file, run_of_file
-from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.expansion import check_expansion
-from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
+from isaacgymenvs_lite.config.compose import changed_by, compose
 from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.rl_games_settings import UnitsSettings, scale_units
 from isaacgymenvs_lite.config.run_names import TRAIN_DIR, train_dir_of
-from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.schema import read_keys, select
 
@@ -72,7 +69,6 @@ def read_run_config(
     """
     register_resolvers()
     stored = read_yaml(file)
-    check_expansion(stored)
     if to_play:
         stored.test = True
     trees = [_resolved(stored, device, file) for device in _RL_DEVICES]
@@ -96,7 +92,6 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
         CheckpointError: there is no such run.
         ConfigError: a word cannot be used, or config.yaml of the run cannot.
     """
-    register_resolvers()
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:
         if word.startswith("-"):
@@ -105,29 +100,26 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
     groups = [given[key] for key in ("task", "train") if key in given]
     wanted: dict[str, str] = {}
     if groups:
-        cfg = compose(groups)
+        composed = compose(groups)
         paths = ("task.name", "train.params.network.name")
-        wanted = {path: str(OmegaConf.select(cfg, path)) for path in paths}
+        wanted = {path: str(OmegaConf.select(composed, path)) for path in paths}
     file = resume_file(values["resume"], train_dir_of(words), wanted)
-    cfg = read_yaml(run_of_file(file) / "config.yaml")
-    check_expansion(cfg)
-    _forget_the_rest(cfg, values)
+    stored = read_yaml(run_of_file(file) / "config.yaml")
+    _forget_the_rest(stored, values)
     settings = [
         word for key, word in given.items() if key not in ("task", "train", "resume", TRAIN_DIR)
     ]
-    OmegaConf.set_struct(cfg, True)
     try:
-        apply_overrides(settings, cfg)
-        with open_dict(cfg):
-            # A restarted policy of a population has another checkpoint to begin with.
-            cfg.resume = "" if "pbt_restart" in given else str(file)
-            # The file does not choose where a workspace is.
-            OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)))
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        cfg = changed_by(stored, settings)
+    except ConfigError as error:
         raise ConfigError(
-            f"{' '.join(settings)}: {one_line(error)}; these words change settings of the run"
-            f" {run_of_file(file)}"
+            f"{error}; the words change settings of the run {run_of_file(file)}"
         ) from error
+    with open_dict(cfg):
+        # A restarted policy of a population has another checkpoint to begin with.
+        cfg.resume = "" if "pbt_restart" in given else str(file)
+        # The file does not choose where a workspace is.
+        OmegaConf.update(cfg, TRAIN_DIR, str(train_dir_of(words)), force_add=True)
     return cfg
 
 

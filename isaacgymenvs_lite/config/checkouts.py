@@ -13,15 +13,14 @@ For any other file it is the folder of the file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 KEY = "task_checkout"
 """Key of the configuration's root: the folder of the checkout, '' for none."""
 
-# What the top folder of a project has, unlike a package inside it.
+# Entries in the top folder of a project that a package inside it does not have.
 _TOP_OF_A_PROJECT = (".git", "setup.py", "pyproject.toml", "assets")
-# ASE's files name no task, it was an argument of its command line. End of a file's name -> ours.
+# ASE's task was an argument of its command line. End of a file's name -> our task.
 _TASKS_OF_ASE = {
     "heading": "HumanoidHeading",
     "location": "HumanoidLocation",
@@ -46,8 +45,11 @@ def checkout_of(task_file: Path) -> Path:
     if (folder.parent.name, folder.name) != ("cfg", "task"):
         return folder
     package = folder.parents[1]
-    above = package.parent
-    return above if _is_top(above) and not _is_top(package) else package
+
+    def is_top(place: Path) -> bool:
+        return any((place / name).exists() for name in _TOP_OF_A_PROJECT)
+
+    return package.parent if is_top(package.parent) and not is_top(package) else package
 
 
 def train_file_beside(task_file: Path) -> Path | None:
@@ -64,12 +66,9 @@ def task_of_ase_file(task_file: Path) -> str | None:
 
 
 def clip_folders(checkout: Path, name: str) -> list[Path]:
-    """Return the folders of a checkout that a clip or a data set may be named from.
+    """Return the folders of a checkout in which a clip or a data set of this name may be.
 
-    Args:
-        checkout: its folder.
-        name: `motion_file`. One that leads upwards (`../..`) means the working folder's: nothing
-            outside the checkout is looked at.
+    A name that leads upwards (`../..`) is searched in the working folder alone.
     """
     if ".." in Path(name).parts:
         return []
@@ -78,12 +77,12 @@ def clip_folders(checkout: Path, name: str) -> list[Path]:
 
 
 def model_folders(checkout: Path, root: str) -> list[Path]:
-    """Return the folders of a checkout that a model may be named from.
+    """Return the folders of a checkout in which a model may be.
 
     Args:
         checkout: its folder.
-        root: `assetRoot` of the task file, '' for none. IsaacGymEnvs' are relative to its tasks
-            (`../../assets`), ASE's to the checkout (`ase/data/assets`).
+        root: `assetRoot` of the task file, '' for none: relative to the tasks in IsaacGymEnvs
+            (`../../assets`), to the checkout in ASE (`ase/data/assets`).
     """
     parts = [part for part in Path(root).parts if part != ".."]
     named = [checkout.joinpath(*parts)] if parts and not Path(root).is_absolute() else []
@@ -96,10 +95,6 @@ def _is_in_ase(task_file: Path) -> bool:
     return (folder.parent.name, folder.name) == ("data", "cfg") and len(folder.parents) > 2
 
 
-def _is_top(folder: Path) -> bool:
-    return any((folder / name).exists() for name in _TOP_OF_A_PROJECT)
-
-
-def _data_folders(checkout: Path) -> Iterator[Path]:
-    """Yield `<package>/data` of ASE and its forks."""
-    yield from sorted(cfg.parent for cfg in checkout.glob("*/data/cfg") if cfg.is_dir())
+def _data_folders(checkout: Path) -> list[Path]:
+    """Return `<package>/data` of ASE and its forks."""
+    return sorted(cfg.parent for cfg in checkout.glob("*/data/cfg") if cfg.is_dir())

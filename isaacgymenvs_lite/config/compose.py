@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import MappingProxyType
+from typing import Any
 
-from omegaconf import DictConfig, open_dict
+import hydra
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.version import VersionBase
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
-from isaacgymenvs_lite.config.foreign_files import check_composed_tree, is_foreign
-from isaacgymenvs_lite.config.hydra_bridge import (
-    Loader,
-    NamedFiles,
-    Rules,
-    loader_of_folders,
-    program_composes_by,
-)
-from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
-from isaacgymenvs_lite.config.path_overrides import FileReader, PathOverrides
+from isaacgymenvs_lite.config.published_names import missing_choice
 from isaacgymenvs_lite.config.resolvers import register_resolvers
-from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.paths import cfg_dir
+from isaacgymenvs_lite.config.staging import GROUPS, REFUSED, ROOT, StagedFiles, staged
+from isaacgymenvs_lite.errors import ConfigError, one_line, unknown
+from isaacgymenvs_lite.paths import PARTS
+from isaacgymenvs_lite.schema import leaves, nearest
 
 ANY_TRAIN_FILE = "CartpolePPO"
 """The train file of trees of which only the task is read."""
+# IsaacGymEnvs chose 1.1, which warns at every start. The two differ in what cfg/config.yaml states
+# anyway: stay in the working directory, `_self_` in the defaults list.
+HYDRA_VERSION_BASE = "1.3"
+
+# What composing a configuration raises for a user's mistake. Hydra raises ValueError for an
+# override of a wrong kind, such as a number for a task.
+ComposeError = (HydraException, OmegaConfBaseException, ValueError, RecursionError)
+
+_ALIKE = 0.75
+_PLUGINS = ("optuna", "joblib", "submitit_local", "submitit_slurm")
 
 
-def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> DictConfig:
+def compose(
+    overrides: Sequence[str] = (), config_dir: Path | str | None = None, *, trains: bool = True
+) -> DictConfig:
     """Compose the configuration tree as `python train.py <overrides>` does.
 
     Hydra's global state is as before afterwards, so this may be called inside a running Hydra job;
@@ -36,7 +47,8 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
     Args:
         overrides: as on the command line, for example `["task=HumanoidAMP", "num_envs=64"]`;
             `train=` and `task=` may name files by their paths.
-        config_dir: a folder with further task/ and train/ files, as `--config-dir`.
+        config_dir: a folder with more task/ and train/ files, as `--config-dir`.
+        trains: False if nothing is written where the files say.
 
     Returns:
         The tree with the keys of cfg/config.yaml, interpolations unresolved, in struct mode.
@@ -44,16 +56,11 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None)
     Raises:
         ConfigError: a name, a key or an override is wrong; the message lists the choices.
     """
-    register_resolvers()
-    named = PathOverrides.from_words(overrides)
-    loader = make_loader(config_dir, files=named.files)
-    try:
-        cfg = loader.compose(named.words)
-    except ComposeError as error:
-        raise explain(error, named.words, loader) from error
-    with open_dict(cfg):
-        del cfg["hydra"]
-    return cfg
+    with staged(overrides, config_dir, trains=trains) as files:
+        try:
+            return _compose_in(files.folder, files.words)
+        except ComposeError as error:
+            raise explain(error, files) from error
 
 
 def compose_task(
@@ -65,7 +72,7 @@ def compose_task(
 
     Args:
         task: name of a task file.
-        overrides: further words; `task=` and `train=` among them count instead.
+        overrides: more words; `task=` and `train=` among them count instead.
         config_dir: as `compose`.
     """
     words = [
@@ -76,36 +83,137 @@ def compose_task(
     return compose([*words, *overrides], config_dir)
 
 
-def make_loader(
-    config_dir: Path | str | None = None,
-    config_path: Path | str | None = None,
-    files: NamedFiles = MappingProxyType({}),
-) -> Loader:
-    """Return a loader over our cfg/ (or `config_path`), then `config_dir` if given.
-
-    Args:
-        config_dir: a folder with further task/ and train/ files.
-        config_path: a folder in place of cfg/.
-        files: see `PathOverrides`.
+def changed_by(tree: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """Return a stored tree, such as the config.yaml of a run, changed as by a command line.
 
     Raises:
-        ConfigError: `config_dir` is no folder.
+        ConfigError: an override is wrong, or its key is not in the tree.
     """
-    folder = None
-    if config_dir is not None:
-        folder = Path(config_dir).resolve()
-        if not folder.is_dir():
-            raise ConfigError(
-                f"the configuration folder '{config_dir}' does not exist; "
-                "expected a folder that holds task/ and train/"
-            )
-    return loader_of_folders(_rules(), files, config_path or cfg_dir(), first=folder)
+    with tempfile.TemporaryDirectory() as folder:
+        OmegaConf.save(tree, Path(folder) / f"{ROOT}.yaml")
+        try:
+            return _compose_in(Path(folder), overrides)
+        except ComposeError as error:
+            raise explain(error, StagedFiles(list(overrides), Path(folder))) from error
 
 
-def checked_program(files: NamedFiles) -> AbstractContextManager[None]:
-    """Return a context in which Hydra's program, `hydra.main`, composes as `compose` does."""
-    return program_composes_by(_rules(), files)
+def _compose_in(folder: Path, words: Sequence[str]) -> DictConfig:
+    register_resolvers()
+    with _hydra_at(folder):
+        return hydra.compose(ROOT, overrides=list(words))
 
 
-def _rules() -> Rules:
-    return Rules(FileReader(), is_foreign, check_composed_tree)
+@contextlib.contextmanager
+def _hydra_at(folder: Path) -> Iterator[None]:
+    """Let Hydra read a folder, and restore what a running Hydra program needs afterwards."""
+    running, base = GlobalHydra.instance(), VersionBase.instance().version_base
+    program, running.hydra = running.hydra, None
+    try:
+        with hydra.initialize_config_dir(str(folder), version_base=HYDRA_VERSION_BASE):
+            yield
+    finally:
+        GlobalHydra.set_instance(running)
+        running.hydra = program
+        VersionBase.instance().version_base = base
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+def explain(error: Exception, files: StagedFiles) -> ConfigError:
+    """Return the one-line error for what Hydra or OmegaConf raised while composing."""
+    words = files.words
+    text = str(error)
+    key = text.split("'")[1] if text.count("'") > 1 else ""
+    if isinstance(error, ConfigError):
+        return error
+    if isinstance(error, RecursionError):
+        return ConfigError(
+            "the defaults lists of the configuration files run in a circle; a file may name neither"
+            " itself nor a file of its own name in cfg/ (rename it)"
+        )
+    if isinstance(error, OverrideParseException):
+        return ConfigError(
+            f"cannot read '{error.override}'; write key=value, and put a value that holds"
+            " blanks or any of = , [ ] { } in quotes: 'key=\"value\"'"
+        )
+    if isinstance(error, MissingConfigException):
+        refused = (error.missing_cfg_file or "").removeprefix(f"{REFUSED}/")
+        return files.refused.get(refused) or _missing_file(error, words)
+    if text.startswith("Could not override"):
+        return _unknown_key(key, files)
+    if text.startswith("Ambiguous value"):
+        return ConfigError(
+            f"'{key}' gives several values: add --multirun to run one after the other, "
+            "or put them in [ ] to give a list"
+        )
+    if text.startswith("Could not append"):
+        return ConfigError(f"the key '{key}' exists: leave out the + before it to change its value")
+    if "does not support sweep type" in text:
+        return ConfigError(
+            "interval(...) has no list of values: add hydra/sweeper=optuna, which chooses them, or"
+            " write choice(...) or range(...)"
+        )
+    if text.startswith("Config group override must be a string"):
+        given = next(word for word in words if word.partition("=")[0] in GROUPS)
+        return ConfigError(f"'{given}' names no file; expected a name, or the path of a file")
+    reason = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else ""
+    first = text.split("\n\n")[0]
+    return ConfigError(one_line(f"{first} {reason}"))
+
+
+def explain_interpolation(error: OmegaConfBaseException) -> ConfigError:
+    """Return the one-line error for an interpolation that cannot be resolved."""
+    reason = str(error).split("\n")[0]
+    hint = "; correct the path in ${...}" if reason.startswith("Interpolation key") else ""
+    return ConfigError(f"{error.full_key or 'the configuration'}: {reason}{hint}")
+
+
+def _missing_file(error: MissingConfigException, words: Sequence[str]) -> ConfigError:
+    """Explain a task, train or other file that does not exist."""
+    group, _, name = (error.missing_cfg_file or "").rpartition("/")
+    if error.options is None or not group:
+        return ConfigError(one_line(str(error).split("\nConfig search path")[0]))
+    if name in _PLUGINS:
+        return ConfigError(
+            f"{group}={name} needs packages that are not installed;"
+            ' pip install "isaacgymenvs-lite[sweep]"'
+        )
+    options = sorted(option for option in error.options if option not in PARTS)
+    if (published := missing_choice(group, name)) is not None:
+        return ConfigError(f"{published}; choices: {', '.join(options)}")
+    if group != "train":
+        next_step = f"your own files go into cfg/{group} or below a --config-dir"
+        return ConfigError(unknown(group, name, options, next_step))
+    if any(word.lstrip("+").startswith("train=") for word in words):
+        return ConfigError(unknown("train file", name, options))
+    return ConfigError(
+        f"there is no default train file '{name}' for this task: name one with train=; "
+        f"choices: {', '.join(options)}"
+    )
+
+
+def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
+    """Explain a key that the tree does not have; list the keys at its level."""
+    groups = [word for word in files.words if word.partition("=")[0].split("/")[0] in GROUPS]
+    try:
+        tree: Any = OmegaConf.to_container(_compose_in(files.folder, groups), resolve=False)
+    except ComposeError:
+        return ConfigError(f"unknown key '{key}'")
+    section, path, leaf = tree, "", key
+    while isinstance(section.get(leaf.split(".")[0]), dict):
+        name, _, leaf = leaf.partition(".")
+        section, path = section[name], f"{path}.{name}" if path else name
+    leaf = leaf.split(".")[0]
+    if leaf in section:
+        parent = f"{path}.{leaf}" if path else leaf
+        return ConfigError(f"unknown key '{key}': '{parent}' holds a value, not keys of its own")
+    choices = sorted(str(name) for name in section)
+    near = nearest(leaf, choices, _ALIKE)
+    meant = [f"{path}.{near}" if path else near] if near else []
+    meant = meant or [other for other, _ in leaves(tree) if other.rpartition(".")[2] == leaf]
+    hint = f" (did you mean '{meant[0]}'?)" if meant else ""
+    level = f"the keys of {path}" if path else "the keys"
+    return ConfigError(
+        f"unknown key '{key}'{hint}; {level} are {', '.join(choices)}; +{key}=... adds a new one"
+    )

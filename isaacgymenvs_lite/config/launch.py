@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from isaacgymenvs_lite.config.compose import explain_interpolation
 from isaacgymenvs_lite.config.devices import check_device, check_device_name
-from isaacgymenvs_lite.config.hydra_errors import explain_interpolation
 from isaacgymenvs_lite.config.pbt_settings import mutable_values, read_pbt_settings
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
+from isaacgymenvs_lite.config.train_params import apply_wrapper_limits
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import (
     check_mapping,
@@ -125,7 +127,35 @@ class _EnvSize:
     num_envs: int = setting(key="numEnvs", minimum=1, maximum=2**24)
 
 
+@dataclass(frozen=True)
+class CheckedConfig:
+    """A composed tree that has been checked; it is resolved here, once.
+
+    Attributes:
+        settings: the root.
+        tree: the whole tree, resolved, as dictionaries and lists.
+        cfg: the tree as it was composed, for config.yaml of the run.
+    """
+
+    settings: LaunchSettings
+    tree: dict[str, Any]
+    cfg: DictConfig
+
+    def changed(self, values: Mapping[str, Any]) -> CheckedConfig:
+        """Return the configuration with other values, by their paths; they are checked, too."""
+        cfg = self.cfg.copy()
+        with open_dict(cfg):
+            for path, value in values.items():
+                OmegaConf.update(cfg, path, value, force_add=True)
+        return read_config(cfg)
+
+
 def check_config(cfg: DictConfig) -> LaunchSettings:
+    """Check a composed tree as `read_config` does; return its root."""
+    return read_config(cfg).settings
+
+
+def read_config(cfg: DictConfig) -> CheckedConfig:
     """Check a composed tree before anything heavy is imported or made.
 
     Types, limits and choices of the root's keys, features that this version lacks, devices, names
@@ -136,37 +166,28 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
         ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
         DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
-    _check_sections(cfg)
+    _check_sections(OmegaConf.to_container(cfg, resolve=False))
+    # ${default_rl_device:} imports torch: it comes last.
     postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
-    values = {
-        str(key): _resolve(cfg, str(key))
-        for key in cfg
-        if key not in _SECTIONS and key not in postponed
-    }
-    settings = read_section(LaunchSettings, values, where="", ignored=postponed, complete=True)
-    _check_features(settings)
-    if settings.resume and settings.test:
-        raise ConfigError(
-            f"resume={settings.resume} goes on with a training; to play a policy give checkpoint="
-            " instead"
-        )
-    if settings.latent and not settings.test:
-        raise ConfigError(
-            f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
-            " checkpoint=, or remove it (training draws latents at random)"
-        )
-    # The physics runs on the CPU whatever sim_device is; the task logs that.
-    check_device_name(settings.sim_device, "sim_device")
-    rl_device = None if postponed else check_device(settings.rl_device, "rl_device")
-    tree = _resolve_tree(cfg)
-    run_name_of(cfg)
+    try:
+        root = {str(key): cfg[key] for key in cfg if key not in (*_SECTIONS, *postponed)}
+        settings = read_section(LaunchSettings, root, where="", ignored=postponed, complete=True)
+        _check_combinations(settings)
+        # The physics runs on the CPU whatever sim_device is; the task logs that.
+        check_device_name(settings.sim_device, "sim_device")
+        device = "" if postponed else check_device(settings.rl_device, "rl_device")
+        tree: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise explain_interpolation(error) from error
+    run_name_of(tree)
     if settings.full_experiment_name:
         read_run_name(settings.full_experiment_name, "full_experiment_name")
-    env = tree["task"]["env"] or {}
-    read_keys(_EnvSize, env, "task.env")
+    read_keys(_EnvSize, tree["task"]["env"] or {}, "task.env")
+    apply_wrapper_limits(tree)
     if (pbt := read_pbt_settings(tree)) is not None:
         mutable_values(tree, pbt)
-    return dataclasses.replace(settings, rl_device=rl_device or str(tree["rl_device"]))
+    settings = dataclasses.replace(settings, rl_device=device or str(tree["rl_device"]))
+    return CheckedConfig(settings, tree, cfg)
 
 
 def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int:
@@ -182,51 +203,38 @@ def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) ->
     return secrets.randbelow(_RANDOM_SEEDS)
 
 
-def _check_sections(cfg: DictConfig) -> None:
+def _check_sections(tree: Any) -> None:
+    """Check that the sections of a tree, as written, are there and are mappings."""
     hints = {
         "task.name": "a task file starts with name:",
         "task.env": "a task file has the settings of the task below env:",
         "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
         "train.params": "a train file starts with params:",
+        "train.params.config": "a train file has the settings of the agent below config:",
     }
-    tree = OmegaConf.to_container(cfg, resolve=False)
     for path, hint in hints.items():
         section, _, key = path.rpartition(".")
-        present = _keys_below(tree, section)
+        present = select(tree, section)
+        present = present if isinstance(present, dict) else {}
         if key not in present:
-            raise missing_key(key, dict.fromkeys(present), [key], section, hint)
+            raise missing_key(key, present, [key], section, hint)
     for path in _MAPPINGS:
         check_mapping(tree, path)
 
 
-def _keys_below(tree: Any, section: str) -> list[str]:
-    below = select(tree, section)
-    return [str(key) for key in below] if isinstance(below, dict) else []
-
-
-def _check_features(settings: LaunchSettings) -> None:
-    """Refuse what this version does not do, rather than ignore it.
-
-    Raises:
-        ConfigError: such a feature is switched on.
-    """
+def _check_combinations(settings: LaunchSettings) -> None:
+    """Refuse settings that do not go together, or need a package that is missing."""
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
     if settings.wandb_activate:
         require("wandb", "wandb_activate=True", otherwise="leave wandb_activate out")
-
-
-def _resolve(cfg: DictConfig, key: str) -> Any:
-    try:
-        return cfg[key]
-    except OmegaConfBaseException as error:
-        raise explain_interpolation(error) from error
-
-
-def _resolve_tree(cfg: DictConfig) -> dict[str, Any]:
-    try:
-        tree = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
-    except OmegaConfBaseException as error:
-        raise explain_interpolation(error) from error
-    assert isinstance(tree, dict)
-    return {str(key): value for key, value in tree.items()}
+    if settings.resume and settings.test:
+        raise ConfigError(
+            f"resume={settings.resume} goes on with a training; to play a policy give checkpoint="
+            " instead"
+        )
+    if settings.latent and not settings.test:
+        raise ConfigError(
+            f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
+            " checkpoint=, or remove it (training draws latents at random)"
+        )

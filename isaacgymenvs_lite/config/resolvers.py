@@ -1,7 +1,7 @@
 """Registers the interpolation functions of IsaacGymEnvs' YAML files.
 
-- `${eq:a,b}`: a equals b, ignoring case; both are text
-- `${contains:a,b}`: a is part of b, ignoring case
+- `${eq:a,b}`: whether two texts are equal, ignoring case
+- `${contains:a,b}`: whether a is part of b, ignoring case
 - `${if:p,a,b}`: a if p is true in Python's sense, else b; the text "False" is true
 - `${resolve_default:d,x}`: d if x is '', else x
 - `${default_rl_device:}`: cuda:0 if torch sees a GPU, else cpu; this project's own
@@ -10,24 +10,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import re
+from collections.abc import Callable
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite.config.hydra_bridge import allow_registering_again, parse_interpolations
-
 _DEFAULT_SEED = 42  # as IsaacGymEnvs
-
-
-def equal(a: str, b: str) -> bool:
-    """Compare two texts, ignoring case."""
-    return a.lower() == b.lower()
-
-
-def contains(part: str, whole: str) -> bool:
-    """Return whether `part` occurs in `whole`, ignoring case."""
-    return part.lower() in whole.lower()
+# A $ and the interpolation that it begins: a path, or the name of a function.
+_INTERPOLATION = re.compile(r"\$(?:\{\s*([\w.\[\]-]*)\s*([:}]))?")
 
 
 def choose(predicate: Any, if_true: Any, if_false: Any) -> Any:
@@ -59,8 +50,8 @@ def default_seed(*, _root_: DictConfig) -> Any:
 
 
 RESOLVERS: dict[str, Callable[..., Any]] = {
-    "eq": equal,
-    "contains": contains,
+    "eq": lambda a, b: a.lower() == b.lower(),
+    "contains": lambda part, whole: part.lower() in whole.lower(),
     "if": choose,
     "resolve_default": resolve_default,
     "default_rl_device": default_rl_device,
@@ -75,36 +66,25 @@ def register_resolvers() -> None:
         OmegaConf.register_new_resolver(name, function, replace=True)
 
 
-def without_environment(cfg: DictConfig) -> DictConfig:
-    """Return a tree that any machine can read: `${oc.env:X}` and the like become their values.
+def register_for(script: str) -> None:
+    """Register the functions for a script, except those that its text registers itself.
 
-    A file that is read may use no other functions than those of this module, which do not look
-    outside of it. A command line may; what it means is decided where it is typed.
-
-    Args:
-        cfg: the tree; its other interpolations stay.
+    OmegaConf refuses the second registration of a name.
     """
-    copied = cfg.copy()
-    for path, text in _texts(OmegaConf.to_container(cfg, resolve=False), ()):
-        if "${" in text and set(parse_interpolations(text).resolvers) - set(RESOLVERS):
-            key = ".".join(path)
-            OmegaConf.update(copied, key, OmegaConf.select(cfg, key))
-    return copied
+    register_resolvers()
+    for name in RESOLVERS:
+        if re.search(rf"register_new_resolver\(\s*['\"]{name}['\"]", script):
+            OmegaConf.clear_resolver(name)
 
 
-def _texts(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the path and the content of each text in nested dictionaries and lists."""
-    if isinstance(value, str):
-        yield path, value
-    entries: Iterable[tuple[Any, Any]] = ()
-    if isinstance(value, dict):
-        entries = value.items()
-    elif isinstance(value, list):
-        entries = enumerate(value)
-    for key, entry in entries:
-        yield from _texts(entry, (*path, str(key)))
+def forbidden_resolver(text: str) -> str | None:
+    """Return what in a text leads out of the configuration; None if nothing does.
 
-
-def let_scripts_register() -> None:
-    """Let a script register our names once more, as IsaacGymEnvs' first train.py does."""
-    allow_registering_again(RESOLVERS)
+    Other resolvers than ours may run code or read the environment. A path that is put together of
+    interpolations, and a $ alone, could become such a call when the text is resolved.
+    """
+    for found in _INTERPOLATION.finditer(text):
+        path, end = found.groups()
+        if end is None or (end == ":" and path not in RESOLVERS):
+            return path or "$"
+    return None

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
-
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import select
 
 TRAIN_DIR = "train.params.config.train_dir"
 """Path of the setting that names the folder of all runs."""
@@ -26,14 +25,14 @@ def train_dir_of(words: Sequence[str]) -> Path:
     return Path(typed.get(TRAIN_DIR, DEFAULT_TRAIN_DIR))
 
 
-def run_name_of(cfg: DictConfig) -> PurePosixPath:
-    """Return the name of a composed tree's runs: `experiment`, or the name in its train file.
+def run_name_of(tree: dict[str, Any]) -> PurePosixPath:
+    """Return the name of the runs of a resolved tree: `experiment`, or the train file's name.
 
     Raises:
-        ConfigError: it cannot be one.
+        ConfigError: the name cannot be the name of a folder.
     """
     for key in ("experiment", _NAME_IN_FILE):
-        given = OmegaConf.select(cfg, key)
+        given = select(tree, key)
         if given not in (None, ""):
             return read_run_name(given, key)
     raise ConfigError(f"the key '{_NAME_IN_FILE}' is missing; give experiment=NAME")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
-
-from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.rl_games_settings import (
     ENV_NAME,
@@ -31,6 +30,7 @@ from isaacgymenvs_lite.schema import (
     keys_of,
     missing_key,
     plain,
+    select,
 )
 
 _log = logging.getLogger(__name__)
@@ -91,7 +91,7 @@ class KnownNames:
 
 
 def prepare_train_params(
-    cfg: DictConfig,
+    cfg: Mapping[Any, Any],
     *,
     num_envs: int,
     seed: int,
@@ -101,13 +101,13 @@ def prepare_train_params(
     num_states: int | None = None,
     names: KnownNames | None = None,
 ) -> dict[str, Any]:
-    """Return `cfg.train.params` as a plain, complete, checked dictionary: `Runner.load`'s "params".
+    """Return the section `train.params`, complete and checked: `Runner.load`'s "params".
 
     Published files are completed (device, num_actors, reward_shaper, player), former names are
     translated (seq_len, max_steps), and minibatches are fitted to the number of environments.
 
     Args:
-        cfg: the composed tree.
+        cfg: the tree, resolved or as it was composed; it stays as it is.
         num_envs: environments that the task really has.
         seed: the resolved seed, see `resolve_seed`.
         run_name: exact name of the run folder; None lets rl_games add a time stamp to the name.
@@ -120,15 +120,16 @@ def prepare_train_params(
         ConfigError: a key is missing, misspelt, or has a wrong value.
     """
     names = names or KnownNames()
-    params = plain(cfg.train.params)
+    tree = plain(cfg)
+    params = copy.deepcopy(tree["train"]["params"])
     _check_params(params, names)
     config = params["config"]
     _check_central_value(config, num_states)
     params["seed"] = seed
-    set_device(config, str(rl_device or cfg.rl_device))
+    set_device(config, str(rl_device or tree["rl_device"]))
     config["num_actors"] = num_envs
-    _apply_launch_keys(config, cfg)
-    pbt = plain(cfg.pbt)
+    _apply_launch_keys(config, tree)
+    pbt = tree.get("pbt") or {}
     config["population_based_training"] = bool(pbt.get("enabled", False))
     config["pbt_idx"] = pbt.get("policy_idx", 0) if config["population_based_training"] else None
     config["full_experiment_name"] = run_name
@@ -141,7 +142,7 @@ def prepare_train_params(
     if note := player_class_note(config["player"]):
         _log.info("%s", note)
     scale_units(params["network"])
-    if config.get("multi_gpu") and not cfg.multi_gpu:
+    if config.get("multi_gpu") and not tree.get("multi_gpu"):
         raise ConfigError(
             f"{_WHERE}.config.multi_gpu={config['multi_gpu']}: several processes are started with"
             " torchrun and multi_gpu=True (docs/distributed.md); set it to False here"
@@ -150,7 +151,7 @@ def prepare_train_params(
     config["multi_gpu"] = False
     algo = params["algo"]["name"]
     if algo == "sac":
-        if cfg.multi_gpu:
+        if tree.get("multi_gpu"):
             raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
         convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
         return params
@@ -188,7 +189,7 @@ def _recurrent(params: dict[str, Any]) -> tuple[bool, bool]:
     return "rnn" in params.get("network", {}), "rnn" in critic.get("network", {})
 
 
-def apply_wrapper_limits(cfg: DictConfig) -> None:
+def apply_wrapper_limits(tree: dict[str, Any]) -> None:
     """Copy the limits of `train.params.env` into the task section, in place.
 
     The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
@@ -196,8 +197,8 @@ def apply_wrapper_limits(cfg: DictConfig) -> None:
     Raises:
         ConfigError: a limit is not a positive number.
     """
-    section = OmegaConf.select(cfg, f"train.params.{_ISAAC_LAB_SECTION}")
-    if not isinstance(section, DictConfig):
+    section = select(tree, f"{_WHERE}.{_ISAAC_LAB_SECTION}")
+    if not isinstance(section, dict):
         return
     for key, task_key in _LIMITS.items():
         value = section.get(key)
@@ -206,10 +207,10 @@ def apply_wrapper_limits(cfg: DictConfig) -> None:
         if not isinstance(value, (int, float)) or isinstance(value, bool) or value <= 0:
             path = f"train.params.{_ISAAC_LAB_SECTION}.{key}"
             raise ConfigError(f"{path}: got {value!r}, expected a number above 0")
-        OmegaConf.update(cfg, f"task.env.{task_key}", float(value), force_add=True)
+        tree["task"]["env"][task_key] = float(value)
 
 
-def checkpoint_in_file(cfg: DictConfig) -> str:
+def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
     """Return the checkpoint that the train file itself names, '' for none.
 
     IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
@@ -218,8 +219,8 @@ def checkpoint_in_file(cfg: DictConfig) -> str:
     Raises:
         ConfigError: load_checkpoint is True and no path is given.
     """
-    params = cfg.train.params
-    if not params.get("load_checkpoint") or cfg.get("checkpoint"):
+    params = tree["train"]["params"]
+    if not params.get("load_checkpoint") or tree.get("checkpoint"):
         return ""
     path = params.get("load_path")
     if not path:
@@ -227,13 +228,13 @@ def checkpoint_in_file(cfg: DictConfig) -> str:
     return str(path)
 
 
-def _apply_launch_keys(config: dict[str, Any], cfg: DictConfig) -> None:
+def _apply_launch_keys(config: dict[str, Any], tree: Mapping[str, Any]) -> None:
     """Apply max_iterations and experiment of the command line to any train file, in place.
 
     IsaacGymEnvs' files interpolate them; ASE's have plain values.
     """
     for key, launch_key in (("max_epochs", "max_iterations"), ("name", "experiment")):
-        given = cfg.get(launch_key, "")
+        given = tree.get(launch_key, "")
         if given not in ("", None):
             config[key] = given
     if "name" in config:  # the folder has all of it, checkpoints the last part

@@ -16,10 +16,9 @@ from isaacgymenvs_lite.checkpoints.files import (
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
-from isaacgymenvs_lite.config.compose import compose, make_loader
-from isaacgymenvs_lite.config.hydra_bridge import apply_overrides
-from isaacgymenvs_lite.config.hydra_errors import ComposeError, explain
+from isaacgymenvs_lite.config.compose import changed_by, compose
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.schema import plain
 
 log = logging.getLogger(__name__)
 
@@ -74,31 +73,21 @@ def configuration_of(checkpoint: str, overrides: Sequence[str], runs: str) -> Di
     if composed is None or is_shipped:
         path = resolve_checkpoint(checkpoint, runs, "")
     else:
-        path = checkpoint_of_tree(composed, checkpoint, runs)
+        path = checkpoint_of_tree(plain(composed), checkpoint, runs)
     file = run_config_file(Path(path))
     if not is_shipped and file.is_file() and "train" not in typed:
         model = load_checkpoint(path).get("model", {})
         cfg = OmegaConf.create(read_run_config(file, model, to_play=True))
         if composed is None or composed.task.name == cfg.task.name:
             log.info("task and train settings: %s", file)
-            return _plain(_changed(cfg, overrides), path)
+            words = [word for word in overrides if not word.startswith("task=")]
+            return _for_export(changed_by(cfg, words), path)
     named = checkpoint if is_shipped else as_override(path)
     words = complete_arguments(["test=True", f"checkpoint={named}", *overrides])
-    return _plain(compose(words), path)
+    return _for_export(compose(words), path)
 
 
-def _changed(cfg: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Apply overrides of keys to a tree that is composed already."""
-    words = [word for word in overrides if not word.startswith("task=")]
-    OmegaConf.set_struct(cfg, True)
-    try:
-        apply_overrides(words, cfg)
-    except ComposeError as error:
-        raise explain(error, words, make_loader()) from error
-    return cfg
-
-
-def _plain(cfg: DictConfig, path: str) -> DictConfig:
+def _for_export(cfg: DictConfig, path: str) -> DictConfig:
     with open_dict(cfg):
         for key, value in {**_PLAIN, "checkpoint": path}.items():
             cfg[key] = value

@@ -7,14 +7,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.pbt.observer import PBTObserver, mutate_first, population_of
+from isaacgymenvs_lite.pbt.observer import PBTObserver, first_mutation, population_of
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
+from isaacgymenvs_lite.schema import plain
 
 __all__ = ["PbtAlgoObserver", "initial_pbt_check"]
 
@@ -28,7 +29,8 @@ def initial_pbt_check(cfg: DictConfig) -> None:
     Raises:
         ConfigError: the section `pbt` cannot be used.
     """
-    mutate_first(cfg, _seed(cfg))
+    for path, value in first_mutation(plain(cfg), _seed(cfg)).items():
+        OmegaConf.update(cfg, path, value)
 
 
 class PbtAlgoObserver(AlgoObserver):
@@ -52,7 +54,7 @@ class PbtAlgoObserver(AlgoObserver):
             ConfigError: the workspace cannot be used, or `pbt.enabled` is False.
         """
         self._algo = algo
-        population = population_of(self._cfg, _seed(self._cfg), Path(algo.train_dir))
+        population = population_of(plain(self._cfg), _seed(self._cfg), Path(algo.train_dir))
         observer = self._open.enter_context(population)
         if observer is None:
             raise ConfigError("pbt.enabled=False: PbtAlgoObserver needs pbt=pbt_default")

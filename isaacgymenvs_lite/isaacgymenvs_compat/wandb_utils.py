@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
 from isaacgymenvs_lite.run.wandb_observer import WandbObserver
-from isaacgymenvs_lite.schema import keys_of, read_section
+from isaacgymenvs_lite.schema import keys_of, plain, read_section
 from isaacgymenvs_lite.utils.optional_packages import require
 
 __all__ = ["WandbAlgoObserver"]
@@ -28,7 +28,7 @@ class WandbAlgoObserver(WandbObserver):
 
     def __init__(self, cfg: DictConfig | Mapping[str, Any]) -> None:
         require("wandb", "WandbAlgoObserver", otherwise="set wandb_activate=False")
-        tree = cfg if isinstance(cfg, DictConfig) else OmegaConf.create(dict(cfg))
+        tree = plain(cfg if isinstance(cfg, DictConfig) else OmegaConf.create(dict(cfg)))
         keys = (key for key in keys_of(LaunchSettings) if key.startswith("wandb_") and key in tree)
         values = {"task_name": "", **{key: tree[key] for key in keys}}
         super().__init__(tree, read_section(LaunchSettings, values, where=""), run_name="")

@@ -9,11 +9,9 @@ from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError, suggest
 from isaacgymenvs_lite.motion.formats.files import reading
-from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
+from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 _ENTRY_KEYS = ("file", "weight")
-# A list of 12,000 clips, which takes three seconds to read.
-_MAX_BYTES, _MAX_VALUES = 2**21, 60_000
 # Sums of weights in this range are exact enough, also of many.
 _MIN_WEIGHT, _MAX_WEIGHT = 1e-12, 1e12
 _EXAMPLE = 'expected `motions:` with a list of `- {file: "clip.npz", weight: 0.5}`'
@@ -40,10 +38,9 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
 
 def _entries(path: str | Path) -> list[DatasetEntry]:
     try:
-        text = read_text(Path(path), _MAX_BYTES)
-        data = parse_yaml(text, "it", _MAX_VALUES).content
+        data = load_yaml(Path(path))
     except ConfigError as error:
-        raise MotionFileError(f"{path}: is no readable YAML text ({error}); {_EXAMPLE}") from error
+        raise MotionFileError(f"{error}; {_EXAMPLE}") from error
     motions = data.get("motions") if isinstance(data, dict) else None
     if not isinstance(motions, list) or not motions:
         found = list(data) if isinstance(data, dict) else type(data).__name__

@@ -9,7 +9,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
@@ -22,7 +21,6 @@ from isaacgymenvs_lite.pbt.objective import ObjectiveMeter
 from isaacgymenvs_lite.pbt.population import find_replacement
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.pbt.workspace import Record, Workspace
-from isaacgymenvs_lite.schema import plain
 
 log = logging.getLogger(__name__)
 
@@ -30,43 +28,45 @@ log = logging.getLogger(__name__)
 _TAKE_SETTINGS = 0.5
 
 
-def run_suffix(cfg: DictConfig) -> str:
+def run_suffix(tree: Mapping[str, Any]) -> str:
     """Return what the run folders of a policy have in their names; '' without a population."""
-    settings = _settings_of(cfg)
+    settings = read_pbt_settings(tree)
     return "" if settings is None else f"_pbt_{settings.policy_idx:02d}"
 
 
-def mutate_first(cfg: DictConfig, seed: int) -> None:
-    """Change the settings of a policy that begins, in place, so that it differs from the others.
+def first_mutation(tree: Mapping[str, Any], seed: int) -> dict[str, float]:
+    """Return settings, by their paths, with which a policy begins to differ from the others.
 
     Args:
-        cfg: the tree; without a population, or if the policy goes on, it stays as it is.
+        tree: resolved.
         seed: of the training.
+
+    Returns:
+        Nothing without a population, or if the policy has begun before this process.
     """
-    pbt = _settings_of(cfg)
-    if pbt is None or _goes_on(cfg):
-        return
-    former = mutable_values(plain(cfg), pbt)
+    pbt = read_pbt_settings(tree)
+    if pbt is None or _goes_on(tree):
+        return {}
+    former = mutable_values(tree, pbt)
     params = _mutated(former, pbt, _generator(seed, pbt, "start"))
     log.info("pbt: policy %d begins with %s", pbt.policy_idx, _changes(former, params))
-    for path, value in params.items():
-        OmegaConf.update(cfg, path, value)
+    return params
 
 
-def mutable_settings(cfg: DictConfig) -> dict[str, float]:
+def mutable_settings(tree: Mapping[str, Any]) -> dict[str, float]:
     """Return the settings that mutate, numbers by path; none without a population."""
-    pbt = _settings_of(cfg)
-    return {} if pbt is None else mutable_values(plain(cfg), pbt)
+    pbt = read_pbt_settings(tree)
+    return {} if pbt is None else mutable_values(tree, pbt)
 
 
 @contextmanager
 def population_of(
-    cfg: DictConfig, seed: int, train_dir: Path, decides: bool = True
+    tree: Mapping[str, Any], seed: int, train_dir: Path, decides: bool = True
 ) -> Iterator[PBTObserver | None]:
     """Join the population of a tree, and give its observer; None without one.
 
     Args:
-        cfg: the tree.
+        tree: resolved.
         seed: of the training.
         train_dir: folder of the runs.
         decides: False of all but the first of several processes that train one policy: these
@@ -75,18 +75,17 @@ def population_of(
     Raises:
         ConfigError: the workspace cannot be used, see `Workspace`.
     """
-    pbt = _settings_of(cfg)
+    pbt = read_pbt_settings(tree)
     if pbt is None:
         yield None
         return
-    tree = plain(cfg)
     params = mutable_values(tree, pbt)
-    workspace = Workspace(train_dir / pbt.workspace, pbt, tree, params)
-    observer = PBTObserver(pbt, workspace, params, seed, str(cfg.task.name))
+    workspace = Workspace(train_dir / pbt.workspace, pbt, dict(tree), params)
+    observer = PBTObserver(pbt, workspace, params, seed, str(tree["task"]["name"]))
     observer.decides = decides
     with ExitStack() as opened:
         if decides:
-            opened.enter_context(workspace).join(is_new=not _goes_on(cfg))
+            opened.enter_context(workspace).join(is_new=not _goes_on(tree))
         yield observer
 
 
@@ -302,14 +301,9 @@ class PBTObserver(AlgoObserver):
             raise ConfigError(f"{one_line(error)}; settings of policy {donor}: {texts}") from error
 
 
-def _settings_of(cfg: DictConfig) -> PBTSettings | None:
-    """Return the section `pbt`; only a population needs the rest of the tree resolved."""
-    return read_pbt_settings({"pbt": plain(OmegaConf.select(cfg, "pbt"))})
-
-
-def _goes_on(cfg: DictConfig) -> bool:
+def _goes_on(tree: Mapping[str, Any]) -> bool:
     """Return whether the policy has begun before this process."""
-    return any(OmegaConf.select(cfg, key) for key in ("pbt_restart", "resume"))
+    return any(tree.get(key) for key in ("pbt_restart", "resume"))
 
 
 def _generator(seed: int, settings: PBTSettings, when: int | str) -> random.Random:

@@ -30,7 +30,7 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
 from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
-from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
+from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 log = logging.getLogger(__name__)
 
@@ -181,7 +181,7 @@ class Workspace:
         Raises:
             ConfigError: one does not, or its file is broken.
         """
-        own = parse_yaml(_as_yaml(self._experiment), _POLICY_FILE).content
+        own = yaml.safe_load(_as_yaml(self._experiment))
         for file in sorted(self._folder.glob(f"[0-9]*/{_POLICY_FILE}")):
             if but_own and file.parent == self._own:
                 continue
@@ -349,7 +349,7 @@ class Workspace:
         if not file.exists():
             raise FileNotFoundError(file)
         try:
-            content = parse_yaml(read_text(file), "it").content
+            content = load_yaml(file)
         except ConfigError as error:
             if isinstance(error.__cause__, FileNotFoundError):
                 raise error.__cause__ from None

@@ -16,7 +16,6 @@ from isaacgymenvs_lite.report.drawing import draw
 from isaacgymenvs_lite.report.scalars import event_files, read_scalars
 from isaacgymenvs_lite.report.summary import summarize
 from isaacgymenvs_lite.utils.files import written_for_user
-from isaacgymenvs_lite.yaml_text import MAX_BYTES
 
 MAX_EMBEDDED_BYTES = 8 * 2**20
 """A larger video is linked instead, so that the page opens at once."""
@@ -112,7 +111,7 @@ def _config_text(run: Path) -> str:
         return ""  # rl_games' own runs have none
     try:
         with path.open("rb") as file:
-            return file.read(MAX_BYTES).decode("utf-8", errors="replace")
+            return file.read().decode("utf-8", errors="replace")
     except OSError:
         return ""
 

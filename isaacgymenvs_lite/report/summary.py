@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.charts import (
     GOAL_TAG,
     LENGTH_TAGS,
@@ -17,7 +17,6 @@ from isaacgymenvs_lite.report.charts import (
 )
 from isaacgymenvs_lite.report.drawing import short
 from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, first_of
-from isaacgymenvs_lite.yaml_text import parse_yaml
 
 # Name -> tags, and how the newest value is written.
 _NEWEST = {
@@ -68,8 +67,8 @@ def summarize(run: Path, config: str, scalars: Mapping[str, Series]) -> dict[str
 
 def _tree(config: str) -> Any:
     try:
-        return parse_yaml(config, "config.yaml").content
-    except ConfigError:
+        return yaml.safe_load(config)
+    except yaml.YAMLError:
         return None  # the page shows the text as it is
 
 

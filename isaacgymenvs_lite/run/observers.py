@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from omegaconf import DictConfig
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
@@ -69,7 +68,7 @@ class TrainingObservers(MultiObserver):
     """All observers of a training: what it shows, and what it writes besides checkpoints.
 
     Args:
-        cfg: the composed tree.
+        tree: the resolved tree.
         settings: its root.
         run_name: name of the run folder.
         measurement: plays the mean policy now and then; None: never.
@@ -84,7 +83,7 @@ class TrainingObservers(MultiObserver):
 
     def __init__(
         self,
-        cfg: DictConfig,
+        tree: dict[str, Any],
         settings: LaunchSettings,
         run_name: str,
         measurement: MeasurementObserver | None,
@@ -103,11 +102,11 @@ class TrainingObservers(MultiObserver):
         if settings.wandb_activate:
             from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 
-            self._wandb = WandbObserver(cfg, settings, run_name)
+            self._wandb = WandbObserver(tree, settings, run_name)
             observers.append(self._wandb)
         if measurement is not None:
             observers.append(measurement)
-        clip_limits = [key for key in CLIP_LIMITS if cfg.task.env.get(key)]
+        clip_limits = [key for key in CLIP_LIMITS if tree["task"]["env"].get(key)]
         diagnostics = DiagnosticsObserver(metrics, measurement, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes

@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
 from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.schema import select
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ class WandbObserver(AlgoObserver):
     A failure (no network, no login) is logged, and the training goes on without wandb.
 
     Args:
-        cfg: the composed tree, stored with the run.
+        tree: the resolved tree, which is stored with the run.
         settings: the keys wandb_project, _entity, _group, _name, _tags, _logcode_dir.
         run_name: name of the run folder, and of the run unless `wandb_name` differs from the train
             file's name.
@@ -31,9 +31,9 @@ class WandbObserver(AlgoObserver):
 
     stored = ()
 
-    def __init__(self, cfg: DictConfig, settings: LaunchSettings, run_name: str) -> None:
+    def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:
         super().__init__()
-        self._cfg = cfg
+        self._tree = tree
         self._settings = settings
         self._run_name = run_name
         self._run: Any = None
@@ -63,7 +63,7 @@ class WandbObserver(AlgoObserver):
 
     def _display_name(self) -> str:
         given = self._settings.wandb_name
-        default = OmegaConf.select(self._cfg, "train.params.config.name")
+        default = select(self._tree, "train.params.config.name")
         return given if given and given != default else self._run_name
 
     def _open(self) -> None:
@@ -79,7 +79,7 @@ class WandbObserver(AlgoObserver):
             name=self._display_name(),
             resume="allow",
             sync_tensorboard=True,
-            config=OmegaConf.to_container(self._cfg, resolve=True),  # type: ignore[arg-type]
+            config=self._tree,
         )
         if settings.wandb_logcode_dir:
             self._run.log_code(root=settings.wandb_logcode_dir)

@@ -19,8 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from torch import nn
 from yaml import YAMLError
 
-from isaacgymenvs_lite.config.expansion import check_expansion
-from isaacgymenvs_lite.config.yaml_files import read_yaml
+from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError, one_line, unknown
 from isaacgymenvs_lite.paths import cfg_dir, user_path
 from isaacgymenvs_lite.schema import keys_of, plain, setting
@@ -66,7 +65,6 @@ def load_agent_file(
             OmegaConf.update(content, key, OmegaConf.from_dotlist([f"v={value}"]).v)
         except (OmegaConfBaseException, YAMLError) as error:
             raise ConfigError(f"{word}: {one_line(error)}") from error
-    check_expansion(content)
     return plain(content)
 
 

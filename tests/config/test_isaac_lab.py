@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.train_params import apply_wrapper_limits, prepare_train_params
+from isaacgymenvs_lite.config.launch import read_config
+from isaacgymenvs_lite.config.train_params import prepare_train_params
 from isaacgymenvs_lite.errors import ConfigError
 
 # What those files have and IsaacGymEnvs' lack: no interpolations, a device, -1 environments.
@@ -25,15 +26,12 @@ def test_device_and_sizes_are_those_of_the_command_line() -> None:
 
 
 def test_the_task_keeps_the_wrappers_limits() -> None:
-    cfg = compose(["task=Ant", *LAB])
-    apply_wrapper_limits(cfg)
-    assert (cfg.task.env.clipObservations, cfg.task.env.clipActions) == (5.0, 0.5)
-    plain = compose(["task=Ant"])
-    apply_wrapper_limits(plain)
-    assert plain == compose(["task=Ant"])
+    env = read_config(compose(["task=Ant", *LAB])).tree["task"]["env"]
+    assert (env["clipObservations"], env["clipActions"]) == (5.0, 0.5)
+    assert "clipObservations" not in read_config(compose(["task=Ant"])).tree["task"]["env"]
 
 
 def test_a_limit_that_is_none_is_named() -> None:
     cfg = compose(["task=Ant", "+train.params.env={clip_actions: -1}"])
     with pytest.raises(ConfigError, match=r"train.params.env.clip_actions: got -1, expected"):
-        apply_wrapper_limits(cfg)
+        read_config(cfg)

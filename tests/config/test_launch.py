@@ -64,7 +64,7 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("task.env.numEnvs=0", "task.env.numEnvs: got 0"),
         ("task.env.numEnvs=''", "task.env.numEnvs: got ''"),
         ("+num_emvs=3", "unknown key 'num_emvs' (did you mean 'num_envs'?)"),
-        ("seed=${nowhere}", "seed: interpolation key 'nowhere' not found"),
+        ("seed=${nowhere}", "seed: Interpolation key 'nowhere' not found"),
         ("train.params.config.gamma=${.gama}", "'gama' not found"),
         ("train.params.config.gamma=${eq:1}", "train.params.config.gamma: "),
         ("~task.name", "the key 'task.name' is missing"),

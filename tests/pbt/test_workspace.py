@@ -163,10 +163,9 @@ PATH = "train.params.config.gamma"
         ("", "holds None, expected keys and values"),
         ("just a text", "holds just a text, expected keys and values"),
         ("iteration: [1", "is not valid YAML"),
-        ("a: !!python/object/apply:os.system [touch harm]", "the tag !!python/object"),
+        ("a: !!python/object/apply:os.system [touch harm]", "could not determine a constructor"),
         ("\0", "is not valid YAML"),
         (b"\xff\xfe\x00", "codec can't decode"),
-        ("a: &a [*a]", "an alias is inside of what it is an alias of"),
         ("iteration: 1", "the key 'true_objective' is missing"),
         (RECORD.replace("frame: 10", "frame: -10"), "frame: got -10"),
         (RECORD.replace("objective: 1.0", "objective: .nan"), "true_objective: got nan"),
@@ -177,7 +176,6 @@ PATH = "train.params.config.gamma"
         (RECORD.replace("0.5", "'${oc.env:HOME}'"), "is ${oc.env:HOME}, expected a number"),
         (RECORD.replace("0.5", ".inf"), "is inf, expected a number"),
         (RECORD.replace(f"'{PATH}'", "other"), f"params.{PATH} is None, expected a number"),
-        ("x" * (2**20 + 1), "is longer than 1024 kB"),
     ],
 )
 def test_a_broken_record(tmp_path, content, expected):

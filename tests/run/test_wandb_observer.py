@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from omegaconf import OmegaConf
 
 import isaacgymenvs_lite
 from isaacgymenvs_lite.config.launch import LaunchSettings
@@ -49,8 +48,8 @@ def open_wandb(monkeypatch):
         monkeypatch.setattr("isaacgymenvs_lite.run.wandb_observer.time.sleep", lambda s: None)
         settings = LaunchSettings(task_name="Ant", wandb_activate=True, **changes)
         train = {"params": {"config": {"name": "Ant"}}}
-        cfg = OmegaConf.create({"num_envs": 4, "twice": "${num_envs}", "train": train})
-        observer = WandbObserver(cfg, settings, "Ant_01-02")
+        tree = {"num_envs": 4, "twice": 4, "train": train}
+        observer = WandbObserver(tree, settings, "Ant_01-02")
         observer.before_init("run", {}, "Ant_01-02")
         observer.close()
         observer.close()

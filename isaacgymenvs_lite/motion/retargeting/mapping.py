@@ -21,7 +21,7 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.skeleton import skeleton_for_num_dofs
 from isaacgymenvs_lite.schema import read_section, setting
 from isaacgymenvs_lite.utils import rotations
-from isaacgymenvs_lite.yaml_text import parse_yaml, read_text
+from isaacgymenvs_lite.utils.yaml_file import load_yaml
 
 AXES = tuple(f"{sign}{axis}" for sign in "+-" for axis in "xyz")
 # Bodies whose attitude is the joint's; the attitude of others follows from the places of their
@@ -143,10 +143,7 @@ def read_mapping_keys(
             f"mapping={mapping}: no such file; give a YAML file or a shipped mapping: "
             f"{', '.join(shipped)}"
         )
-    try:
-        content = parse_yaml(read_text(path), "it").content
-    except ConfigError as error:
-        raise ConfigError(f"{path}: is no readable YAML text ({error})") from error
+    content = load_yaml(path)
     if not isinstance(content, dict):
         keys = "key" if expected == "bodies" else "keys"
         raise ConfigError(f"{path}: expected the {keys} {expected}")

@@ -1,4 +1,4 @@
-"""What a YAML file of somebody else may do: nothing but describe a task or an agent.
+"""Files from outside cfg/: found by their paths, and doing nothing but describe a task or an agent.
 
 Every door has a canary: a file that the door would write, or a variable that it would set. The
 files are read as a user names them, in this process through `compose` and through train.py's own
@@ -18,9 +18,9 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import train
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.config.foreign_files import check_interpolation, is_foreign
+from isaacgymenvs_lite.config.resolvers import forbidden_resolver
+from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
 from isaacgymenvs_lite.config.train_files import load_train_file
-from isaacgymenvs_lite.config.yaml_files import read_yaml
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 from tests.train_command import make_train_command
@@ -28,37 +28,24 @@ from tests.train_command import make_train_command
 REPOSITORY = Path(__file__).resolve().parents[2]
 VARIABLE = "ISAACGYMENVS_LITE_TEST"
 
-CALLBACK = """\
-hydra:
-  callbacks:
-    x:
-      _target_: builtins.open
-      file: CANARY
-      mode: w
-"""
+CALLBACK = "hydra: {callbacks: {x: {_target_: builtins.open, file: CANARY, mode: w}}}\n"
 # What each makes Hydra do, if it is let: open CANARY for writing, or set the variable.
 HYDRA_SECTIONS = {
     "callback": CALLBACK,
-    "callback by a library": CALLBACK.replace("builtins.open", "io.open"),
     "launcher": "hydra: {launcher: {_target_: os.abort}}\n",
-    "sweeper": "hydra: {mode: MULTIRUN, sweeper: {_target_: os.abort}}\n",
     "log handler": (
         "hydra: {job_logging: {version: 1, handlers: {h: {'()': builtins.open, file: CANARY,"
         " mode: w}}, root: {handlers: [h]}}}\n"
     ),
-    "log handler of Hydra": (
-        "hydra: {hydra_logging: {version: 1, handlers: {h: {class: logging.FileHandler,"
-        " filename: CANARY}}, root: {handlers: [h]}}}\n"
-    ),
     "environment": f"hydra: {{job: {{env_set: {{{VARIABLE}: set}}}}}}\n",
-    "copied environment": f"hydra: {{job: {{env_copy: [{VARIABLE}]}}}}\n",
     "folder": "hydra: {run: {dir: CANARY}}\n",
-    "folder of outputs": "hydra: {output_subdir: CANARY}\n",
     "search path": "hydra: {searchpath: ['pkg://os']}\n",
 }
 TRAIN = "defaults: [CartpolePPO, _self_]\n"
-# A train file that trains as another, and says what Hydra does: each door above was open for it.
+# A train file that trains as another, and says what Hydra does.
 GLOBAL = "# @package _global_\ndefaults: [CartpolePPO@_global_.train, _self_]\n"
+
+Write = Callable[[str, str], Path]
 
 
 @pytest.fixture
@@ -68,7 +55,7 @@ def canary(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.fixture
-def write(tmp_path, canary) -> Callable[[str, str], Path]:
+def write(tmp_path, canary) -> Write:
     """Write a file of a stranger's folder; CANARY stands for the canary's path."""
 
     def write_file(name: str, text: str) -> Path:
@@ -78,9 +65,6 @@ def write(tmp_path, canary) -> Callable[[str, str], Path]:
         return path
 
     return write_file
-
-
-Write = Callable[[str, str], Path]
 
 
 @pytest.fixture
@@ -108,44 +92,28 @@ def assert_refused(call: Callable[..., int], capsys, tmp_path: Path, *arguments:
 
 
 @pytest.mark.parametrize("door", HYDRA_SECTIONS)
-def test_a_train_file_has_no_say_in_what_hydra_does(door, call, write, capsys, tmp_path):
-    file = write("Mine.yaml", GLOBAL + HYDRA_SECTIONS[door])
-    error = assert_refused(call, capsys, tmp_path, "task=Cartpole", f"train={file}")
+def test_a_file_has_no_say_in_what_hydra_does(door, call, write, capsys, tmp_path):
+    section = HYDRA_SECTIONS[door]
+    named = ["task=Cartpole", f"train={write('Mine.yaml', GLOBAL + section)}"]
+    error = assert_refused(call, capsys, tmp_path, *named)
     assert "'# @package _global_', which puts it into another section; expected 'train'" in error
-
-
-@pytest.mark.parametrize("door", HYDRA_SECTIONS)
-def test_a_root_file_has_no_say_in_it_either(door, call, write, capsys, tmp_path):
+    named = ["task=Cartpole", f"train={write('Mine.yaml', TRAIN + section)}"]
+    assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *named)
     root = (cfg_dir() / "config.yaml").read_text().partition("hydra:\n")[0]
-    folder = write("cfg/config.yaml", root + HYDRA_SECTIONS[door]).parent
-    (folder / "task").symlink_to(cfg_dir() / "task")
+    folder = write("cfg/config.yaml", root + section).parent
     error = assert_refused(call, capsys, tmp_path, "--config-path", str(folder))
     assert "config.yaml sets 'hydra', which decides what is run" in error
+    write("mine/train/Mine.yaml", TRAIN + section)
+    folder = tmp_path / "stranger" / "mine"
+    words = ["--config-dir", str(folder), "task=Cartpole", "train=Mine"]
+    assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *words)
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        *(
-            "_global_",
-            "hydra",
-            "hydra.callbacks",
-            "_global_.hydra",
-            "_here_",
-            "task",
-            "train.hydra",
-        ),
-        *("train.params", "_name_", "_global_.train.x", "..", "_global_._global_"),
-    ],
-)
-@pytest.mark.parametrize("group", ["train", "task"])
-def test_a_header_names_the_files_own_group_or_nothing(header, group, write):
-    if header == group:
-        return
-    base = {"train": "CartpolePPO", "task": "Cartpole"}[group]
-    file = write("Mine.yaml", f"# @package {header}\ndefaults: [{base}, _self_]\n")
+@pytest.mark.parametrize("header", ["hydra", "task", "train.params", "_here_", "_global_.train.x"])
+def test_a_header_names_the_files_own_group(header, write):
+    file = write("Mine.yaml", f"# @package {header}\n{TRAIN}")
     with pytest.raises(ConfigError, match=rf"header '# @package {header}'"):
-        compose(["task=Cartpole", "train=CartpolePPO", f"{group}={file}"])
+        compose(["task=Cartpole", f"train={file}"])
 
 
 @pytest.mark.parametrize("header", ["train", "_group_", "_global_.train"])
@@ -156,44 +124,29 @@ def test_the_header_of_the_own_group_is_welcome(header, write):
     assert set(cfg) == set(compose(["task=Cartpole"]))
 
 
-@pytest.mark.parametrize("text", ["# @package\n", "# @package a b\n"])
-def test_a_header_that_cannot_be_read_is_one_line(text, write):
-    file = write("Mine.yaml", text + TRAIN)
-    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(KEY VALUE|Too many)"):
-        compose(["task=Cartpole", f"train={file}"])
-
-
 @pytest.mark.parametrize(
     "entry",
     [
-        *("Other@_global_", "Other@hydra.callbacks", "/train/Other@_global_", "/config"),
-        *("../config", "/hydra/config", "pkg://os", "a/../../Other", "${oc.env:HOME}", "~/Other"),
-        *("'${eval:1}'", "Other@_here_", "[]", "3", "{Other@_global_: x}", "{/task: Ant}"),
-        "{/hydra/launcher@_global_: basic}",
+        *("Other@_global_", "/train/Other@_global_", "../config", "pkg://os", "~/Other", "3"),
+        *("'${oc.env:HOME}'", "{Other@_global_: x}", "{/task: Ant}", "{sub: [../x]}"),
         "{override hydra/launcher: basic}",
-        "{override /hydra/job_logging: disabled}",
-        "{override /task: Ant}",
-        "{hydra/callbacks@_global_.hydra.callbacks: x}",
-        "{optional ../hydra: x}",
-        "{sub: [../x]}",
-        "{sub: {a: b}}",
         "{a: b, override hydra/launcher: basic}",
-        "{optional override hydra/launcher: basic}",
     ],
 )
 def test_a_defaults_list_stays_in_its_own_group(entry, write):
     write("Other.yaml", CALLBACK)
     file = write("Mine.yaml", f"defaults:\n  - CartpolePPO\n  - _self_\n  - {entry}\n")
-    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(defaults list leads out of|resolver)"):
+    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(defaults list leads out of|uses )"):
         compose(["task=Cartpole", f"train={file}"])
 
 
 def test_a_defaults_list_may_name_files_beside_it_and_below(write, tmp_path):
     write("task/env/fast.yaml", "# @package task.env\nmaxEffort: 77\n")
     write("task/Base.yaml", "defaults: [Cartpole, _self_]\n")
-    write("task/Mine.yaml", "defaults: [Base, _self_, {env: fast}, {optional sim: none}]\n")
-    cfg = compose(["task=Mine", "train=CartpolePPO"], tmp_path / "stranger")
-    assert (cfg.task.name, cfg.task.env.maxEffort) == ("Cartpole", 77)
+    file = write("task/Mine.yaml", "defaults: [Base, _self_, {env: fast}, {optional sim: none}]\n")
+    for words, folder in ([f"task={file}"], None), (["task=Mine"], tmp_path / "stranger"):
+        cfg = compose([*words, "train=CartpolePPO"], folder)
+        assert (cfg.task.name, cfg.task.env.maxEffort) == ("Cartpole", 77)
 
 
 def test_a_circle_of_defaults_lists_is_one_line(write, tmp_path):
@@ -204,33 +157,6 @@ def test_a_circle_of_defaults_lists_is_one_line(write, tmp_path):
         compose(["task=Cartpole", f"train={itself}"])
     with pytest.raises(ConfigError, match="run in a circle"):
         compose(["task=Cartpole", "train=A"], tmp_path / "stranger")
-
-
-def test_a_file_that_sets_hydra_without_a_header_is_refused_too(write):
-    file = write("Mine.yaml", TRAIN + CALLBACK)
-    with pytest.raises(ConfigError, match=r"Mine\.yaml sets 'hydra'"):
-        compose(["task=Cartpole", f"train={file}"])
-
-
-# --- folders and root files ----------------------------------------------------------------------
-
-
-def test_files_of_a_folder_are_strangers_too(call, write, capsys, tmp_path):
-    write("train/Mine.yaml", GLOBAL + CALLBACK)
-    folder = str(tmp_path / "stranger")
-    assert_refused(call, capsys, tmp_path, "--config-dir", folder, "task=Cartpole", "train=Mine")
-
-
-def test_a_group_of_hydra_in_a_folder_is_refused(call, write, capsys, tmp_path):
-    write("hydra/callbacks/x.yaml", "x: {_target_: builtins.open, file: CANARY, mode: w}\n")
-    words = ["--config-dir", str(tmp_path / "stranger"), "+hydra/callbacks=x"]
-    assert "x.yaml is a file of the group" in assert_refused(call, capsys, tmp_path, *words)
-
-
-def test_another_root_file_in_a_folder_is_refused(call, write, capsys, tmp_path):
-    write("other.yaml", f"defaults: [config, _self_]\n{CALLBACK}")
-    words = ["--config-dir", str(tmp_path / "stranger"), "--config-name", "other"]
-    assert "other.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *words)
 
 
 # As IsaacGymEnvs' root file ends.
@@ -250,13 +176,27 @@ hydra:
 
 def test_a_published_root_file_is_welcome(call, write, tmp_path):
     ours = (cfg_dir() / "config.yaml").read_text()
-    keys = ours.partition("# What to run")[2].partition("# Hydra writes")[0]
+    keys = ours.partition("# What to run")[2].partition("# Hydra stays")[0]
     folder = write("cfg/config.yaml", keys + PUBLISHED_ROOT).parent
     for group in ("task", "train", "pbt"):
         (folder / group).symlink_to(cfg_dir() / group)
     assert call("--config-path", str(folder), "task=Cartpole") == 0
     assert (tmp_path / "trained").exists()
     assert list((tmp_path / "working").iterdir()) == []  # no log, no outputs/
+
+
+def test_a_folder_may_have_a_broken_file_that_is_not_named(write, tmp_path):
+    write("train/Broken.yaml", "params: [1, 2\n")
+    write("train/Mine.yaml", TRAIN)
+    compose(["task=Cartpole", "train=Mine"], tmp_path / "stranger")
+    with pytest.raises(ConfigError, match=r"Broken.yaml is not valid YAML"):
+        compose(["task=Cartpole", "train=Broken"], tmp_path / "stranger")
+
+
+def test_a_group_of_hydra_in_a_folder_is_not_found(call, write, canary, tmp_path):
+    write("hydra/callbacks/x.yaml", "x: {_target_: builtins.open, file: CANARY, mode: w}\n")
+    call("--config-dir", str(tmp_path / "stranger"), "+hydra/callbacks=x")
+    assert not canary.exists()
 
 
 def test_pickles_of_hydra_are_not_read(call, write, capsys, tmp_path):
@@ -273,34 +213,12 @@ def test_the_users_own_words_may_set_hydra(call, tmp_path, write):
     assert (tmp_path / "mine").is_dir()
 
 
-def test_a_difference_in_hydras_section_is_noticed_whichever_way_it_came(write, monkeypatch):
-    """The second line of defence, with the first one out of the way."""
-    from isaacgymenvs_lite.config import yaml_files
-
-    monkeypatch.setattr(yaml_files, "check_composed_file", lambda *_: None)
-    launcher = write(
-        "train/Mine.yaml",
-        "defaults: [{override /hydra/launcher@_global_.hydra.launcher: x}, _self_]\n",
-    ).parent
-    write("hydra/launcher/x.yaml", "_target_: builtins.open\n")
-    with pytest.raises(ConfigError, match="changes the section 'hydra'"):
-        compose(["task=Cartpole", "train=Mine"], launcher.parent)
-    write("task/Any.yaml", CALLBACK)
-    write("train/Other.yaml", "defaults: [/task/Any@_global_, CartpolePPO, _self_]\n")
-    with pytest.raises(ConfigError, match="changes the section 'hydra'"):
-        compose(["task=Cartpole", "train=Other"], launcher.parent)
-
-
 # --- names of code, secrets ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "params: {network: {_target_: builtins.open, file: CANARY, mode: w}}\n",
-        "params: {a: [1, {b: [{_target_: os.system}]}]}\n",
-        "params: {a: &x {_target_: os.system}, b: *x}\n",
-    ],
+    ["params: {a: [1, {b: [{_target_: os.system}]}]}\n", "a: &x {_target_: o.s}\nb: *x\n"],
 )
 def test_no_file_names_something_to_be_called(text, write):
     file = write("Mine.yaml", TRAIN + text)
@@ -312,52 +230,21 @@ def test_no_file_names_something_to_be_called(text, write):
 @pytest.mark.parametrize(
     "value",
     [
-        "${oc.env:SECRET}",
-        "x ${oc.env:SECRET,default} y",
-        "${oc.decode:'1'}",
-        "${oc.create:{a: 1}}",
-        "${oc.select:seed}",
-        "${oc.dict.keys:train}",
-        "${oc.deprecated:seed}",
-        "${hydra:runtime.cwd}",
-        "${now:%Y}",
-        "${python_version:}",
-        "${eval:'1'}",
-        "${${a}:SECRET}",
-        "${a.${b}}",
-        "${a.${if:True,b,c}}",
-        "${....${a}}",
-        "${oc.${b}:SECRET}",
-        "${if:True,${oc.env:SECRET},x}",
-        '${if:True,"${oc.env:SECRET}",x}',
-        "${if:True,[{a: ${oc.env:SECRET}}],x}",
-        r"\${oc.env:SECRET}",
-        r'${if:True,["\${oc.env:SECRET}"],x}',
-        "$${if:True,'',''}{oc.env:SECRET}",
-        """${if:True,["$${if:True,'',''}{oc.env:SECRET}"],x}""",
-        "$",
-        "costs $5",
-        "${if:True,{_target_: os.system},x}",
-        "${" * 40 + "a" + "}" * 40,
-        f"${{if:True,{'x' * 3000},y}}",
-        "${unfinished",
-        "${resolve_default:,${...num_envs}}",
-        "${if:True,,x}",
+        *("${oc.env:SECRET}", "x ${oc.env:SECRET,default} y", "${ oc.env : SECRET}"),
+        *("${hydra:runtime.cwd}", "${now:%Y}", "${eval:'1'}", "${${a}:SECRET}", "${a.${b}}"),
+        *("${oc.${b}:SECRET}", "${if:True,${oc.env:SECRET},x}", r"\${oc.env:SECRET}"),
+        *("$${if:True,'',''}{oc.env:SECRET}", "costs $5", "${unfinished"),
     ],
 )
 def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):
     monkeypatch.setenv("SECRET", "s3cret")
     OmegaConf.register_new_resolver("eval", eval, replace=True)  # as many programs have it
     try:
-        with pytest.raises(ConfigError) as refused:
-            check_interpolation(value, "file")
-        assert "s3cret" not in str(refused.value)
-        file = write("Mine.yaml", TRAIN)
-        content = {"defaults": ["CartpolePPO", "_self_"], "params": {"config": {"note": "PLACE"}}}
-        text = OmegaConf.to_yaml(content).replace("PLACE", "'" + value.replace("'", "''") + "'")
-        file.write_text(text)
-        with pytest.raises(ConfigError, match=r"Mine\.yaml: params\.config\.note"):
+        text = OmegaConf.to_yaml({"defaults": ["CartpolePPO"], "params": {"note": "PLACE"}})
+        file = write("Mine.yaml", text.replace("PLACE", "'" + value.replace("'", "''") + "'"))
+        with pytest.raises(ConfigError, match=r"Mine\.yaml: params\.note") as refused:
             compose(["task=Cartpole", f"train={file}"])
+        assert "s3cret" not in str(refused.value)
     finally:
         OmegaConf.clear_resolver("eval")
 
@@ -365,27 +252,25 @@ def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):
 @pytest.mark.parametrize(
     "value",
     [
-        "${....task.env.numEnvs}",
-        "${resolve_default:Ant,${....experiment}}",
+        *("${....task.env.numEnvs}", "${resolve_default:Ant,${....experiment}}", "${a[0].b}"),
         '${if:${contains:"cuda",${....sim_device}},True,False}',
-        '${eq:${...pipeline},"gpu"}',
         "${if:${eq:${a},b},[512, 256],[1024, 512]}",
-        "runs_${seed}_${num_envs}",
-        "${default_rl_device:}",
-        "plain",
+        *("runs_${seed}_${num_envs}", "${default_rl_device:}", "plain"),
     ],
 )
 def test_published_interpolations_are_welcome(value):
-    check_interpolation(value, "file")
+    assert forbidden_resolver(value) is None
 
 
 def test_a_refusal_is_one_line_whatever_the_file_holds(write):
     for text in (
         'params: {"a\\nerror: b\\e[2J": {c: "${x:\\n}"}}\n',
-        '"a\\nb": {_target_: x}\n',
         'defaults: ["a\\nb"]\n',
         "a: !%0Ab c\n",
         "# @package \x1b[2J\n",
+        "a: &a [*a]\n",
+        "!!python/object/apply:os.system [touch CANARY]\n",
+        "\0",
     ):
         file = write("Mine.yaml", text)
         with pytest.raises(ConfigError) as refused:
@@ -402,7 +287,7 @@ def test_files_that_are_read_alone_are_checked_as_well(write, monkeypatch):
     """The low level's train file of a hierarchy, and the config.yaml of a run."""
     monkeypatch.setenv("SECRET", "s3cret")
     file = write("llc.yaml", "params: {config: {name: '${oc.env:SECRET}'}}\n")
-    with pytest.raises(ConfigError, match=r"resolver 'oc\.env'"):
+    with pytest.raises(ConfigError, match=r"uses 'oc\.env'"):
         load_train_file(file)
     run = write("run/config.yaml", "task: {name: x}\nhydra: {job: {env_set: {A: b}}}\n")
     with pytest.raises(ConfigError, match="sets 'hydra'"):
@@ -412,37 +297,26 @@ def test_files_that_are_read_alone_are_checked_as_well(write, monkeypatch):
 # --- where files are written ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("folder", ["CANARY", "../canary", "a/../../b", "${....experiment}", "[a]"])
+@pytest.mark.parametrize("folder", ["CANARY", "../canary", "${....experiment}", "[a]"])
 def test_a_train_file_does_not_choose_a_folder_elsewhere(folder, write):
-    file = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: '{folder}'}}}}\n")
-    if folder == "[a]":
-        file.write_text(f"{TRAIN}params: {{config: {{train_dir: [a]}}}}\n")
-    words = ["task=Cartpole", f"train={file}", "experiment=/elsewhere"]
+    text = folder if folder == "[a]" else f"'{folder}'"
+    file = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: {text}}}}}\n")
     with pytest.raises(ConfigError, match="outside of the working folder; if that is what you"):
-        compose(words)
+        compose(["task=Cartpole", f"train={file}", "experiment=/elsewhere"])
 
 
 def test_it_may_choose_one_below_and_the_user_any(write, tmp_path):
     below = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: runs/mine}}}}\n")
-    config = compose(["task=Cartpole", f"train={below}"]).train.params.config
-    assert config.train_dir == "runs/mine"
-    other = write("Other.yaml", f"{TRAIN}params: {{config: {{train_dir: /elsewhere}}}}\n")
-    chosen = f"train.params.config.train_dir={tmp_path}"
-    for file in (below, other):
-        config = compose(["task=Cartpole", f"train={file}", chosen]).train.params.config
-        assert config.train_dir == str(tmp_path)
-
-
-# --- whose files these are ------------------------------------------------------------------------
+    words = ["task=Cartpole", f"train={below}"]
+    assert compose(words).train.params.config.train_dir == "runs/mine"
+    chosen = compose([*words, f"train.params.config.train_dir={tmp_path}"])
+    assert chosen.train.params.config.train_dir == str(tmp_path)
 
 
 def test_only_what_lies_in_cfg_is_ours(tmp_path, monkeypatch):
-    ours = cfg_dir() / "train" / "AntPPO.yaml"
-    assert not is_foreign(ours)
-    assert not is_foreign(cfg_dir())
+    assert not is_foreign(cfg_dir() / "train" / "AntPPO.yaml")
     assert is_foreign(cfg_dir() / ".." / "x.yaml")
     assert is_foreign(Path(f"{cfg_dir()}_other/x.yaml"))
-    assert is_foreign(tmp_path / "x.yaml")
     monkeypatch.chdir(cfg_dir() / "train")
     assert not is_foreign(Path("AntPPO.yaml"))
 

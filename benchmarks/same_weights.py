@@ -1,0 +1,61 @@
+"""Checks that two checkouts train the same: the weights after three seeded epochs of each agent.
+
+    python -m benchmarks.same_weights                     # prints a hash for each agent
+    python -m benchmarks.same_weights ../other_checkout   # and compares with another checkout
+
+The hashes depend on the machine and on the versions of torch and MuJoCo: compare two checkouts on
+one machine. The program exits with 1 if a hash differs.
+"""
+
+import hashlib
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import torch
+
+COMMON = ("seed=5", "num_envs=16", "max_iterations=3", "num_threads=1", "headless=True")
+SHORT = ("train.params.config.horizon_length=8", "train.params.config.minibatch_size=64")
+TRAININGS = {
+    "PPO": ("task=Ant", *SHORT),
+    "AMP": ("task=HumanoidAMP", *SHORT),
+    "GenAMP": ("task=HumanoidASE", *SHORT),
+    "HRL": ("task=HumanoidASE", "train=HumanoidASEHRLPPO", *SHORT),
+    "SAC": ("task=AntSAC", "train=AntSAC", "train.params.config.num_warmup_steps=1"),
+    "LSTM": ("task=AnymalTerrain", "train=AnymalTerrainPPO_LSTM", *SHORT),
+}
+
+
+def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
+    """Train with a checkout's train.py; return a hash of all tensors of the newest checkpoint."""
+    with tempfile.TemporaryDirectory() as folder:
+        runs = f"++train.params.config.train_dir={folder}"
+        subprocess.run(
+            [sys.executable, "train.py", *words, *COMMON, runs],
+            cwd=checkout,
+            check=True,
+            capture_output=True,
+        )
+        newest = max(Path(folder).rglob("*.pth"), key=lambda file: file.stat().st_mtime_ns)
+        state = torch.load(newest, map_location="cpu", weights_only=True)
+    digest = hashlib.sha256()
+    for name, tensor in sorted(state["model"].items()):
+        digest.update(name.encode())
+        digest.update(tensor.contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def main() -> int:
+    """Print one line for each agent."""
+    checkouts = [Path.cwd(), *(Path(argument) for argument in sys.argv[1:])]
+    differs = False
+    for agent, words in TRAININGS.items():
+        hashes = [weights_hash(checkout, words) for checkout in checkouts]
+        differs |= len(set(hashes)) > 1
+        print(agent, *hashes, "differ" if len(set(hashes)) > 1 else "", flush=True)
+    return int(differs)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,382 @@
+"""Copies configuration files from outside cfg/, checked, into a folder where Hydra finds them.
+
+Hydra reads files by their names in folders. A file that a command line names by its path
+(`train=/path/to/AntPPO.yaml`), and the files in a folder of `--config-dir` or `--config-path`, are
+copied to a temporary folder that Hydra searches first; cfg/ comes next.
+
+Copying is also the boundary for files that somebody else wrote. Hydra's own section of a
+configuration is as powerful as a program: callbacks, launchers and log handlers are Python names
+that Hydra imports and calls. So a file that leads to that section, to an imported name or to the
+environment of this process is refused here. docs/foreign_files.md has the list for users.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os.path
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import Any
+
+import yaml
+from hydra.core.override_parser.types import Quote, QuotedString
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.config import checkouts
+from isaacgymenvs_lite.config.resolvers import RESOLVERS, forbidden_resolver
+from isaacgymenvs_lite.config.run_names import TRAIN_DIR
+from isaacgymenvs_lite.errors import ConfigError, one_line
+from isaacgymenvs_lite.paths import cfg_dir, user_path
+from isaacgymenvs_lite.schema import select
+from isaacgymenvs_lite.utils.yaml_file import load_yaml
+
+log = logging.getLogger(__name__)
+
+ROOT = "config"
+"""Name of the root file."""
+GROUPS = ("task", "train", "pbt")
+REFUSED = "refused"
+_NAMED_BY_PATH = ("task", "train")
+_SUFFIXES = (".yaml", ".yml")
+_WHERE_TO = "it belongs on the command line, or into cfg/ if you wrote the file yourself"
+# The section `hydra` of IsaacGymEnvs' root file. Our section has the same values, and more.
+_HARMLESS = {"output_subdir": None, "run": {"dir": "."}, "job": {"chdir": False}}
+_LOGGING = ("override hydra/job_logging", "override hydra/hydra_logging")
+_PACKAGE = re.compile(r"(?:\s*#.*\n)*?\s*#\s*@package\s+(.*)")
+# Names of files and of folders below a group; a name may hold the choice of another group: ${task}.
+_ENTRY = re.compile(r"(?:[\w.+-]|\$\{\w+\})+(?:/(?:[\w.+-]|\$\{\w+\})+)*")
+
+
+@dataclass(frozen=True)
+class StagedFiles:
+    """A command line with names in place of paths.
+
+    Attributes:
+        words: the overrides.
+        folder: where Hydra begins to search.
+        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of such a
+            file names a file below `REFUSED`, which does not exist.
+    """
+
+    words: list[str]
+    folder: Path
+    refused: dict[str, ConfigError] = field(default_factory=dict)
+
+
+@contextlib.contextmanager
+def staged(
+    words: Sequence[str],
+    config_dir: str | Path | None = None,
+    root: str | Path | None = None,
+    *,
+    trains: bool = True,
+) -> Iterator[StagedFiles]:
+    """Give a command line that Hydra understands; the copies last as long as the context.
+
+    Args:
+        words: overrides; `task=` and `train=` may name files by their paths.
+        config_dir: a folder with more task/, train/ and pbt/ files, and with other root files.
+        root: a folder in place of cfg/, whose groups may lack files of cfg/.
+        trains: False if nothing is written where the files say.
+
+    Raises:
+        ConfigError: a file does not exist, or does what a file from outside may not do.
+    """
+    if not (config_dir or root or any(_names_file(word) for word in words)):
+        yield StagedFiles(list(words), cfg_dir())
+        return
+    # The machines of a cluster share the working folder, not the temporary one.
+    shared = Path.cwd() if any("=submitit_slurm" in word for word in words) else None
+    with tempfile.TemporaryDirectory(prefix=".staged_", dir=shared) as folder:
+        target = Path(folder)
+        _write(_our_root(), target / f"{ROOT}.yaml")
+        refused = dict[str, ConfigError]()
+        for source in (config_dir, root):
+            if source is not None:
+                refused |= _stage_folder(Path(source), target)
+        named = _stage_named_files(words, target)
+        if trains and not any(word.lstrip("+").startswith(f"{TRAIN_DIR}=") for word in words):
+            for file in target.glob("train/*.yaml"):
+                _check_train_dir(_read(file), file.name)
+        yield StagedFiles(named, target, refused)
+
+
+def read_yaml(path: Path) -> DictConfig:
+    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time.
+
+    Raises:
+        ConfigError: the file is missing, is no YAML, or holds no mapping or something forbidden.
+    """
+    content = _read(path)
+    if is_foreign(path):
+        _check_content(content, path)
+    return _as_config(content, path)
+
+
+def is_foreign(path: Path) -> bool:
+    """Return whether a file lies outside of the project's own cfg/."""
+    return not Path(os.path.abspath(path)).is_relative_to(cfg_dir())
+
+
+# --- copying --------------------------------------------------------------------------------------
+
+
+def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
+    """Copy the root files of a folder, and all files of its groups; return the refused files."""
+    if not source.is_dir():
+        raise ConfigError(
+            f"the configuration folder '{source}' does not exist; expected a folder that holds"
+            " task/ and train/"
+        )
+    for file in source.glob("*.yaml"):
+        _write(_with_our_hydra(_checked(file, group=""), file), target / file.name)
+    refused = {}
+    for group in GROUPS:
+        for file in (source / group).rglob("*.yaml"):
+            name = file.relative_to(source)
+            try:
+                content = _checked(file, name.parent.as_posix())
+            except ConfigError as error:  # raised only if the command line names the file
+                place = name.with_suffix("").as_posix()
+                refused[place] = error
+                content = {"defaults": [f"/{REFUSED}/{place}"]}
+            _write(content, target / name)
+    return refused
+
+
+def _stage_named_files(words: Sequence[str], target: Path) -> list[str]:
+    """Copy the files that `task=` and `train=` name by their paths; return the words with names."""
+    typed = {word.partition("=")[0] for word in words}
+    staged_words = []
+
+    def stage(group: str, file: Path) -> None:
+        name = re.sub(r"[^\w-]", "_", file.stem)  # what Hydra's grammar takes for a name
+        if file.parent != cfg_dir() / group:
+            _stage_with_siblings(file, group, target / group / f"{name}.yaml", set())
+        staged_words.append(f"{group}='{name}'")  # 2024.yaml is no number
+
+    for word in words:
+        group, _, value = word.partition("=")
+        if not _names_file(word):
+            staged_words.append(word)
+            continue
+        file = _find(group, value)
+        stage(group, file)
+        if group == "task":
+            beside = checkouts.train_file_beside(file)
+            if beside is not None and "train" not in typed:
+                log.info("train file: %s (beside the task file; train= takes another)", beside)
+                stage("train", beside)
+            if checkouts.KEY not in typed:
+                staged_words.append(f"++{checkouts.KEY}={quoted(str(checkouts.checkout_of(file)))}")
+    return staged_words
+
+
+def _stage_with_siblings(file: Path, group: str, target: Path, done: set[Path]) -> None:
+    """Copy a file, and the files beside it and below it that its defaults list names."""
+    done.add(file)
+    content = _checked(file, group)
+    _write(content, target)
+    for entry in content.get("defaults") or []:
+        if isinstance(entry, dict):  # {env: fast} is env/fast.yaml; env=slow may be typed
+            folder = str(next(iter(entry))).removeprefix("optional ")
+            siblings = list(file.parent.glob(f"{folder}/*.yaml"))
+        else:
+            siblings = [file.with_name(f"{entry}.yaml")]
+        for sibling in siblings:
+            if os.path.isfile(sibling) and sibling not in done:  # a name may be too long
+                name = sibling.relative_to(file.parent)
+                place = PurePath(group, name).parent.as_posix()
+                _stage_with_siblings(sibling, place, target.parent / name, done)
+
+
+def _names_file(word: str) -> bool:
+    group, _, value = word.partition("=")
+    value = value.strip("'\"")
+    is_path = value.endswith(_SUFFIXES) or value.startswith(("/", "./", "../", "~"))
+    return group in _NAMED_BY_PATH and is_path
+
+
+def _find(group: str, value: str) -> Path:
+    given = user_path(value.strip("'\""))
+    for candidate in (given, *(given.with_name(given.name + suffix) for suffix in _SUFFIXES)):
+        if candidate.is_file():
+            return candidate.resolve()
+    raise ConfigError(
+        f"{group}={value}: no file {given.absolute()}; give a {group} file, or the name of one in"
+        f" cfg/{group}"
+    )
+
+
+def quoted(text: str) -> str:
+    """Return a text in quotes, as a command line has to write it if it holds blanks or commas."""
+    return QuotedString(text=text, quote=Quote.single).with_quotes()
+
+
+def _our_root() -> dict[Any, Any]:
+    """Return cfg/config.yaml for a folder before cfg/ in the search path."""
+    root = _read(cfg_dir() / f"{ROOT}.yaml")
+    root["hydra"]["searchpath"] = [f"file://{cfg_dir()}"]
+    return root
+
+
+def _with_our_hydra(content: dict[Any, Any], file: Path) -> dict[Any, Any]:
+    """Give a root file Hydra's settings of cfg/config.yaml in place of its own."""
+    ours = _our_root()
+    own = [entry for entry in content.get("defaults") or [] if not _is_about_logging(entry)]
+    logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
+    return content | {"hydra": ours["hydra"], "defaults": [*own, *logs]}
+
+
+def _write(content: dict[Any, Any], file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+
+# --- reading and checking -------------------------------------------------------------------------
+
+
+def _checked(file: Path, group: str) -> dict[Any, Any]:
+    """Return what a file holds that Hydra is to merge into a group; '' for a root file."""
+    content = _read(file)
+    header = _PACKAGE.match(file.read_text(encoding="utf-8-sig"))
+    own = group.replace("/", ".")
+    package = header[1].strip() if header else "_group_"
+    allowed = ("_group_", own, f"_global_.{own}") if own else ("_group_", "_global_")
+    if package not in allowed:
+        raise ConfigError(
+            f"{file} has the header '# @package {package}', which puts it into another section;"
+            f" expected '{own}' or none"
+        )
+    if not own and _is_harmless(content.get("hydra", {}), _HARMLESS):
+        content.pop("hydra", None)
+    _check_content(content, file)
+    defaults = content.get("defaults") or []
+    for entry in defaults if isinstance(defaults, list) else [defaults]:
+        _check_entry(entry, file, is_root=not own)
+    _complete(content, file, group)
+    return content
+
+
+def _read(path: Path) -> dict[Any, Any]:
+    """Return the mapping that a YAML file holds."""
+    content = load_yaml(path)
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        kind = type(content).__name__
+        raise ConfigError(f"{path} holds a {kind}, expected a mapping of keys to values")
+    return content
+
+
+def _as_config(content: dict[Any, Any], path: Path) -> DictConfig:
+    """Return OmegaConf's tree of a mapping; OmegaConf reads 2e-5 as a number, PyYAML as text."""
+    try:
+        config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
+        return config if content else OmegaConf.create()
+    except Exception as error:  # the grammar of interpolations, kinds of keys
+        raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
+
+
+def _check_content(content: dict[Any, Any], path: Path) -> None:
+    """Check what a file of somebody else holds.
+
+    Raises:
+        ConfigError: it sets something of Hydra, names something to be called, has an interpolation
+            that leads out of the configuration.
+    """
+    if "hydra" in content:
+        raise ConfigError(f"{path} sets 'hydra', which decides what is run; {_WHERE_TO}")
+    try:
+        _check_values(content, str(path))
+    except RecursionError as error:
+        raise ConfigError(f"{path} contains itself, or is nested too deep") from error
+
+
+def _check_train_dir(content: dict[Any, Any], name: str) -> None:
+    """Check that a train file lets its runs stay below the working folder."""
+    folder = select(content, "params.config.train_dir")
+    parts = PurePath(folder).parts if isinstance(folder, str) else ("..",)
+    if folder is not None and (".." in parts or "$" in folder or PurePath(folder).is_absolute()):
+        raise ConfigError(
+            f"{name}: {TRAIN_DIR} is {folder!r}, outside of the working folder; if that is"
+            f" what you want, say so yourself: {TRAIN_DIR}={folder}"
+        )
+
+
+def _check_values(value: Any, where: str) -> None:
+    if isinstance(value, str) and (found := forbidden_resolver(value)):
+        raise ConfigError(
+            f"{where}: '{value[:60]}' uses '{found}', which a file from outside may not use;"
+            " expected a path in the configuration, ${path.of.a.key}, or one of the functions"
+            f" {', '.join(sorted(RESOLVERS))}; {_WHERE_TO}"
+        )
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            if key == "_target_":
+                raise ConfigError(
+                    f"{where} has a key '_target_', which names something to be called; a"
+                    " configuration file cannot name code here (docs/own_task.md)"
+                )
+            _check_values(entry, f"{where}.{key}" if ": " in where else f"{where}: {key}")
+    elif isinstance(value, list):
+        for entry in value:
+            _check_values(entry, where)
+
+
+def _check_entry(entry: Any, path: Path, is_root: bool) -> None:
+    """Check an entry of a defaults list: the name of a file in the same group or below it."""
+    if is_root and _is_about_logging(entry):
+        return
+    names = [entry]
+    if isinstance(entry, dict) and len(entry) == 1:
+        group, choice = next(iter(entry.items()))
+        choices = choice if isinstance(choice, list) else [choice]
+        names = [str(group).removeprefix("optional "), *(c for c in choices if c is not None)]
+    for name in names:
+        fits = isinstance(name, str) and _ENTRY.fullmatch(name) and ".." not in name.split("/")
+        if not fits or (is_root and name.split("/")[0] == "hydra"):
+            raise ConfigError(
+                f"{path}: the entry '{str(entry).strip('{}')}' of its defaults list leads out of"
+                " its own group; expected the name of a file beside it"
+            )
+
+
+def _is_about_logging(entry: Any) -> bool:
+    """Return whether an entry switches a log of Hydra off, as IsaacGymEnvs' root file does."""
+    key, value = next(iter(entry.items())) if isinstance(entry, dict) and entry else ("", "")
+    return key in _LOGGING and value in ("none", "disabled")
+
+
+def _is_harmless(section: Any, allowed: dict[str, Any]) -> bool:
+    """Return whether a section has no other keys and values than `allowed`."""
+    if not isinstance(section, dict):
+        return False
+    return all(
+        key in allowed
+        and (
+            _is_harmless(value, allowed[key])
+            if isinstance(allowed[key], dict)
+            else value == allowed[key]
+        )
+        for key, value in section.items()
+    )
+
+
+def _complete(content: dict[Any, Any], file: Path, group: str) -> None:
+    """Add what published files leave to the command line or to the code of their project."""
+    config = select(content, "params.config")
+    if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
+        config.setdefault("llc_checkpoint", "")
+    task = checkouts.task_of_ase_file(file) if group == "task" else None
+    if task is None or "name" in content:
+        return
+    log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
+    content.setdefault("defaults", [task, "_self_"])
+    env = content.get("env")
+    if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
+        env["numEnvs"] = f"${{resolve_default:{env['numEnvs']},${{...num_envs}}}}"
