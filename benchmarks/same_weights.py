@@ -11,6 +11,7 @@ import hashlib
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
@@ -40,10 +41,19 @@ def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
         newest = max(Path(folder).rglob("*.pth"), key=lambda file: file.stat().st_mtime_ns)
         state = torch.load(newest, map_location="cpu", weights_only=True)
     digest = hashlib.sha256()
-    for name, tensor in sorted(state["model"].items()):
+    for name, tensor in sorted(tensors_in(state)):
         digest.update(name.encode())
         digest.update(tensor.contiguous().numpy().tobytes())
     return digest.hexdigest()[:16]
+
+
+def tensors_in(state: object, path: str = "") -> Iterator[tuple[str, torch.Tensor]]:
+    """Yield the tensors of a checkpoint, optimisers included, with their paths."""
+    if isinstance(state, torch.Tensor):
+        yield path, state
+    elif isinstance(state, dict):
+        for key, value in state.items():
+            yield from tensors_in(value, f"{path}.{key}")
 
 
 def main() -> int:

@@ -34,6 +34,7 @@ from isaacgymenvs_lite.config.published_names import (
     missing_task,
     task_in_name,
 )
+from isaacgymenvs_lite.config.rl_games_settings import UNREAD_KEYS
 from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
 from isaacgymenvs_lite.config.train_files import compose_file
 from isaacgymenvs_lite.config.train_params import (
@@ -46,11 +47,6 @@ from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 from isaacgymenvs_lite.schema import select
 
 EXIT_DOES_NOT_WORK = 1
-# Keys of `config` that IsaacGymEnvs or an old rl_games read, and nothing reads here.
-_UNREAD_CONFIG = (
-    *("defer_summaries_sec", "summaries_interval_sec_min", "summaries_interval_sec_max"),
-    *("lr_threshold", "use_others_experience", "num_seed_steps", "max_env_steps"),
-)
 # For train files without a task in their name, such as ASE's: the task by the algorithm.
 _TASKS_OF_ALGORITHMS = {
     "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
@@ -332,7 +328,7 @@ def _network_line(network: Mapping[str, Any]) -> str:
 
 def _unread_train_keys(tree: dict[str, Any]) -> list[str]:
     config = tree["train"]["params"]["config"]
-    return [f"params.config.{key}" for key in _UNREAD_CONFIG if key in config]
+    return [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in config]
 
 
 @contextmanager

@@ -115,7 +115,7 @@ def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
     ("words", "said"),
     [
         (["AntPPO", "train.params.config.gamma=7"], "gamma: got 7, expected"),
-        (["AntPPO", "train.params.algo.name=a2c_discrete"], "algo.name=a2c_discrete: made for"),
+        (["AntPPO", "train.params.algo.name=a2c_discrete"], "actions are continuous, not discrete"),
         (
             ["AntPPO", "+train.params.config.central_value_config={minibatch_size: 8}"],
             "central_value_config: .*this task gives none",

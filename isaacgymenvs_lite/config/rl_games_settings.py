@@ -23,7 +23,6 @@ from isaacgymenvs_lite.schema import (
     select,
     setting,
 )
-from isaacgymenvs_lite.utils.memory import check_memory
 
 _log = logging.getLogger(__name__)
 
@@ -156,51 +155,24 @@ class PlayerSettings:
     latent: str | None = setting(None)
 
 
-# PPO's further keys: read by rl_games in special set-ups, written by the launcher, or found in
-# published files and read by nothing; none of them is a slip of the finger.
+# More keys of PPO: rl_games reads them in special set-ups, the launcher writes them, or they are
+# former names and are translated before the check.
 PPO_OTHER_KEYS = frozenset(
     (
-        # rl_games
-        "adv_rms_momentum",
-        "bound_loss_type",
-        "bptt_length",
-        "central_value_config",
-        "check_scores",
-        "device",
-        "device_name",
-        "env_args",
-        "env_config",
-        "env_info",
-        "epochs_between_resets",
-        "features",
-        "freeze_critic",
-        "full_experiment_name",
-        "is_train",
-        "log_path",
-        "multi_gpu",
-        "network_path",
-        "num_actors",
-        "pbt_idx",
-        "player",
-        "population_based_training",
-        "schedule_entropy",
-        "self_play",
-        "self_play_config",
-        "use_experimental_cv",
-        "use_smooth_clamp",
-        "value_size",
-        "vec_env",
-        "zero_rnn_on_done",
-        # former names, translated before the check
-        "max_steps",
-        "seq_len",
-        # published files only
-        "defer_summaries_sec",
-        "lr_threshold",
-        "num_envs",
-        "summaries_interval_sec_min",
-        "summaries_interval_sec_max",
-        "use_others_experience",
+        *("adv_rms_momentum", "bound_loss_type", "bptt_length", "central_value_config"),
+        *("check_scores", "device", "device_name", "env_args", "env_config", "env_info"),
+        *("epochs_between_resets", "features", "freeze_critic", "full_experiment_name"),
+        *("is_train", "log_path", "max_steps", "multi_gpu", "network_path", "num_actors"),
+        *("pbt_idx", "player", "population_based_training", "schedule_entropy", "self_play"),
+        *("self_play_config", "seq_len", "use_experimental_cv", "use_smooth_clamp", "value_size"),
+        *("vec_env", "zero_rnn_on_done"),
+    )
+)
+# Keys of published files that nothing reads; `check` names them.
+UNREAD_KEYS = frozenset(
+    (
+        *("defer_summaries_sec", "lr_threshold", "max_env_steps", "num_envs", "num_seed_steps"),
+        *("summaries_interval_sec_max", "summaries_interval_sec_min", "use_others_experience"),
     )
 )
 
@@ -249,16 +221,14 @@ class SACSettings(RunSettings):
     """bfloat16, on a CPU in the hidden layers; auto measures whether it is faster there."""
 
 
-# SAC's further keys: written by the launcher, or found in published files and read by nothing.
+# More keys of SAC, of the same kinds.
 SAC_OTHER_KEYS = frozenset(
     (
-        *("actor_betas", "critic_betas", "alphas_betas", "weight_decay", "is_train", "player"),
-        *("device", "device_name", "env_config", "env_info", "features", "full_experiment_name"),
-        *("multi_gpu", "network", "num_actors", "pbt_idx", "population_based_training"),
-        "save_buffers",
-        # published files only
-        *("num_seed_steps", "max_env_steps", "use_diagnostics", "torch_compile", "log_path"),
-        *("normalize_value", "normalize_advantage"),
+        *("actor_betas", "alphas_betas", "critic_betas", "device", "device_name", "env_config"),
+        *("env_info", "features", "full_experiment_name", "is_train", "log_path", "multi_gpu"),
+        *("network", "normalize_advantage", "normalize_value", "num_actors", "pbt_idx", "player"),
+        *("population_based_training", "save_buffers", "torch_compile", "use_diagnostics"),
+        *("weight_decay",),
     )
 )
 
@@ -267,50 +237,19 @@ SAC_OTHER_KEYS = frozenset(
 ACTIVATIONS = ("relu", "tanh", "sigmoid", "elu", "selu", "swish", "gelu", "softplus", "None")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Constant:
-    val: float = setting()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Gain:
-    gain: float = setting(1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _VarianceScaling:
-    mode: str = setting("fan_in", choices=("fan_in", "fan_out"))
-    scale: float = setting(2.0, above=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Uniform:
-    a: float = setting(0.0)
-    b: float = setting(1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _KaimingNormal:
-    a: float = setting(0.0)
-    mode: str = setting("fan_in", choices=("fan_in", "fan_out"))
-    nonlinearity: str = setting("leaky_relu", choices=("relu", "leaky_relu", "tanh", "selu"))
-
-
-# Name -> its arguments; "default", which published files give some, reads none.
-INITIALIZERS: dict[str, type[Any] | None] = {
+# Initialiser -> its arguments; None: `default` has some in published files, and reads none.
+INITIALIZERS: dict[str, tuple[str, ...] | None] = {
     "default": None,
-    "const_initializer": _Constant,
-    "orthogonal_initializer": _Gain,
-    "orthogonal": _Gain,
-    "glorot_normal_initializer": _Gain,
-    "glorot_uniform_initializer": _Gain,
-    "variance_scaling_initializer": _VarianceScaling,
-    "random_uniform_initializer": _Uniform,
-    "kaiming_normal": _KaimingNormal,
+    "const_initializer": ("val",),
+    "orthogonal_initializer": ("gain",),
+    "orthogonal": ("gain",),
+    "glorot_normal_initializer": ("gain",),
+    "glorot_uniform_initializer": ("gain",),
+    "variance_scaling_initializer": ("mode", "scale"),
+    "random_uniform_initializer": ("a", "b"),
+    "kaiming_normal": ("a", "mode", "nonlinearity"),
 }
-
-
-# Initialisers of a fixed sigma, a vector; others need matrices.
+# Initialisers of a fixed sigma, which is a vector; the others need matrices.
 _VECTOR_INITIALIZERS = ("default", "const_initializer", "random_uniform_initializer")
 
 
@@ -319,10 +258,8 @@ _MLP_NETWORKS = frozenset(("actor_critic", "amp", "gen_amp", "ase", "hrl"))
 _SAC_NETWORK = "soft_actor_critic"
 _LATENT_NETWORKS = ("gen_amp", "ase")
 _LAYER_SECTIONS = ("mlp", "disc", "enc")
-_MAX_LAYERS = 100
 _MAX_UNITS = 2**20
 _GATES = {"lstm": 4, "gru": 3}
-_FLOAT_BYTES = 4
 _NETWORK_KEYS = frozenset(
     (
         *_LAYER_SECTIONS,
@@ -338,7 +275,7 @@ _NETWORK_KEYS = frozenset(
 class UnitsSettings:
     """The keys of hidden layers that say how large they are."""
 
-    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
     """Width of each layer."""
     model_size_multiplier: float = setting(1, above=0, maximum=1000)
     """Factor on all units, applied before the network is built."""
@@ -363,7 +300,7 @@ class LayerSettings(UnitsSettings):
 class StyleSettings:
     """The section style: layers from the latent to what the actor gets of it."""
 
-    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS, max_length=_MAX_LAYERS)
+    units: list[int] = setting(minimum=1, maximum=_MAX_UNITS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -372,7 +309,7 @@ class RecurrentSettings:
 
     name: str = setting(choices=("lstm", "gru"))
     units: int = setting(minimum=1, maximum=_MAX_UNITS)
-    layers: int = setting(minimum=1, maximum=_MAX_LAYERS)
+    layers: int = setting(minimum=1)
     layer_norm: bool = setting(False)
     before_mlp: bool = setting(False)
     concat_input: bool = setting(False)
@@ -458,14 +395,14 @@ def check_network(network: dict[str, Any], where: str, *, is_critic: bool = Fals
     if network["name"] in _MLP_NETWORKS and "continuous" not in space and not is_critic:
         hint = "expected the distribution of the actions"
         raise missing_key("continuous", space, (), f"{where}.space", hint)
-    check_memory({"networks": _FLOAT_BYTES * num_weights(network)}, f"units in {where}")
     # Soft actor-critic's distribution has no settings: its files leave the section empty.
     if "continuous" in space and network["name"] != _SAC_NETWORK:
         path = f"{where}.space.continuous"
         gaussian = convert_section(GaussianSettings, network["space"]["continuous"], path)
         _check_initializer(gaussian.mu_init, f"{path}.mu_init")
-        of_vector = None if gaussian.fixed_sigma in (False, "obs_cond") else _VECTOR_INITIALIZERS
-        _check_initializer(gaussian.sigma_init, f"{path}.sigma_init", of_vector)
+        is_vector = gaussian.fixed_sigma not in (False, "obs_cond")
+        choices = _VECTOR_INITIALIZERS if is_vector else tuple(INITIALIZERS)
+        _check_initializer(gaussian.sigma_init, f"{path}.sigma_init", choices)
 
 
 def num_weights(network: Mapping[str, Any], num_inputs: int = 1) -> int:
@@ -505,7 +442,9 @@ def check_reward_shaper(section: Any, where: str) -> dict[str, Any]:
         ConfigError: a value that cannot be used, or a key that rl_games does not have.
     """
     section = {} if section is None else section
-    _refuse_other_keys(RewardShaperSettings, section, where)
+    for key in section if isinstance(section, dict) else ():
+        if key not in keys_of(RewardShaperSettings):  # an argument that rl_games' function lacks
+            raise ConfigError(f"{where}: {unknown('key', key, keys_of(RewardShaperSettings))}")
     convert_section(RewardShaperSettings, section, where)
     return section
 
@@ -525,39 +464,24 @@ def check_central_value(section: dict[str, Any], where: str) -> None:
     check_network(settings.network, f"{where}.network", is_critic=True)
 
 
-def _refuse_other_keys(
-    cls: type[Any], section: Any, where: str, ignored: tuple[str, ...] = ()
-) -> None:
-    """Refuse keys that would become arguments which a function does not have.
-
-    Raises:
-        ConfigError: there is one.
-    """
-    for key in section if isinstance(section, dict) else ():
-        if key not in keys_of(cls) and key not in ignored:
-            raise ConfigError(f"{where}: {unknown('key', str(key), keys_of(cls))}")
-
-
 def _check_initializer(
-    initializer: dict[str, Any], where: str, choices: Collection[str] | None = None
+    initializer: dict[str, Any], where: str, choices: Collection[str] = tuple(INITIALIZERS)
 ) -> None:
-    """Check name and arguments of an initialiser; convert numbers in place.
+    """Check name and arguments of an initialiser.
 
     Raises:
         ConfigError: the name is unknown, or an argument is.
     """
-    name = initializer.get("name")
-    if name is None:
-        raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(INITIALIZERS)}")
-    if choices is not None and name in INITIALIZERS and name not in choices:
-        raise ConfigError(
-            f"{where}.name={name}: made for matrices, and a fixed sigma is a vector; choices:"
-            f" {', '.join(choices)}"
-        )
-    if str(name) not in INITIALIZERS:
-        raise ConfigError(f"{where}.name: " + unknown("initializer", str(name), INITIALIZERS))
-    arguments = INITIALIZERS[str(name)]
-    if arguments is None:
-        return
-    _refuse_other_keys(arguments, initializer, where, ignored=("name",))
-    convert_section(arguments, initializer, where, ignored=("name",))
+    name = str(initializer.get("name"))
+    if "name" not in initializer:
+        raise ConfigError(f"{where}: the key 'name' is missing; choices: {', '.join(choices)}")
+    if name not in choices:
+        reason = " for a fixed sigma, which is a vector" if name in INITIALIZERS else ""
+        raise ConfigError(f"{where}.name{reason}: {unknown('initializer', name, choices)}")
+    arguments = INITIALIZERS[name]
+    for key, value in initializer.items():
+        if key != "name" and arguments is not None:
+            if key not in arguments:
+                raise ConfigError(f"{where}: {unknown('key', str(key), arguments)}")
+            if key not in ("mode", "nonlinearity"):
+                initializer[key] = float(value)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import logging
 import math
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from isaacgymenvs_lite.config.rl_games_settings import (
     ENV_NAME,
     PPO_OTHER_KEYS,
     SAC_OTHER_KEYS,
+    UNREAD_KEYS,
     PlayerSettings,
     PPOSettings,
     SACSettings,
@@ -23,7 +23,7 @@ from isaacgymenvs_lite.config.rl_games_settings import (
     scale_units,
 )
 from isaacgymenvs_lite.config.run_names import read_run_name
-from isaacgymenvs_lite.errors import ConfigError, suggest, unknown
+from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import (
     check_unknown_keys,
     convert_section,
@@ -48,11 +48,6 @@ _PARAMS_KEYS = frozenset(
         *("torch_threads", _ISAAC_LAB_SECTION),
     )
 )
-# A word in a name -> algorithm of its family; the first that is found counts.
-_FAMILIES = {
-    **{"hrl": "hrl", "ase": "ase", "gen": "gen_amp", "amp": "amp_continuous", "sac": "sac"},
-    **dict.fromkeys(("ppo", "a2c"), "a2c_continuous"),
-}
 # Algorithm -> the registered models and networks that it runs with, the usual one first. Forks' own
 # names are not checked.
 _AMP = (("continuous_amp", "amp"), ("amp",))
@@ -73,7 +68,6 @@ _NOT_RUN = (
     *("central_value", "continuous_a2c", "resnet_actor_critic", "rnd_curiosity"),
     *("testnet", "testnet_aux_loss"),
 )
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+")
 _MAX_SAMPLES = 2**31 - 1  # of an epoch
 
 
@@ -153,7 +147,7 @@ def prepare_train_params(
     if algo == "sac":
         if tree.get("multi_gpu"):
             raise ConfigError("multi_gpu=True: SAC trains in one process; leave it out")
-        convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS)
+        convert_section(SACSettings, config, f"{_WHERE}.config", SAC_OTHER_KEYS | UNREAD_KEYS)
         return params
     recurrent = _recurrent(params)
     _translate_former_keys(config, any(recurrent))
@@ -252,46 +246,27 @@ def _check_params(params: dict[str, Any], names: KnownNames) -> None:
             keys = value if isinstance(value, dict) else {}
             hint = f"choices: {', '.join(sorted(choices))}" if choices else "expected a name"
             raise missing_key("name", keys, ["name"], where, hint)
+        name = str(value["name"])
+        if choices and name not in choices:
+            raise ConfigError(f"{where}.name: {unknown(section, name, choices)}")
         if section != "network":
             check_unknown_keys(value, ("name",), where)
-    _check_names(params, sections)
-    _check_continuous(params)
     _check_family(params)
     check_network(params["network"], f"{_WHERE}.network")
     if not isinstance(params.get("config"), dict):
         raise missing_key("config", params, _PARAMS_KEYS, _WHERE, "expected the agent's settings")
 
 
-def _check_names(params: dict[str, Any], sections: Mapping[str, Collection[str]]) -> None:
-    """Refuse names that nothing is registered under, all of them in one message.
-
-    Forks have subclasses of the published agents, models and networks under names of their own.
-    """
-    given = {section: str(params[section]["name"]) for section in sections}
-    wrong = [name for name in sections if sections[name] and given[name] not in sections[name]]
-    family = _family_of(given, sections)
-    if not wrong:
-        return
-    if len(wrong) == 1:
-        (section,) = wrong
-        message = unknown(section, given[section], sections[section])
-        if family is not None and not suggest(given[section], sections[section]):
-            message += f"; the published one: {_WHERE}.{section}.name={family[section]}"
-        raise ConfigError(f"{_WHERE}.{section}.name: {message}")
-    listed = ", ".join(f"{section} '{given[section]}'" for section in wrong)
-    if family is None:
-        choices = (f"{section}: {', '.join(sorted(sections[section]))}" for section in wrong)
-        raise ConfigError(f"{_WHERE}: unknown {listed}; choices: {'; '.join(choices)}")
-    overrides = " ".join(f"{_WHERE}.{section}.name={family[section]}" for section in wrong)
-    raise ConfigError(
-        f"{_WHERE}: unknown {listed}, a fork's own names, it seems; for the published classes add"
-        f" {overrides}"
-    )
-
-
 def _check_family(params: dict[str, Any]) -> None:
-    """Refuse registered models and networks with which the algorithm cannot run."""
+    """Refuse registered names with which a training cannot run; forks' own names pass."""
     algo = str(params["algo"]["name"])
+    space = params["network"].get("space")
+    keys = space if isinstance(space, dict) else {}
+    if "discrete" in f"{algo} {params['model']['name']} {' '.join(map(str, keys))}":
+        raise ConfigError(
+            f"{_WHERE}: the tasks' actions are continuous, not discrete; expected algo"
+            " a2c_continuous, model continuous_a2c_logstd and network.space.continuous"
+        )
     if algo not in _GOES_WITH:
         return
     for section, place in (("model", 0), ("network", 1)):
@@ -301,37 +276,6 @@ def _check_family(params: dict[str, Any]) -> None:
             raise ConfigError(
                 f"{_WHERE}.{section}.name={name}: algo {algo} does not run with it; choices:"
                 f" {', '.join(choices)}"
-            )
-
-
-def _family_of(
-    given: Mapping[str, str], sections: Mapping[str, Collection[str]]
-) -> dict[str, str] | None:
-    """Return the names of the published family that names are most like; None if like none."""
-    words = {word.lower() for name in given.values() for word in _WORD.findall(name)}
-    for mark, algo in _FAMILIES.items():
-        models, networks = _GOES_WITH[algo]
-        family = dict(zip(sections, (algo, models[0], networks[0]), strict=True))
-        if mark in words and all(family[key] in sections[key] for key in sections):
-            return family
-    return None
-
-
-def _check_continuous(params: dict[str, Any]) -> None:
-    """Refuse agents that choose among actions: every task here has continuous ones."""
-    space = params["network"].get("space")
-    space = space if isinstance(space, dict) else {}  # another kind is refused later
-    discrete = {
-        f"{section}.name={params[section]['name']}": "discrete" in str(params[section]["name"])
-        for section in ("algo", "model")
-    }
-    discrete |= {f"network.space.{key}": key in space for key in ("discrete", "multi_discrete")}
-    for key, found in discrete.items():
-        if found:
-            raise ConfigError(
-                f"{_WHERE}.{key}: made for discrete actions, but the tasks' actions are continuous;"
-                " expected algo a2c_continuous, model continuous_a2c_logstd and"
-                " network.space.continuous"
             )
 
 
@@ -387,7 +331,8 @@ def _check_ppo_keys(config: dict[str, Any], agent_keys: Iterable[str]) -> None:
     where = f"{_WHERE}.config"
     if config.get("bounds_loss_coef") is None:
         config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails without a number
-    settings = convert_section(PPOSettings, config, where, PPO_OTHER_KEYS | set(agent_keys))
+    others = PPO_OTHER_KEYS | UNREAD_KEYS | set(agent_keys)
+    settings = convert_section(PPOSettings, config, where, others)
     config.setdefault("seq_length", settings.seq_length)
     if settings.minibatch_size is None and settings.minibatch_size_per_env is None:
         hint = "expected the samples of one gradient step, or minibatch_size_per_env"

@@ -242,51 +242,6 @@ def test_wrong_files(prepare, overrides, expected):
     assert "\n" not in str(error.value)
 
 
-FORK = {"algo": "amp_algo_agent", "model": "amp_model", "network": "amp_network"}
-
-
-@pytest.mark.parametrize(
-    ("given", "family"),
-    [
-        (FORK, {"algo": "amp_continuous", "model": "continuous_amp", "network": "amp"}),
-        (
-            {"algo": "MyAMPAgent", "model": "MyModel"},
-            {"algo": "amp_continuous", "model": "continuous_amp"},
-        ),
-        (  # what is right stays
-            {"model": "my_model", "network": "my_network"},
-            {"model": "continuous_amp", "network": "amp"},
-        ),
-        (
-            {"algo": "my_a2c", "model": "my_model", "network": "my_network"},
-            {
-                "algo": "a2c_continuous",
-                "model": "continuous_a2c_logstd",
-                "network": "actor_critic",
-            },
-        ),
-    ],
-)
-def test_renamed_classes_of_forks_are_told_at_once(prepare, given, family):
-    wrong = [f"train.params.{section}.name={name}" for section, name in given.items()]
-    right = [f"train.params.{section}.name={name}" for section, name in family.items()]
-    with pytest.raises(ConfigError) as error:
-        prepare(*wrong)
-    message = str(error.value)
-    assert message.endswith(f"for the published classes add {' '.join(right)}")
-    assert ", ".join(f"{section} '{name}'" for section, name in given.items()) in message
-    prepare(*wrong, *right)  # typed as it says, it works
-
-
-def test_several_names_of_no_family_list_the_choices(prepare):
-    with pytest.raises(ConfigError) as error:
-        prepare(*(f"train.params.{section}.name=zebra" for section in FORK))
-    assert "unknown algo 'zebra', model 'zebra', network 'zebra'; choices: algo: a2c" in str(
-        error.value
-    )
-    assert "; network: actor_critic, amp" in str(error.value)
-
-
 def test_without_registered_names_any_name_passes(prepare):
     prepare("train.params.algo.name=mine", names=None)
 
