@@ -73,7 +73,11 @@ from isaacgymenvs_lite.learning.central_value import (
 from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
 from isaacgymenvs_lite.learning.diverged import RolloutMask, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
-from isaacgymenvs_lite.learning.published_names import ExplainedNames, is_overridden
+from isaacgymenvs_lite.learning.published_names import (
+    AGENT_NAMES,
+    ExplainedNames,
+    is_overridden,
+)
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, own_rates_kept
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
@@ -108,6 +112,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         OverrideError: a subclass overrides what is not called here; at its definition.
     """
 
+    replaced: ClassVar[dict[str, str]] = AGENT_NAMES
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
     unsupported_keys: ClassVar[tuple[str, ...]] = _UNSUPPORTED_KEYS
     control_steps_per_action = 1

@@ -21,7 +21,7 @@ from isaacgymenvs_lite.evaluation.evaluate import (
     play_on,
 )
 from isaacgymenvs_lite.evaluation.motion_recorder import MotionRecorder
-from isaacgymenvs_lite.learning.published_names import ExplainedNames
+from isaacgymenvs_lite.learning.published_names import PLAYER_NAMES, ExplainedNames
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 
 
@@ -69,6 +69,8 @@ class CommonPlayer(ExplainedNames, RestoringPlayer, PpoPlayerContinuous):
         ConfigError: a latent for a policy that has no such input.
         OverrideError: a subclass overrides what is not called here; at its definition.
     """
+
+    replaced: ClassVar[dict[str, str]] = PLAYER_NAMES
 
     is_latent_conditioned: ClassVar[bool] = False
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_network_builder import DEFAULT_INITIALIZER, AMPBuilder
 from isaacgymenvs_lite.learning.losses import input_gradient
-from isaacgymenvs_lite.learning.published_names import PublishedNames
+from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 
 _STYLE_UNITS = (512, 256)
@@ -39,6 +39,8 @@ class StyleMLP(PublishedNames, nn.Module):
         style_layers: those layers.
         activation: behind each layer.
     """
+
+    replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
     def __init__(
         self,
@@ -71,6 +73,8 @@ class StyleMLP(PublishedNames, nn.Module):
 
 class LatentMLP(PublishedNames, nn.Module):
     """The critic's trunk: layers over the observation and the latent itself."""
+
+    replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
     def __init__(self, layers: nn.Module) -> None:
         super().__init__()

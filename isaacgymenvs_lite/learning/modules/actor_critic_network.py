@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.published_names import PublishedNames, is_overridden
+from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames, is_overridden
 
 
 class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
@@ -22,6 +22,8 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
     Raises:
         ConfigError: recurrent or convolutional networks.
     """
+
+    replaced: ClassVar[dict[str, str]] = NETWORK_NAMES
 
     row_functions: tuple[str, ...] = ("eval_actor", "eval_critic")
     """Methods whose rows are independent; see `ParallelNetwork`."""
