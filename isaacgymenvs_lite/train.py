@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import importlib
 import logging
 import os
 import sys
@@ -51,6 +52,7 @@ from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 log = logging.getLogger(__name__)
 
 EXIT_FAILED_JOBS = 1
+_NO_COMPILER = "TORCHDYNAMO_DISABLE"
 
 # How long another process of a data-parallel training has to report its mistake.
 _REPORT_S = 10.0
@@ -215,6 +217,11 @@ def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> fl
 
 def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
     config = read_config(cfg)
+    if _NO_COMPILER not in os.environ:
+        # rl_games compiles a network of its own tests where it is imported, for two seconds.
+        os.environ[_NO_COMPILER] = "1"
+        importlib.import_module("isaacgymenvs_lite.registration")
+        del os.environ[_NO_COMPILER]
     from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
 
     return run(config, command, **of_sweep)
