@@ -28,8 +28,7 @@ class Viewers:
 
     Raises:
         RenderingError: this machine cannot draw.
-        ConfigError: a package is missing, there is no display, a port is taken, or a host of the
-            page is misspelt.
+        ConfigError: a package is missing, there is no display, or a port is taken.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
@@ -42,7 +41,7 @@ class Viewers:
         if not settings.headless:
             check_display()
         if settings.viewer == "web":
-            check_page(settings.viewer_host, settings.viewer_port, settings.viewer_allowed_hosts)
+            check_page(settings.viewer_port)
 
     def start(
         self, env: Any, run_folder: Path, on_quit: Callable[[], None], prefix: str = "rl-video"
@@ -78,10 +77,8 @@ class Viewers:
             # A play waits for the simulated time: it would be over too soon.
             page = WebPage(
                 env,
-                settings.viewer_host,
                 settings.viewer_port,
                 real_time=settings.test,
-                allowed_hosts=settings.viewer_allowed_hosts,
                 keys_to_task=settings.test,
             )
             self._add(page)
