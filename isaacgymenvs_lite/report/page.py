@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import html
 import io
 from collections.abc import Mapping
@@ -122,12 +123,10 @@ def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
     """
     clock = first_of(scalars, FPS_TAGS)
     facts = {"task": "", "algorithm": ""}
-    try:
+    with contextlib.suppress(Exception):  # of a damaged file the page shows the text
         tree = yaml.safe_load(config)
         facts["task"] = str(tree["task"]["name"])
         facts["algorithm"] = str(tree["train"]["params"]["algo"]["name"])
-    except Exception:  # the page shows the text as it is
-        facts["task"] = facts["task"] or "unknown"
     facts["frames"] = f"{clock.frames[-1]:,.0f}"
     facts["minutes trained"] = f"{clock.minutes[-1]:.1f}"
     facts["frames per second"] = f"{np.median(clock.values):,.0f}"
@@ -144,11 +143,8 @@ def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
         for title, lines in _CHARTS.items()
     }
     for title, start in _FAMILIES.items():
-        charts[title] = {
-            tag.removeprefix(start): scalars[tag]
-            for tag in sorted(scalars)
-            if tag.startswith(start)
-        }
+        tags = [tag for tag in sorted(scalars) if tag.startswith(start)]
+        charts[title] = {tag.removeprefix(start): scalars[tag] for tag in tags}
     kept = {
         title: {label: series for label, series in lines.items() if len(series)}
         for title, lines in charts.items()
