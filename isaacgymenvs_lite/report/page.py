@@ -18,7 +18,7 @@ from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, event_files, firs
 from isaacgymenvs_lite.utils.files import written_for_user
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-_MAX_VIDEO_BYTES = 8 * 2**20
+MAX_VIDEO_BYTES = 8 * 2**20
 _REWARD = ("rewards/frame", "rewards/step")
 _LENGTH = ("episode_lengths/frame", "episode_lengths/step")
 # Title -> label of a curve -> tags, of which the first that the run has is drawn.
@@ -187,7 +187,7 @@ def _video(run: Path) -> str:
     if file is None:
         return ""
     name = html.escape(str(file.relative_to(run)))
-    if file.stat().st_size > _MAX_VIDEO_BYTES:
+    if file.stat().st_size > MAX_VIDEO_BYTES:
         return f"<h2>{name}</h2>"
     data = base64.b64encode(file.read_bytes()).decode()
     source = f"data:video/mp4;base64,{data}"

@@ -37,6 +37,7 @@ _PICTURES_PER_S = 30.0
 _CLOSE_TIMEOUT_S = 3.0
 _MAX_KEY_BYTES = 16
 _MAX_KEYS = 64
+_PROGRAM = "from isaacgymenvs_lite.viewers.web_server import main; main()"
 
 
 class WebPage:
@@ -200,7 +201,7 @@ def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[byt
     folders += [os.path.abspath(folder) for folder in sys.path if folder]
     arguments = map(str, (os.getpid(), *files))
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "isaacgymenvs_lite.viewers.web_server", *arguments],
+        [sys.executable, "-P", "-c", _PROGRAM, *arguments],
         pass_fds=files,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
         stdin=subprocess.DEVNULL,

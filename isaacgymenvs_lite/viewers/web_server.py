@@ -256,7 +256,3 @@ class PagePlugin(plugin.ViewerPlugin):
                     self._link.send(name.encode())
                 except OSError:  # no room, or the task ended, which the endpoint reports
                     return
-
-
-if __name__ == "__main__":
-    main()

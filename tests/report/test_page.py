@@ -114,7 +114,7 @@ def test_the_last_video_is_embedded_unless_it_is_large(make_run, monkeypatch) ->
     add_video(run, "step-0.mp4", b"older", 1000)
     (source,) = Page(write_report(run)).videos
     assert base64.b64decode(source.removeprefix("data:video/mp4;base64,")) == b"newer"
-    monkeypatch.setattr(page_module, "_MAX_VIDEO_BYTES", 3)
+    monkeypatch.setattr(page_module, "MAX_VIDEO_BYTES", 3)
     path = write_report(run)
     assert Page(path).videos == []
     assert "videos/step-200.mp4" in path.read_text()
