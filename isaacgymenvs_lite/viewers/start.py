@@ -13,7 +13,8 @@ from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.utils.files import check_no_links
-from isaacgymenvs_lite.viewers.video_capture import capture_videos
+from isaacgymenvs_lite.viewers.video_capture import VideoCapture, make_video_folder
+from isaacgymenvs_lite.viewers.video_writer import VideoWriter
 from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
 from isaacgymenvs_lite.viewers.window import Window
 
@@ -63,7 +64,7 @@ class Viewers:
         if settings.capture_video or not settings.headless:
             check_no_links(run_folder, "videos")
         if settings.capture_video:
-            self._listeners.append(self._capture(env, folder, prefix))
+            self._add(self._capture(env, folder, prefix))
         if not settings.headless:
             window = Window(
                 env,
@@ -97,14 +98,16 @@ class Viewers:
             from isaacgymenvs_lite.run.wandb_observer import log_video
 
             on_done = log_video
-        return capture_videos(
+        make_video_folder(folder)
+        log.info("videos go to %s", folder)
+        return VideoCapture(
             env,
+            VideoWriter(on_done),
             folder,
             every=settings.capture_video_freq,
             length=settings.capture_video_len,
             num_envs=settings.capture_video_envs,
             prefix=prefix,
-            on_done=on_done,
         )
 
     def close(self) -> None:
