@@ -324,7 +324,7 @@ def check_module(module: str, words: Sequence[str]) -> None:
         is_training = "train" in (*words[:2], module.rpartition(".")[2])
         command = read_command(TrainSettings if is_training else PlaySettings, found)
         check_config(compose_task(command.settings.task, command.task_words))
-    if module.startswith("benchmarks.") and not getattr(found, "saved", False):  # names of files
+    if module.startswith("benchmarks."):
         check_experiments([*getattr(found, "what", ()), *getattr(found, "targets", ())])
 
 
