@@ -104,7 +104,7 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
     check_words(words)
     Summary.num_failed = 0
     command = command.after(inherited_settings(words))
-    options, overrides = _split_options(complete_arguments(words))
+    options, overrides = split_options(complete_arguments(words))
     folders = [
         next((options.pop(name) for name in names if name in options), None)
         for names in (("--config-dir", "-cd"), ("--config-path", "-cp"))
@@ -152,7 +152,7 @@ def _compose_and_run(files: StagedFiles, command: TypedCommand, launcher: str | 
         ) from error
 
 
-def _split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
+def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
     """Return Hydra's options with their values, and the overrides, which Hydra reads after them.
 
     Raises:

@@ -27,6 +27,7 @@ from typing import Any
 
 import pytest
 import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from benchmarks.experiments import find_experiment
 from isaacgymenvs_lite import command_line
@@ -34,9 +35,9 @@ from isaacgymenvs_lite.__main__ import COMMANDS, words_of_play
 from isaacgymenvs_lite.checkpoints.policy_arguments import complete_arguments
 from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
-from isaacgymenvs_lite.config.hydra_bridge import options_parser, parse_overrides
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.train import split_options
 from isaacgymenvs_lite.workflows.command import PlaySettings, TrainSettings, read_command
 
 ROOT = Path(__file__).parents[1]
@@ -94,8 +95,9 @@ EXTRAS = {
     "isaacgymenvs_lite.demo": "video",
     "isaacgymenvs_lite.export": "export",
     "play_onnx.py": "export",
-    "isaacgymenvs_lite.motion.plot": "docs",
-    "isaacgymenvs_lite.motion.strip": "docs",
+    "isaacgymenvs_lite.report": "report",
+    "isaacgymenvs_lite.motion.plot": "report",
+    "isaacgymenvs_lite.motion.strip": "report",
     "tools.clip_synthesis": "retarget",
     "benchmarks.curves": "docs",
     "benchmarks.film": "video",
@@ -256,16 +258,17 @@ def check_torchrun(words: Sequence[str]) -> None:
 
 def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
-    options, others = options_parser().parse_known_args([with_real_file(word) for word in words])
-    assert not others, f"{others[0]}: no option of train.py"
-    overrides = complete_arguments(options.overrides)
-    check_config(compose(words_of_first_job(overrides), options.config_dir))
+    options, overrides = split_options([with_real_file(word) for word in words])
+    overrides = complete_arguments(overrides)
+    check_config(compose(words_of_first_job(overrides), options.get("--config-dir")))
 
 
 def words_of_first_job(words: Sequence[str]) -> list[str]:
     """Words with the first of several values; those of plugins only if the plugins are there."""
     found = []
-    for word, override in zip(words, parse_overrides(words), strict=True):
+    for word, override in zip(
+        words, OverridesParser.create().parse_overrides(list(words)), strict=True
+    ):
         if word.startswith(("hydra", "+study=")) and not find_spec("hydra_plugins"):
             continue
         if override.is_choice_sweep():
@@ -323,7 +326,7 @@ def check_module(module: str, words: Sequence[str]) -> None:
         is_training = "train" in (*words[:2], module.rpartition(".")[2])
         command = read_command(TrainSettings if is_training else PlaySettings, found)
         check_config(compose_task(command.settings.task, command.task_words))
-    if module.startswith("benchmarks.") and not getattr(found, "saved", False):  # names of files
+    if module.startswith("benchmarks."):
         check_experiments([*getattr(found, "what", ()), *getattr(found, "targets", ())])
 
 

@@ -254,7 +254,7 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
         go_on("resume=last")
 
 
-LOOKED_ON = {"viewer": "web", "viewer_host": "0.0.0.0", "headless": False, "capture_video": True}
+LOOKED_ON = {"viewer": "web", "headless": False, "capture_video": True}
 SENT_AWAY = {"wandb_activate": True, "wandb_entity": "stranger", "wandb_logcode_dir": "/"}
 
 
