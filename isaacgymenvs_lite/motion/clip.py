@@ -15,15 +15,11 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 MIN_FPS, MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
 """From the origin: beyond it single precision has steps of 1 mm."""
-MAX_POSES = 2_000_000
-"""Frames times bodies: 37 minutes of 15 bodies at 60 fps; velocities take 300 bytes of each."""
-MAX_BODIES = 500
 _MAX_BONE_M = 10.0
 _MAX_SPEED_M_S = 1_000.0
 _MAX_SPEED_RAD_S = 100_000.0
 # 160 turns of a wheel's hinge.
 MAX_JOINT_RAD = 1_000.0
-_MAX_DOFS = 3 * MAX_BODIES
 # How far the length of a stored quaternion may be from 1.
 _UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
@@ -145,8 +141,8 @@ class MotionClip:
 
         Raises:
             MotionFileError: arrays do not fit together, not one root, a child before its parent,
-                fewer than two frames, too many of them, NaN or infinity, quaternions that are not
-                of unit length (1e-3); a frame rate, place, bone or speed that no motion has.
+                fewer than two frames, NaN or infinity, quaternions that are not of unit length
+                (1e-3); a frame rate, place, bone or speed that no motion has.
         """
         self._check_shapes()
         self._check_tree()
@@ -195,17 +191,6 @@ class MotionClip:
 
     def _check_shapes(self) -> None:
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
-        if bodies > MAX_BODIES or frames * bodies > MAX_POSES:
-            raise MotionFileError(
-                f"{self.name}: has {frames} frames of {bodies} bodies, expected at most "
-                f"{MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
-            )
-        dofs = np.zeros((frames, 0)) if self.dof_pos is None else self.dof_pos
-        num_dofs = np.shape(dofs)[-1] if np.ndim(dofs) else 0
-        if num_dofs > _MAX_DOFS:
-            raise MotionFileError(
-                f"{self.name}: dof_pos has {num_dofs} columns, expected at most {_MAX_DOFS}"
-            )
         expected = {
             "parent_indices": (bodies,),
             "local_translation": (*(frames,) * (np.ndim(self.local_translation) == 3), bodies, 3),
@@ -215,7 +200,7 @@ class MotionClip:
             "angular_velocity_w": (frames, bodies, 3),
         }
         if self.dof_pos is not None:
-            expected["dof_pos"] = (frames, num_dofs)
+            expected["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
         for key, shape in expected.items():
             found = np.shape(getattr(self, key))
             if found != shape:

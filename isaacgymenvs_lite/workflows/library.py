@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from isaacgymenvs_lite.checkpoints.archive import read_archive
+from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
 from isaacgymenvs_lite.errors import CheckpointError
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.typed_command import package_command
@@ -161,10 +161,9 @@ def _is_sb3(checkpoint: Path) -> bool:
 def _read(checkpoint: Path, library: Library) -> dict[str, Any]:
     try:
         content = read_archive(checkpoint)
-    except Exception as error:  # on arbitrary bytes the reader may raise anything
+    except (ArchiveError, OSError) as error:
         raise CheckpointError(
-            f"checkpoint={checkpoint}: damaged, or no checkpoint, or with more than tensors in it"
-            f" (nothing was run); expected one of {library.title}"
+            f"checkpoint={checkpoint}: {error}; expected one of {library.title}"
         ) from error
     return dict(content) if isinstance(content, Mapping) else {}
 

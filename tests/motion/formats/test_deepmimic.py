@@ -178,7 +178,7 @@ def test_text_that_is_no_json_is_refused(tmp_path: Path, humanoid: Skeleton) -> 
     path = tmp_path / "clip.txt"
     for text, message in (
         ("walk!", "no JSON text"),
-        ("0 1 2\n", "of 3 columns, which"),
+        ("0 1 2\n", "no JSON text"),
         ("[1]", "a JSON list"),
     ):
         path.write_text(text)
