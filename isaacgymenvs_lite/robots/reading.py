@@ -126,7 +126,9 @@ def _leave_out(spec: mujoco.MjSpec, with_sensors: bool) -> list[str]:
     for thing in [thing for things in left_out.values() for thing in things]:
         spec.delete(thing)
     defaults = mujoco.MjSpec()
-    spec.memory = defaults.memory
+    sizes = [name for name in dir(spec) if name.startswith("nuser")]
+    for name in ("memory", "nkey", *sizes):  # <size>; the task adds sensors and has no keyframes
+        setattr(spec, name, getattr(defaults, name))
     for name in ("meaninertia", "meanmass", "meansize", "extent", "center"):
         setattr(spec.stat, name, getattr(defaults.stat, name))
     materials = {material.name for material in spec.materials}

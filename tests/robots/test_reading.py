@@ -242,11 +242,11 @@ def test_includes_that_include_each_other(tmp_path):
 
 def test_what_a_robot_does_not_need_is_left_out(tmp_path):
     element = '<element objtype="body" objname="base"/>'
-    rest = f"""<size memory="1K"/><custom><tuple name="t">{element}</tuple></custom>
+    rest = f"""<size memory="1K" nkey="1"/><custom><tuple name="t">{element}</tuple></custom>
     <statistic meaninertia="9"/><sensor><user dim="3"/></sensor>"""
     robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
     model = robot.spec.compile()
-    assert model.nsensordata == model.ntuple == 0
+    assert model.nsensordata == model.ntuple == model.nkey == 0
     assert model.stat.meaninertia < 9
     assert robot.notes == ("left out of the file: 1 sensors",)
 

@@ -132,10 +132,7 @@ def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
 
 def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
-    try:
-        rows = np.array(data.get("Frames"), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        rows = np.zeros((0, 0))
+    rows = np.array(data.get("Frames"), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
         raise MotionFileError(
             f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
