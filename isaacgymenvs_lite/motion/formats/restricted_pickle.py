@@ -134,15 +134,24 @@ def _from_buffer(
     return values.reshape(shape, order=order)
 
 
-_NAMES: dict[tuple[str, str], Any] = {
-    ("collections", "OrderedDict"): dict,
-    ("numpy", "ndarray"): None,  # an argument of _reconstruct
-    ("numpy", "dtype"): _Dtype,
-}
-for _numpy_core in ("numpy.core", "numpy._core"):  # numpy 1 and numpy 2
-    _NAMES[f"{_numpy_core}.multiarray", "_reconstruct"] = _Array
-    _NAMES[f"{_numpy_core}.multiarray", "scalar"] = _scalar
-    _NAMES[f"{_numpy_core}.numeric", "_frombuffer"] = _from_buffer
+def _names(stream: BinaryIO) -> dict[tuple[str, str], Any]:
+    """Return what the names in a file stand for.
+
+    Functions are made for each file, because an instruction of a pickle can set their attributes.
+    """
+    names: dict[tuple[str, str], Any] = {
+        ("collections", "OrderedDict"): dict,
+        ("numpy", "ndarray"): None,  # an argument of _reconstruct
+        ("numpy", "dtype"): _Dtype,
+        ("joblib.numpy_pickle", "NumpyArrayWrapper"): type(
+            "_JoblibArray", (_JoblibArray,), {"stream": stream}
+        ),
+    }
+    for core in ("numpy.core", "numpy._core"):  # numpy 1 and numpy 2
+        names[f"{core}.multiarray", "_reconstruct"] = _Array
+        names[f"{core}.multiarray", "scalar"] = lambda *arguments: _scalar(*arguments)
+        names[f"{core}.numeric", "_frombuffer"] = lambda *arguments: _from_buffer(*arguments)
+    return names
 
 
 class _Unpickler(pickle.Unpickler):
@@ -151,8 +160,7 @@ class _Unpickler(pickle.Unpickler):
     def __init__(self, stream: BinaryIO, path: str | Path) -> None:
         super().__init__(stream)
         self._path = path
-        array_in_file = type("_JoblibArray", (_JoblibArray,), {"stream": stream})
-        self._names = {**_NAMES, ("joblib.numpy_pickle", "NumpyArrayWrapper"): array_in_file}
+        self._names = _names(stream)
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in self._names:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.formats import restricted_pickle
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
 
 
@@ -112,6 +113,7 @@ def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
         b"cnumpy\ndtype\n}b.",
         b"ccollections\nOrderedDict\n}U\x08__call__K\x01sb.",
         b"cnumpy.core.multiarray\nscalar\n(N}tb.",
+        b"cnumpy.core.multiarray\nscalar\n(N}U\x0c__defaults__(K\x01K\x02tstb.",
         b"cnumpy\nndarray\n(K\x01tR.",  # an array without content
         # 255 numbers in 0 bytes:
         b"cnumpy\nndarray\n(tR(K\x01(K\xfftcnumpy\ndtype\n(U\x02f8tRI00\nU\x00tb.",
@@ -123,10 +125,15 @@ def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
         b"",
     ],
 )
-def test_malformed_programs_are_one_line(tmp_path: Path, program: bytes) -> None:
+def test_malformed_programs_are_one_line_and_change_nothing(tmp_path: Path, program: bytes) -> None:
     with pytest.raises(MotionFileError) as raised:
         load_object_npy(write_npy(tmp_path / "bad.npy", program))
     assert "\n" not in str(raised.value)
+    good = write_npy(
+        tmp_path / "good.npy", pickled_array({"a": np.arange(3.0), "b": np.float32(2)})
+    )
+    np.testing.assert_array_equal(load_object_npy(good)["a"], [0.0, 1.0, 2.0])
+    assert restricted_pickle._scalar.__defaults__ is None
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
