@@ -42,7 +42,7 @@ def read_archive(path: Path) -> Any:
         except Exception as error:  # a damaged file may raise anything in torch's reader
             forbidden = re.search(r"GLOBAL ([\w.]+)", str(error))
             if forbidden is None:
-                raise ArchiveError("damaged or no checkpoint") from error
+                raise ArchiveError("damaged or no checkpoint, nothing was run") from error
             raise _refused(forbidden[1][:100]) from error
 
 

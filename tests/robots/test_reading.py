@@ -1,4 +1,4 @@
-"""Files of strangers: what is read, and what is refused before MuJoCo gets it."""
+"""Robot files of strangers: what is read, and what is refused in one line."""
 
 from __future__ import annotations
 
