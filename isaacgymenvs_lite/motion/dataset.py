@@ -39,6 +39,9 @@ def read_dataset(path: str | Path) -> list[DatasetEntry]:
     with reading(path, "data set of clips"):
         try:
             data = load_yaml(Path(path))
+        except ConfigError as error:
+            raise MotionFileError(f"{error}; {_EXAMPLE}") from error
+        try:
             motions = read_section(_Dataset, data, "", complete=True).motions
             entries = [
                 read_section(DatasetEntry, entry, f"motions[{i}]", complete=True)
