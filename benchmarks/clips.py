@@ -1,7 +1,7 @@
-"""The clips that one preset is tried on: their list, the table of what was reached, and a picture.
+"""The clips that one preset is tried on: their list and the table of their results.
 
     python -m benchmarks.learning clips --minutes 60 --until-learned --resume
-    python -m benchmarks.clips [--clips deepmimic shipped PATH ...] [--out docs/images/clips.png]
+    python -m benchmarks.clips [--clips deepmimic shipped PATH ...]
 
 The first command trains one clip after the other, each with the same settings and for the same
 time, and writes a record after each; it goes on where it was stopped. `--until-learned` ends a
@@ -17,16 +17,12 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from benchmarks import tables
-from benchmarks.curves import figure_for
-from benchmarks.evaluate import CURVES, RESULTS_DIR
+from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.experiments import Experiment, find_experiment, override
 from benchmarks.learned import allowed_error, is_learned
-from benchmarks.learning_curve import LearningCurve
 from benchmarks.records import Record, read_records, spread_cell
-from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import PREFIX, clips_in_package
 from isaacgymenvs_lite.motion.loader import (
@@ -39,7 +35,6 @@ NAME = "clips"
 """Of the experiment, and of the folder of its records in benchmarks/results."""
 DEFAULT_CLIPS = ("deepmimic", "shipped")
 _SUFFIXES = (".npz", ".npy", ".json", ".txt", ".csv")
-_COLUMNS = 5
 
 
 def named_clips(words: Sequence[str]) -> dict[str, str]:
@@ -159,54 +154,16 @@ def newest_records(labels: Sequence[str], folder: Path) -> dict[str, list[Record
     return found
 
 
-def draw(
-    labels: Sequence[str], records: Mapping[str, Sequence[Record]], folder: Path, out: Path
-) -> None:
-    """Write a picture: for each clip its pose error and the motion shown over the training.
-
-    Raises:
-        UserError: matplotlib is not installed, or the folder does not exist.
-    """
-    done = [label for label in labels if label in records]
-    rows = max(1, -(-len(done) // _COLUMNS))
-    figure = figure_for(out, (2.4 * _COLUMNS, 1.8 * rows))
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
-    for panel, label in zip(panels, done, strict=False):
-        curves = find_saved_curves(label, folder / CURVES)
-        _draw_clip(panel, label, curves, _learned_cell(records[label]))
-    handles, names = panels[0].get_legend_handles_labels()
-    panels[0].legend(handles[:2], names[:2], fontsize=6)
-    for panel in panels[len(done) :]:
-        panel.set_axis_off()
-    figure.savefig(out)
-
-
-def _draw_clip(panel: Any, label: str, curves: Sequence[LearningCurve], learned: str) -> None:
-    for curve in curves:
-        shown, error = curve["motion_shown"], curve["pose_error_m"]
-        panel.plot(shown.frames * 1e-6, shown.values, color="C0", label="motion shown")
-        errors = error.values * 5.0
-        panel.plot(error.frames * 1e-6, errors, color="C3", label="pose error, 0.2 m = 1")
-    panel.axhline(5.0 * allowed_error(label)[0], color="C3", linestyle=":", linewidth=1.0)
-    panel.set_ylim(0.0, 1.05)
-    note = {"yes": " (learned)", "no": ""}.get(learned, f" ({learned})")
-    panel.set_title(label + note, fontsize=8)
-    panel.tick_params(labelsize=7)
-
-
 def main() -> None:
     """Print the table, and draw."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--clips", nargs="+", default=DEFAULT_CLIPS)
     parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR / NAME)
-    parser.add_argument("--out", type=Path, help="the picture")
     args = parser.parse_args()
     try:
         labels = list(named_clips(args.clips))
         records = newest_records(labels, args.results_dir)
         print(table(labels, records))
-        if args.out is not None:
-            draw(labels, records, args.results_dir, args.out)
     except UserError as error:
         sys.exit(f"error: {error}")
 

@@ -1,14 +1,10 @@
-"""Draws learning curves of runs and prints their table for docs/.
+"""Draws learning curves of runs and prints their table.
 
     python -m benchmarks.curves TARGET [TARGET ...] --out docs/images/NAME.png
-        [--runs-dir runs/benchmarks] [--against minutes|frames] [--saved] [--returns]
-    python -m benchmarks.curves TARGET [TARGET ...] --measurements [--saved] [--results-dir DIR]
+        [--runs-dir runs/benchmarks] [--against minutes|frames] [--returns]
 
-A target is a run folder or the name of an experiment: one thin line for each seed, the median
-thick. Dotted is where a run was resumed and had ended short episodes only. `--saved` draws the
-curves of experiments that benchmarks/results keeps, without their runs.
-`--returns` draws the return of training episodes, a panel for each experiment: classic tasks.
-`--measurements` prints each run's own table, a row for each measurement of the pose error.
+A target is a run folder or the name of an experiment. Each seed is a thin line, the median is
+thick. `--returns` draws the return of training episodes, one panel for each experiment.
 Needs matplotlib, `pip install "isaacgymenvs-lite[docs]"`; without --out only the table is printed.
 """
 
@@ -23,11 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import tables
-from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.learning_curve import LearningCurve, read_learning_curve
 from benchmarks.records import GOOD_EPISODE_STEPS, spread_cell
 from benchmarks.runs import DEFAULT_RUNS_DIR, find_runs
-from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError, UserError
 from isaacgymenvs_lite.report.scalars import FloatArray, Series
 from isaacgymenvs_lite.utils.optional_packages import import_package
@@ -37,18 +31,6 @@ _PANELS = {
     "pose_error_m": "pose error (m)",
     "tempo": "tempo (the clip's: 1)",
     "style_reward": "style reward per step",
-}
-# Columns of the course of a run: scalar -> title, format.
-_COURSE = {
-    "episode_length": ("episode length in training", ".0f"),
-    "fall_rate": ("falls in training", ".0%"),
-    "style_reward": ("style reward", ".2f"),
-    "disc_agent_acc": ("accuracy: policy", ".2f"),
-    "disc_demo_acc": ("accuracy: clip", ".2f"),
-    "pose_error_m": ("pose error (m)", ".3f"),
-    "tempo": ("tempo", ".2f"),
-    "motion_shown": ("motion shown", ".2f"),
-    "no_fall_share": ("without a fall", ".2f"),
 }
 _AXES = {"minutes": ("minutes", 1.0), "frames": ("million frames", 1e-6)}
 _MEDIAN_POINTS = 400
@@ -75,13 +57,6 @@ def median_line(lines: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatAr
 def line_of(series: Series, against: str) -> tuple[FloatArray, FloatArray]:
     """Return (x, y) of a series, x in minutes or in millions of frames."""
     return getattr(series, against) * _AXES[against][1], series.values
-
-
-def with_gaps(series: Series, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (x, y) of a series with a nan where it was resumed, at which a line is broken."""
-    at = np.searchsorted(series.frames, series.resumed_at)
-    at = at[(at > 0) & (at < len(series))]
-    return np.insert(x, at, np.nan), np.insert(series.values, at, np.nan)
 
 
 def draw(curves: Curves, path: Path, against: str = "minutes") -> None:
@@ -122,9 +97,8 @@ def _draw_seeds(
     panel: Any, seeds: Sequence[Series], against: str, color: str, label: str | None = None
 ) -> None:
     lines = [line_of(series, against) for series in seeds]
-    for series, (x, y) in zip(seeds, lines, strict=True):
-        panel.plot(*with_gaps(series, x), color=color, linewidth=0.6, alpha=0.6)
-        panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6, linestyle=":")
+    for x, y in lines:
+        panel.plot(x, y, color=color, linewidth=0.6, alpha=0.6)
     panel.plot(*median_line(lines), color=color, linewidth=2.0, label=label)
 
 
@@ -203,28 +177,6 @@ def markdown_table_of_returns(curves: Curves) -> str:
     return tables.markdown(headings, rows)
 
 
-def markdown_table_of_measurements(curves: Curves) -> str:
-    """Return for each run a table with a row for each measurement of its pose error."""
-    headings = ("frames (M)", "minutes", *(title for title, _ in _COURSE.values()))
-    found = []
-    for experiment, seeds in curves.items():
-        for number, curve in enumerate(seeds, 1):
-            rows = [_row_of_measurement(curve, i) for i in range(len(curve["pose_error_m"]))]
-            found.append(f"{experiment}, run {number}\n\n{tables.markdown(headings, rows)}")
-    return "\n\n".join(found)
-
-
-def _row_of_measurement(curve: LearningCurve, number: int) -> list[str]:
-    measured = curve["pose_error_m"]
-    frames = measured.frames[number]
-    cells = [f"{frames / 1e6:.1f}", f"{measured.minutes[number]:.1f}"]
-    for name, (_, number_format) in _COURSE.items():
-        series = curve[name]
-        value = np.interp(frames, series.frames, series.values) if len(series) else None
-        cells.append("-" if value is None else f"{value:{number_format}}")
-    return cells
-
-
 def _frames_per_s(curve: LearningCurve) -> float | None:
     """Return the frames per second of the whole training, measurements and all."""
     clock = curve["fps"]
@@ -242,10 +194,6 @@ def _of_runs(targets: Sequence[str], runs_dir: Path) -> dict[str, list[LearningC
     return curves
 
 
-def _saved(experiments: Sequence[str], results_dir: Path) -> dict[str, list[LearningCurve]]:
-    return {name: find_saved_curves(name, results_dir / CURVES) for name in experiments}
-
-
 def main() -> None:
     """Draw and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -253,22 +201,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="the picture, .png or .svg")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--against", choices=sorted(_AXES), default="minutes")
-    parser.add_argument("--saved", action="store_true", help="curves that were kept")
-    parser.add_argument("--results-dir", type=Path, default=RESULTS_DIR, help="where --saved looks")
     parser.add_argument("--returns", action="store_true", help="returns of classic tasks")
-    parser.add_argument("--measurements", action="store_true", help="the course of each run")
     args = parser.parse_intermixed_args()
     table, picture = (
         (markdown_table_of_returns, draw_returns) if args.returns else (markdown_table, draw)
     )
-    if args.measurements:
-        table = markdown_table_of_measurements
     try:
-        curves = (
-            _saved(args.targets, args.results_dir)
-            if args.saved
-            else _of_runs(args.targets, args.runs_dir)
-        )
+        curves = _of_runs(args.targets, args.runs_dir)
         print(table(curves))
         if args.out:
             picture(curves, args.out, args.against)

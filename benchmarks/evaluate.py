@@ -7,8 +7,7 @@ A target is a checkpoint, a run folder (its newest checkpoint), or the name of a
 newest checkpoint of each of its seeds). 32 episodes of up to 300 steps, one in each environment,
 from random moments of the clip, the same for every policy; mean actions. `--episodes` plays more,
 where 32 are too few: four falls can be 5% as well as 20%. Prints one line for each
-policy and the medians over seeds; `--write` adds the records and the learning curves to
-benchmarks/results.
+policy and the medians over seeds; `--write` adds the records to benchmarks/results.
 """
 
 from __future__ import annotations
@@ -32,13 +31,10 @@ from benchmarks.records import (
     write_records,
 )
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run, find_runs, plain
-from benchmarks.saved_curves import save_curve
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 
 RESULTS_DIR = Path(__file__).with_name("results")
-CURVES = "curves"
-"""Folder of the learning curves, in the folder of the records."""
 
 
 def measure(
@@ -141,7 +137,6 @@ def keep(run: Run, record: Record, results_dir: Path | None) -> None:
     if results_dir is not None:
         for file in write_records([record], results_dir):
             print(f"wrote {file}")
-        keep_curve(run, results_dir)
 
 
 def print_medians(records: Sequence[Record]) -> None:
@@ -149,12 +144,6 @@ def print_medians(records: Sequence[Record]) -> None:
     for experiment, group in by_experiment(records).items():
         if len(group) > 1:
             print(f"{experiment}, median of {len(group)}: {numbers_line(medians(group))}")
-
-
-def keep_curve(run: Run, results_dir: Path) -> None:
-    """Write a run's learning curve into `results_dir`."""
-    curve = read_learning_curve(run.folder / "summaries")
-    save_curve(curve, results_dir / CURVES / f"{run.folder.resolve().name}.json")
 
 
 def main() -> None:

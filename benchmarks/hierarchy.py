@@ -1,15 +1,13 @@
 """Measures the levels of a hierarchy by the fixed protocol.
 
     python -m benchmarks.hierarchy skills TARGET [TARGET ...] [key=value ...]
-    python -m benchmarks.hierarchy clips TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy getup TARGET [TARGET ...] [key=value ...]
     python -m benchmarks.hierarchy goal TARGET [TARGET ...] [key=value ...]
         [--runs-dir runs/benchmarks] [--random-latents] [--write]
 
 `skills` plays low-level controllers under latents as in training: which clips of the data set their
-motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `clips`
-plays each of them under latents of one clip after the other, and compares how fast the character
-goes and turns with the clip. `getup` plays low-level controllers of HumanoidASEGetup from the
+motion is nearest to, what the encoder makes of it, how many episodes end without a fall. `getup`
+plays low-level controllers of HumanoidASEGetup from the
 ground: the share of characters that are up within 3 s, and stay up until 6 s. `goal` plays policies
 on a task: the task's return, 1 for the full reward in every step.
 
@@ -22,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,7 +29,6 @@ from typing import Any
 
 import torch
 
-from benchmarks import tables
 from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import IMITATION_SETTINGS, SEED, play_checkpoint
@@ -42,14 +38,8 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError, UserError
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 from isaacgymenvs_lite.learning.skills.low_level_policy import LowLevelPolicy, LowLevelSizes
-from isaacgymenvs_lite.motion.motion_lib import MotionLib
-from isaacgymenvs_lite.tasks.goals.planar import facing, xy_in_heading_frame
 
 EPISODES = 128
-CLIP_STEPS, CLIP_STARTS = 150, 40
-"""Control steps under latents of one clip, and after how many of them it is under way."""
-MOVING_M_S = 0.3
-"""A clip of this pace goes or turns, a slower one rests."""
 GETUP_S = 3.0
 CONTROL_STEPS_PER_S = 30
 LLC_CONFIG = "HumanoidASEPPO"
@@ -79,94 +69,6 @@ class Skills:
             f"coverage {self.coverage:.2f}, encoder reward {self.encoder_reward:.3f}"
             f" ({self.shuffled_reward:.3f} shuffled), without a fall {self.no_fall_share:.2f}"
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pace:
-    """How fast a character goes and turns, in the heading frame of its root.
-
-    Attributes:
-        forward: m/s.
-        left: m/s.
-        turn: degrees/s, to the left.
-    """
-
-    forward: float
-    left: float
-    turn: float
-
-    def __str__(self) -> str:
-        return f"{self.forward:.2f}, {self.left:.2f}, {self.turn:.0f}"
-
-    @classmethod
-    def of(cls, root_pos: torch.Tensor, root_rot: torch.Tensor, dt_s: float) -> Pace:
-        """Return the means over roots (T, n, 3) m and (T, n, 4) xyzw of consecutive moments."""
-        before, after = root_rot[:-1].flatten(0, 1), root_rot[1:].flatten(0, 1)
-        travel_w = (root_pos[1:] - root_pos[:-1])[..., :2].flatten(0, 1)
-        forward, left = (xy_in_heading_frame(before, travel_w).mean(dim=0) / dt_s).tolist()
-        ahead, aside = xy_in_heading_frame(before, facing(after)).unbind(-1)
-        turn = torch.atan2(aside, ahead).mean().rad2deg().item() / dt_s
-        return cls(forward=forward, left=left, turn=turn)
-
-    def distance(self, other: Pace) -> float:
-        """Return the difference in m/s; 100 degrees/s count as 1 m/s."""
-        pairs = (self.forward, other.forward), (self.left, other.left), (self.turn, other.turn)
-        return math.hypot(*(w * (a - b) for w, (a, b) in zip((1.0, 1.0, 0.01), pairs, strict=True)))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClipSkill:
-    """What a low-level controller does under latents of one clip.
-
-    Attributes:
-        clip: how fast the clip goes and turns.
-        shown: how fast the character does.
-        encoder_reward: mean of the steps.
-        no_fall_share: of the characters.
-    """
-
-    clip: Pace
-    shown: Pace
-    encoder_reward: float
-    no_fall_share: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClipSkills:
-    """What a low-level controller does under latents of each clip.
-
-    Attributes:
-        num_moving: clips that go or turn, at 0.3 m/s or more.
-        num_followed: those of them where the character's pace is off by at most half of the clip's.
-        clips: by the clips' names.
-    """
-
-    num_moving: int
-    num_followed: int
-    clips: dict[str, ClipSkill]
-
-    @classmethod
-    def of(cls, clips: dict[str, ClipSkill]) -> ClipSkills:
-        """Count what is followed."""
-        rest = Pace(forward=0.0, left=0.0, turn=0.0)
-        moving = [of for of in clips.values() if of.clip.distance(rest) >= MOVING_M_S]
-        followed = [of for of in moving if of.shown.distance(of.clip) <= of.clip.distance(rest) / 2]
-        return cls(num_moving=len(moving), num_followed=len(followed), clips=clips)
-
-    def __str__(self) -> str:
-        columns = (
-            "clip",
-            "m/s forward, left, degrees/s",
-            "shown",
-            "encoder reward",
-            "without a fall",
-        )
-        rows = []
-        for name, of in self.clips.items():
-            shares = f"{of.encoder_reward:.2f}", f"{of.no_fall_share:.2f}"
-            rows.append((name, str(of.clip), str(of.shown), *shares))
-        head = f"follows {self.num_followed} of the {self.num_moving} clips that go or turn"
-        return f"{head}\n{tables.markdown(columns, rows)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,60 +148,6 @@ def measure_skills(player: Any, env: Any) -> Skills:
     )
 
 
-def measure_clips(player: Any, env: Any) -> ClipSkills:
-    """Play a low-level controller under latents of each clip; see the module docstring.
-
-    Raises:
-        ConfigError: it is none, or has more clips than there are episodes.
-    """
-    if not hasattr(player, "hold_latents"):
-        raise ConfigError("clips: expected a policy of algo: name: gen_amp or ase")
-    clips = env.motion_lib
-    if clips.num_motions() > env.num_envs:
-        raise ConfigError(
-            f"clips: got a data set of {clips.num_motions()} clips, expected at most"
-            f" {env.num_envs}, one for each episode; give a smaller one:"
-            " task.env.motion_file=FILE.yaml"
-        )
-    own_clip = torch.arange(env.num_envs) % clips.num_motions()
-    player.hold_latents(player.encoder.read(moments_of(env.windows_of_clips(), own_clip)))
-    obs, roots, agreements = env.reset(), [], []
-    stays_up = torch.ones(env.num_envs, dtype=torch.bool)
-    for _ in range(CLIP_STEPS):
-        obs, _, dones, infos = env.step(player.act(obs))
-        found = player.encoder.read(infos["amp_obs"].to(player.device))
-        agreements.append((found * player.current_latents).sum(dim=-1).cpu())
-        roots.append(env.simulation.root_states[:, :7].cpu().clone())
-        stays_up &= ~dones.bool().cpu()
-    moving, agreement = torch.stack(roots[CLIP_STARTS:]), torch.stack(agreements[CLIP_STARTS:])
-    skills = {}
-    for clip in range(clips.num_motions()):
-        of_clip = (own_clip == clip).nonzero().flatten()
-        root = moving[:, of_clip]
-        skills[Path(clips.get_motion(clip).name).stem] = ClipSkill(
-            clip=_pace_of_clip(clips, clip, env.control_dt_s),
-            shown=Pace.of(root[..., :3], root[..., 3:], env.control_dt_s),
-            encoder_reward=agreement[:, of_clip].clamp(min=0.0).mean().item(),
-            no_fall_share=stays_up[of_clip].float().mean().item(),
-        )
-    return ClipSkills.of(skills)
-
-
-def moments_of(windows: list[torch.Tensor], clips: torch.Tensor) -> torch.Tensor:
-    """Return a window (N, F) of clips (N,) each, evenly spread over the clip."""
-    rows = torch.empty(len(clips), windows[0].shape[1])
-    for clip, of_clip in enumerate(windows):
-        (envs,) = (clips == clip).nonzero(as_tuple=True)
-        rows[envs] = of_clip[torch.linspace(0, len(of_clip) - 1, len(envs)).long()].cpu()
-    return rows
-
-
-def _pace_of_clip(clips: MotionLib, clip: int, dt_s: float) -> Pace:
-    times_s = torch.arange(0.0, float(clips.get_motion_length([clip])), dt_s)
-    state = clips.get_motion_state(torch.full((len(times_s),), clip), times_s)
-    return Pace.of(state.root_pos.cpu()[:, None], state.root_rot.cpu()[:, None], dt_s)
-
-
 def measure_getup(player: Any, env: Any) -> GotUp:
     """Play a low-level controller from the ground; see the module docstring.
 
@@ -354,7 +202,7 @@ def _policy(player: Any, random_latents: bool) -> Callable[[dict[str, torch.Tens
 def main(words: list[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=["skills", "clips", "getup", "goal"])
+    parser.add_argument("kind", choices=["skills", "getup", "goal"])
     parser.add_argument("what", nargs="+", help="checkpoints, run folders, experiments, overrides")
     parser.add_argument("--runs-dir", type=Path, default=DEFAULT_RUNS_DIR)
     parser.add_argument("--random-latents", action="store_true")
@@ -368,7 +216,6 @@ def main(words: list[str] | None = None) -> None:
         sys.exit("error: --random-latents belongs to goal")
     measures = {
         "skills": measure_skills,
-        "clips": measure_clips,
         "getup": measure_getup,
         "goal": partial(measure_goal, random_latents=args.random_latents),
     }

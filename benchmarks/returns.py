@@ -5,8 +5,7 @@
 
 Targets are those of `benchmarks.evaluate`. 128 episodes, one in each environment, the same starts
 for all policies; mean actions, no noise. The return is the sum of the task's rewards of an episode,
-as the task pays them. `--write` adds the numbers to benchmarks/results, and keeps the learning
-curves there.
+as the task pays them. `--write` adds the numbers to benchmarks/results.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.evaluate import RESULTS_DIR, keep_curve
+from benchmarks.evaluate import RESULTS_DIR
 from benchmarks.played import append_result, find_targets
 from benchmarks.protocol import SEED, play_checkpoint
 from benchmarks.runs import DEFAULT_RUNS_DIR, Run
@@ -84,7 +83,6 @@ def measure_and_keep(
     if results_dir is not None:
         name, steps = run.experiment, found.max_steps
         append_result(results_dir, name, run, checkpoint, found, seed, EPISODES, steps)
-        keep_curve(run, results_dir)
     return found
 
 

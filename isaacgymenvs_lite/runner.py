@@ -80,7 +80,6 @@ from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import thread_count
 from isaacgymenvs_lite.viewers.start import Viewers
 from isaacgymenvs_lite.viewers.window import WindowClosedError
-from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
 log = logging.getLogger(__name__)
 _rl_games_log = logging.getLogger("rl_games")
@@ -624,9 +623,10 @@ def _load_runner(
         task: the task.
         observer: of an agent; None for a player.
     """
-    vec_env = RLGPUEnv.from_task(task)
     from isaacgymenvs_lite.registration import build_runner
+    from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 
+    vec_env = RLGPUEnv.from_task(task)
     runner = build_runner(observer)
     runner.load({"params": params})
     # After `load`, which copies its argument. A player acts in the task itself.

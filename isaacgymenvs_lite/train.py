@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import importlib
 import logging
 import os
 import sys
@@ -51,6 +52,7 @@ from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 log = logging.getLogger(__name__)
 
 EXIT_FAILED_JOBS = 1
+_NO_COMPILER = "TORCHDYNAMO_DISABLE"
 
 # How long another process of a data-parallel training has to report its mistake.
 _REPORT_S = 10.0
@@ -102,7 +104,7 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
     check_words(words)
     Summary.num_failed = 0
     command = command.after(inherited_settings(words))
-    options, overrides = _split_options(complete_arguments(words))
+    options, overrides = split_options(complete_arguments(words))
     folders = [
         next((options.pop(name) for name in names if name in options), None)
         for names in (("--config-dir", "-cd"), ("--config-path", "-cp"))
@@ -150,7 +152,7 @@ def _compose_and_run(files: StagedFiles, command: TypedCommand, launcher: str | 
         ) from error
 
 
-def _split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
+def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
     """Return Hydra's options with their values, and the overrides, which Hydra reads after them.
 
     Raises:
@@ -215,6 +217,11 @@ def _run_job_of_sweep(cfg: DictConfig, command: TypedCommand, parent: int) -> fl
 
 def _run(cfg: DictConfig, command: TypedCommand, **of_sweep: Any) -> float | None:
     config = read_config(cfg)
+    if _NO_COMPILER not in os.environ:
+        # rl_games compiles a network of its own tests where it is imported, for two seconds.
+        os.environ[_NO_COMPILER] = "1"
+        importlib.import_module("isaacgymenvs_lite.registration")
+        del os.environ[_NO_COMPILER]
     from isaacgymenvs_lite.runner import run  # torch, MuJoCo and rl_games: after the checks
 
     return run(config, command, **of_sweep)

@@ -34,6 +34,7 @@ from isaacgymenvs_lite.config import launch
 from isaacgymenvs_lite.config.compose import compose, compose_task
 from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.errors import UserError
+from isaacgymenvs_lite.train import split_options
 from isaacgymenvs_lite.workflows.command import PlaySettings, TrainSettings, read_command
 
 ROOT = Path(__file__).parents[1]
@@ -55,8 +56,19 @@ USERS_FILES = {
     "/configs/my_robot.yaml": "cfg/task/RobotAMP.yaml",
     "amp_humanoid_walk.npy": "assets/amp/motions/walk.npz",
     **dict.fromkeys(
-        "walk1_subject1.csv dance.bvh dance.npz dance.csv trot.npz half.npz half.csv my_walk.npz"
-        " my_script.py g1.yaml policy.onnx".split()
+        [
+            "walk1_subject1.csv",
+            "dance.bvh",
+            "dance.npz",
+            "dance.csv",
+            "trot.npz",
+            "half.npz",
+            "half.csv",
+            "my_walk.npz",
+            "my_script.py",
+            "g1.yaml",
+            "policy.onnx",
+        ]
     ),
 }
 # `FILE`, `TARGET`, `<run>`: whatever the user means.
@@ -208,14 +220,9 @@ def check_torchrun(words: Sequence[str]) -> None:
 
 def check_train(words: Sequence[str]) -> None:
     """The words compose, and pass what train.py checks before it makes a task."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("-m", "--multirun", action="store_true")
-    for option in ("--config-dir", "--cfg"):
-        parser.add_argument(option)
-    options, overrides = parser.parse_known_args([with_real_file(word) for word in words])
-    unknown = [word for word in overrides if word.startswith("-")]
-    assert not unknown, f"{unknown}: no option of train.py"
-    read_config(compose(words_of_first_job(complete_arguments(overrides)), options.config_dir))
+    options, overrides = split_options([with_real_file(word) for word in words])
+    words = words_of_first_job(complete_arguments(overrides))
+    read_config(compose(words, options.get("--config-dir")))
 
 
 def words_of_first_job(words: Sequence[str]) -> list[str]:

@@ -20,7 +20,7 @@ from isaacgymenvs_lite.config.rl_games_settings import UnitsSettings, scale_unit
 from isaacgymenvs_lite.config.run_names import TRAIN_DIR, train_dir_of
 from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, one_line
-from isaacgymenvs_lite.schema import read_keys, select
+from isaacgymenvs_lite.schema import keys_of, read_keys, select
 
 log = logging.getLogger(__name__)
 
@@ -135,6 +135,8 @@ def _forget_the_rest(cfg: DictConfig, typed: Collection[str]) -> None:
     left = [key for key in left if key not in typed]
     if left:
         log.info("not taken over from the run, type again what you want: %s", ", ".join(left))
+    for key in set(cfg) - keys_of(LaunchSettings) - {"task", "train", "pbt"}:
+        del cfg[key]  # of an earlier version
     for key, value in defaults.items():
         cfg[key] = value
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.checkpoints.archive import MAX_FILE_BYTES, ArchiveError, read_archive
+from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
 from isaacgymenvs_lite.checkpoints.files import (
     load_checkpoint,
     newest_run,
@@ -69,8 +69,8 @@ def new_token() -> str:
 
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
-) -> tuple[list[Path], int | None]:
-    """Write a state into a run folder, beside the ones before.
+) -> list[Path]:
+    """Write a state into a run folder, in addition to the former ones; return its files.
 
     Args:
         run: the run folder.
@@ -79,24 +79,14 @@ def write_training_state(
         token: see `new_token`.
         rank: of this process.
 
-    Returns:
-        The files that were written; the bytes of the buffers if these are larger than what a
-        reader accepts and were left out, else None.
-
     Raises:
         OSError: the folder cannot be written or is full; the former state is left.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     file, buffers = _files_of(folder / f"{epoch}.pth", rank)
-    files, too_large = [file], None
     if state.buffers is not None:
-        size = num_bytes(state.buffers)
-        if size < MAX_FILE_BYTES:
-            write_atomically(buffers, {"token": token, "buffers": state.buffers})
-            files.append(buffers)
-        else:
-            too_large = size
+        write_atomically(buffers, {"token": token, "buffers": state.buffers})
     entry = {
         "version": _VERSION,
         "token": token,
@@ -105,7 +95,7 @@ def write_training_state(
     }
     checkpoint = plain_numbers(state.checkpoint) if rank == 0 else {}
     write_atomically(file, {**checkpoint, KEY: entry})
-    return files, too_large
+    return [file] if state.buffers is None else [file, buffers]
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
@@ -201,9 +191,8 @@ def _read_archive(file: Path, hint: str) -> Any:
         return read_archive(file)
     except OSError as error:
         raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
-    except Exception as error:  # a damaged file may raise anything in the reader
-        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
-        raise CheckpointError(f"resume={file}: damaged{reason}; {hint}") from error
+    except ArchiveError as error:
+        raise CheckpointError(f"resume={file}: {error}; {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:

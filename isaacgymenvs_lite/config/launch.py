@@ -89,10 +89,6 @@ class LaunchSettings:
     """`web` serves a page that shows environment 0."""
     viewer_port: int = setting(8080, minimum=0, maximum=65535)
     """Of the page; 0 takes a free one."""
-    viewer_host: str = setting("localhost")
-    """Where the page is served; 0.0.0.0 for all addresses of the machine."""
-    viewer_allowed_hosts: list[str] = setting([])
-    """More hosts, with or without a port, at which browsers may reach the page."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
     """Environment steps from the start of one video to the start of the next."""

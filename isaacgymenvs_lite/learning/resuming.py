@@ -122,11 +122,9 @@ class Resuming(BaseAlgorithm):
             remove_other_states(Path(self.experiment_dir), self.epoch_num)
         self._stored_epoch = self.epoch_num
         if written is not None:
-            self._report_size(*written, time.monotonic() - start)
+            self._report_size(written, time.monotonic() - start)
 
-    def _write_state(
-        self, state: TrainingState, token: str
-    ) -> tuple[list[Path], int | None] | None:
+    def _write_state(self, state: TrainingState, token: str) -> list[Path] | None:
         """Return what `write_training_state` returns; None if it could not write."""
         run, rank = Path(self.experiment_dir), current_group().rank
         try:
@@ -140,7 +138,7 @@ class Resuming(BaseAlgorithm):
             )
             return None
 
-    def _report_size(self, files: list[Path], too_large: int | None, seconds: float) -> None:
+    def _report_size(self, files: list[Path], seconds: float) -> None:
         if self._reported_size:
             return
         self._reported_size = True
@@ -148,12 +146,6 @@ class Resuming(BaseAlgorithm):
         key = "; train.params.config.save_buffers=False leaves the replay buffers out"
         hint = key if len(files) > 1 else ""
         log.info("training state for resume= written in %.1f s: %s%s", seconds, sizes, hint)
-        if too_large is not None:
-            log.warning(
-                "the replay buffers (%.1f GB) are too large for a file: a resumed run fills them"
-                " again; lower amp_replay_buffer_size or replay_buffer_size for an exact resume",
-                too_large / 1e9,
-            )
 
     def _memory(self) -> dict[str, Any]:
         return {

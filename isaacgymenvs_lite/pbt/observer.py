@@ -211,7 +211,6 @@ class PBTObserver(AlgoObserver):
         )
         workspace.write(record, {**algo.get_full_state_weights(), "epoch": record.epoch})
         population = {**workspace.newest_records(iteration), self._settings.policy_idx: record}
-        workspace.remove_old(population)
         leader = self._leader(population)
         workspace.keep_best(leader, population[leader], self._task)
         for path, value in self._params.items():

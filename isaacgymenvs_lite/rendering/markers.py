@@ -20,8 +20,6 @@ FACE_COLOUR: Colour = (1.0, 0.8, 0.1)
 ACTUAL_COLOUR: Colour = (0.1, 0.7, 0.2)
 
 _ARROW_WIDTH_M = 0.03
-MARKER_NUMBERS = 10
-"""In a packed marker."""
 
 
 @dataclass(frozen=True)
@@ -100,26 +98,3 @@ def add_geom(
     mujoco.mjv_initGeom(geom, kind, size, place_w, np.eye(3).ravel(), ink)
     scene.ngeom += 1
     return geom
-
-
-def pack_markers(markers: Iterable[Marker]) -> npt.NDArray[np.float64]:
-    """Return markers as numbers (M, 10), for `unpack_markers` in another process."""
-    rows = [
-        (0.0, *marker.start_w, *marker.end_w, *marker.colour)
-        if isinstance(marker, Arrow)
-        else (1.0, *marker.centre_w, marker.radius_m, 0.0, 0.0, *marker.colour)
-        for marker in markers
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, MARKER_NUMBERS)
-
-
-def unpack_markers(rows: npt.NDArray[np.float64]) -> tuple[Marker, ...]:
-    """Return the markers that `pack_markers` packed as (M, 10)."""
-    return tuple(
-        Arrow(tuple(one), tuple(other), tuple(colour))
-        if kind == 0.0
-        else Sphere(tuple(one), other[0], tuple(colour))
-        for kind, one, other, colour in (
-            (row[0], row[1:4], row[4:7], row[7:10]) for row in rows.tolist()
-        )
-    )

@@ -9,13 +9,10 @@ decodes as well, for the tests.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,86 +34,6 @@ _FORMATS: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
 }
 _ENCODER, _PURPOSE = "av", "writing videos"
 _PIXEL_FORMAT = "yuv420p"  # what every player and browser shows
-
-
-class VideoWriter:
-    """Encodes pictures into a file, .mp4 or .webp. Use it in a `with` statement.
-
-    Args:
-        path: the file; an older one is replaced.
-        fps: pictures per second.
-
-    Raises:
-        ConfigError: another suffix, or a folder that cannot be written.
-        MissingPackageError: PyAV is not installed.
-    """
-
-    def __init__(self, path: str | Path, fps: float) -> None:
-        self.path = Path(path)
-        if self.path.suffix not in _FORMATS:
-            raise ConfigError(unknown("video format", self.path.suffix, _FORMATS))
-        if not self.path.parent.is_dir():
-            raise self._unwritable("no such folder")
-        self._av = import_package(_ENCODER, _PURPOSE)
-        encoder, options, container_options = _FORMATS[self.path.suffix]
-        try:
-            self._container = self._av.open(str(path), "w", options=container_options)
-        except OSError as error:
-            raise self._unwritable(error.strerror) from error
-        rate = Fraction(fps).limit_denominator(1000)
-        self._stream = self._container.add_stream(encoder, rate=rate, options=options)
-        self._stream.pix_fmt = _PIXEL_FORMAT
-        self._num_images = 0
-
-    def add(self, image: Image) -> None:
-        """Append a picture (height, width, 3); all of one size, both numbers even.
-
-        Raises:
-            ConfigError: the file cannot be written.
-        """
-        if self._num_images == 0:
-            self._stream.height, self._stream.width = image.shape[:2]
-        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-        self._encode(frame)
-        self._num_images += 1
-
-    def _encode(self, frame: Any) -> None:
-        """Encode a frame, or with None what is left, and write it."""
-        try:
-            self._container.mux(self._stream.encode(frame))
-        except OSError as error:
-            self._num_images = 0  # `close` removes the file
-            raise self._unwritable(error.strerror) from error
-
-    def _unwritable(self, reason: str | None) -> ConfigError:
-        return ConfigError(
-            f"cannot write the video {self.path.absolute()} ({reason}); expected a folder that"
-            " exists, can be written and has room"
-        )
-
-    def close(self) -> None:
-        """Finish the file; without any picture there is none.
-
-        Raises:
-            ConfigError: the file cannot be written.
-        """
-        if self._num_images > 0:
-            self._encode(None)
-        with contextlib.suppress(OSError):
-            self._container.close()
-        if self._num_images == 0:
-            self.path.unlink(missing_ok=True)
-
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def check_encoder() -> None:
@@ -180,12 +97,43 @@ def draw_tracks(
 
 
 def save_video(path: str | Path, images: Iterable[Image], fps: float) -> Path:
-    """Write pictures as a video, .mp4 or .webp, and return its path.
+    """Write pictures as a video and return its path; no file is written if there is no picture.
+
+    Args:
+        path: the file, .mp4 or .webp; an older one is replaced.
+        images: (height, width, 3) each; all of one size, both numbers even.
+        fps: pictures per second.
 
     Raises:
-        ConfigError: see `VideoWriter`.
+        ConfigError: another suffix, or a file that cannot be written.
+        MissingPackageError: PyAV is not installed.
     """
-    with VideoWriter(path, fps) as writer:
-        for image in images:
-            writer.add(image)
-        return writer.path
+    path = Path(path)
+    if path.suffix not in _FORMATS:
+        raise ConfigError(unknown("video format", path.suffix, _FORMATS))
+    av = import_package(_ENCODER, _PURPOSE)
+    encoder, options, container_options = _FORMATS[path.suffix]
+    is_written = False
+    try:
+        with av.open(str(path), "w", options=container_options) as container:
+            rate = Fraction(fps).limit_denominator(1000)
+            stream = container.add_stream(encoder, rate=rate, options=options)
+            stream.pix_fmt = _PIXEL_FORMAT
+            for image in images:
+                if not is_written:
+                    stream.height, stream.width = image.shape[:2]
+                is_written = True
+                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+                container.mux(stream.encode(frame))
+            if is_written:
+                container.mux(stream.encode(None))  # what is left
+    except OSError as error:
+        is_written = False
+        raise ConfigError(
+            f"cannot write the video {path.absolute()} ({error.strerror}); expected a folder that"
+            " exists, can be written and has room"
+        ) from error
+    finally:
+        if not is_written:
+            path.unlink(missing_ok=True)
+    return path

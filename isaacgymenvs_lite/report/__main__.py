@@ -29,26 +29,17 @@ class ReportSettings:
     """File; '': report.html in the run's folder."""
 
 
-class _Run(argparse.Action):
-    """Keeps the folder of the run."""
-
-    folder = Path()
-
-    def __call__(self, parser: object, namespace: object, values: object, *_: object) -> None:
-        self.folder = Path(str(values))
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="isaacgymenvs-lite report", description=__doc__)
-    run = parser.add_argument("run", action=_Run, help="folder of the run")
+    parser.add_argument("run", type=Path, help="folder of the run")
+    words = argparse.Namespace()
 
     def report(settings: ReportSettings) -> None:
-        assert isinstance(run, _Run)
-        path = write_report(run.folder, Path(settings.out) if settings.out else None)
+        path = write_report(words.run, Path(settings.out) if settings.out else None)
         log.info("%s: %.1f MiB", path, path.stat().st_size / 2**20)
 
-    return run_command(parser, ReportSettings, report, arguments)
+    return run_command(parser, ReportSettings, report, arguments, words)
 
 
 if __name__ == "__main__":

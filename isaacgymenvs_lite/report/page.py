@@ -1,26 +1,69 @@
-"""Writes the page of a run: one HTML file that needs no other."""
+"""Writes the page of a run: one HTML file with a summary, curves, the settings and a video."""
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import html
-import os
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Mapping
 from pathlib import Path
-from urllib.parse import quote
 
-from isaacgymenvs_lite import __version__
+import matplotlib
+import numpy as np
+import yaml
+from matplotlib.figure import Figure
+
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.report.charts import Chart, main_charts, other_charts
-from isaacgymenvs_lite.report.drawing import draw
-from isaacgymenvs_lite.report.scalars import event_files, read_scalars
-from isaacgymenvs_lite.report.summary import summarize
+from isaacgymenvs_lite.report.scalars import FPS_TAGS, Series, event_files, first_of, read_scalars
 from isaacgymenvs_lite.utils.files import written_for_user
 
-MAX_EMBEDDED_BYTES = 8 * 2**20
-"""A larger video is linked instead, so that the page opens at once."""
-
-_ASSETS = Path(__file__).with_name("assets")
+MAX_VIDEO_BYTES = 8 * 2**20
+_REWARD = ("rewards/frame", "rewards/step")
+_LENGTH = ("episode_lengths/frame", "episode_lengths/step")
+# Title -> label of a curve -> tags, of which the first that the run has is drawn.
+_CHARTS: dict[str, dict[str, tuple[str, ...]]] = {
+    "Task reward of an episode": {"training": _REWARD, "mean policy": ("measured/reward",)},
+    "Reward per step, by source": {
+        "style": ("info/disc_reward_mean",),
+        "encoder": ("info/enc_reward_mean",),
+    },
+    "Length of an episode, control steps": {"training": _LENGTH},
+    "Pose error, m": {"mean policy": ("imitation/pose_error_m",)},
+    "Share of the episodes": {
+        "falls in training": ("info/fall_rate",),
+        "off the clip in training": ("info/off_clip_rate",),
+        "falls of the mean policy": ("measured/fall_rate",),
+        "mean policy without a fall": ("imitation/no_fall_share",),
+    },
+    "Motion of the clip": {
+        "tempo": ("imitation/tempo",),
+        "share shown": ("imitation/motion_shown",),
+    },
+    "Discriminator accuracy": {
+        "policy": ("info/disc_agent_acc",),
+        "clips": ("info/disc_demo_acc",),
+    },
+}
+# Title of a chart -> start of the tags that it draws.
+_FAMILIES = {
+    "Errors of the goal": "goal/",
+    "Reward terms, per step": "reward_terms/",
+    "Losses": "losses/",
+}
+# Name -> tags, and how the newest value is written.
+_NEWEST = {
+    "task reward of an episode": (_REWARD, "{:.4g}"),
+    "measured reward": (("measured/reward",), "{:.4g}"),
+    "measured falls": (("measured/fall_rate",), "{:.0%}"),
+    "steps of an episode": (_LENGTH, "{:.4g}"),
+    "style reward per step": (("info/disc_reward_mean",), "{:.3f}"),
+    "pose error": (("imitation/pose_error_m",), "{:.3f} m"),
+    "motion shown": (("imitation/motion_shown",), "{:.0%}"),
+    "falls in training": (("info/fall_rate",), "{:.0%}"),
+    "off the clip": (("info/off_clip_rate",), "{:.0%}"),
+    "learning rate": (("info/last_lr",), "{:.3g}"),
+}
 
 
 def write_report(run: Path, out: Path | None = None) -> Path:
@@ -32,72 +75,102 @@ def write_report(run: Path, out: Path | None = None) -> Path:
 
     Raises:
         ConfigError: the folder is no run, has no scalars, or the file cannot be written.
+        MissingPackageError: matplotlib is not installed.
     """
     out = out or run / "report.html"
-    page = build_page(run, out)
+    if not event_files(run / "summaries"):
+        raise ConfigError(
+            f"{run}: no event files in its folder summaries; expected the folder of a run that was"
+            " trained for one epoch at least, runs/<run>"
+        )
+    try:
+        scalars = read_scalars(run / "summaries")
+    except Exception as error:  # on arbitrary bytes the reader may raise anything
+        raise ConfigError(f"{run}: its event files cannot be read ({error})") from error
+    if not scalars:
+        raise ConfigError(f"{run}: no epoch has ended yet; try again when one has")
+    config_file = run / "config.yaml"  # rl_games' own runs have none
+    config = config_file.read_text("utf-8", "replace") if _is_own(config_file, run) else ""
+    charts = "\n".join(_draw(title, lines) for title, lines in charts_of(scalars).items())
+    title = html.escape(run.absolute().name)
+    facts = "".join(
+        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>"
+        for name, value in summarize(config, scalars).items()
+    )
+    style = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+    page = f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<style>{style}</style></head>
+<body><h1>{title}</h1>
+<dl>{facts}</dl>
+{_video(run)}
+<h2>Curves over frames</h2>
+<div class="charts">{charts}</div>
+<details><summary>config.yaml</summary><pre>{html.escape(config)}</pre></details>
+</body></html>
+"""
     with written_for_user(out, "out") as partial:
-        # Names of files may have bytes that are no UTF-8.
         partial.write_text(page, encoding="utf-8", errors="replace")
     return out
 
 
-def build_page(run: Path, out: Path) -> str:
-    """Return the page of a run as HTML.
+def summarize(config: str, scalars: Mapping[str, Series]) -> dict[str, str]:
+    """Return name -> value, as text, in the order of the page.
 
     Args:
-        run: folder of the run.
-        out: where the page will be, for links to files that are too big for it.
-
-    Raises:
-        ConfigError: the folder is no run, or has no scalars.
+        config: text of the run's config.yaml; '' if there is none.
+        scalars: of the run, see `read_scalars`.
     """
-    _check_run(run)
-    scalars = read_scalars(run / "summaries")
-    if not scalars:
-        raise ConfigError(f"{run}: no epoch has ended yet, so that there is nothing to show")
-    config = _config_text(run)
-    charts, others = main_charts(scalars), other_charts(scalars)
-    resumed = any(chart.resumed_at for chart in charts)
-    body = [
-        f"<h1>{html.escape(run.absolute().name)}</h1>",
-        _facts(summarize(run, config, scalars)),
-        _video(run, out),
-        "<h2>Curves over frames</h2>",
-        _charts(charts),
-        _folded(f"{len(others)} more scalars", _charts(others)) if others else "",
-        _folded("config.yaml", f"<pre>{html.escape(config)}</pre>") if config else "",
-        f"<footer>isaacgymenvs_lite {html.escape(__version__)}. Frames are environment"
-        " steps; longer curves are drawn as means of neighbours."
-        f"{' A dashed line marks where the training was resumed.' if resumed else ''}</footer>",
-    ]
-    style, script = (
-        (_ASSETS / name).read_text(encoding="utf-8") for name in ("page.css", "page.js")
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(run.absolute().name)}</title>\n<style>\n{style}</style></head>\n"
-        f"<body>\n{_joined(body)}\n<script>\n{script}</script>\n</body></html>\n"
-    )
+    clock = first_of(scalars, FPS_TAGS)
+    facts = {"task": "", "algorithm": ""}
+    with contextlib.suppress(Exception):  # of a damaged file the page shows the text
+        tree = yaml.safe_load(config)
+        facts["task"] = str(tree["task"]["name"])
+        facts["algorithm"] = str(tree["train"]["params"]["algo"]["name"])
+    facts["frames"] = f"{clock.frames[-1]:,.0f}"
+    facts["minutes trained"] = f"{clock.minutes[-1]:.1f}"
+    facts["frames per second"] = f"{np.median(clock.values):,.0f}"
+    for name, (tags, pattern) in _NEWEST.items():
+        series = first_of(scalars, tags)
+        facts[name] = pattern.format(series.last) if len(series) else ""
+    return {name: value for name, value in facts.items() if value}
 
 
-def _check_run(run: Path) -> None:
-    if not run.is_dir():
-        raise ConfigError(f"{run}: no such folder; expected the folder of a run, runs/<run>")
-    try:
-        str(run).encode()
-    except UnicodeEncodeError as error:
-        raise ConfigError(f"{run}: TensorBoard reads names in UTF-8; rename the folder") from error
-    if not (run / "summaries").is_dir():
-        raise ConfigError(
-            f"{run}: is no run (it has no folder summaries); expected the folder of a run,"
-            " runs/<run>"
-        )
-    if not event_files(run / "summaries"):
-        raise ConfigError(
-            f"{run}: no event files in its folder summaries; expected a run that was trained for"
-            " one epoch at least"
-        )
+def charts_of(scalars: Mapping[str, Series]) -> dict[str, dict[str, Series]]:
+    """Return title -> label -> scalar: at most ten charts, those that the run has scalars for."""
+    charts = {
+        title: {label: first_of(scalars, tags) for label, tags in lines.items()}
+        for title, lines in _CHARTS.items()
+    }
+    for title, start in _FAMILIES.items():
+        tags = [tag for tag in sorted(scalars) if tag.startswith(start)]
+        charts[title] = {tag.removeprefix(start): scalars[tag] for tag in tags}
+    kept = {
+        title: {label: series for label, series in lines.items() if len(series)}
+        for title, lines in charts.items()
+    }
+    return {title: lines for title, lines in kept.items() if lines}
+
+
+def _draw(title: str, lines: Mapping[str, Series]) -> str:
+    """Return a chart as an HTML element."""
+    # Labels may be tags of somebody else's files, which are no formulas.
+    with matplotlib.rc_context({"text.parse_math": False}):
+        figure = Figure(figsize=(5.6, 2.8), dpi=100, layout="constrained")
+        panel = figure.subplots()
+        for label, series in lines.items():
+            marker = "o" if len(series) == 1 else ""
+            panel.plot(series.frames, series.values, label=label, linewidth=1.2, marker=marker)
+        for start in sorted({start for line in lines.values() for start in line.resumed_at}):
+            panel.axvline(start, color="0.5", linestyle="--", linewidth=0.8)
+        panel.set_title(title, fontsize=10)
+        panel.grid(alpha=0.3)
+        if len(lines) > 1:
+            panel.legend(fontsize=7)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png")
+    data = base64.b64encode(picture.getvalue()).decode()
+    return f'<img alt="{html.escape(title)}" src="data:image/png;base64,{data}">'
 
 
 def _is_own(file: Path, run: Path) -> bool:
@@ -105,52 +178,15 @@ def _is_own(file: Path, run: Path) -> bool:
     return file.is_file() and file.resolve().is_relative_to(run.resolve())
 
 
-def _config_text(run: Path) -> str:
-    path = run / "config.yaml"
-    if not _is_own(path, run):
-        return ""  # rl_games' own runs have none
-    try:
-        with path.open("rb") as file:
-            return file.read().decode("utf-8", errors="replace")
-    except OSError:
-        return ""
-
-
-def _facts(facts: Mapping[str, str]) -> str:
-    entries = (
-        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>"
-        for name, value in facts.items()
-    )
-    return f"<dl>{''.join(entries)}</dl>"
-
-
-def _charts(charts: Sequence[Chart]) -> str:
-    return f'<div class="charts">{_joined([draw(chart) for chart in charts])}</div>'
-
-
-def _folded(title: str, content: str) -> str:
-    return f"<details><summary>{html.escape(title)}</summary>{content}</details>"
-
-
-def _video(run: Path, out: Path) -> str:
-    """Return the newest video of a run; '' if it has none."""
+def _video(run: Path) -> str:
+    """Return the newest video of a run, the name alone of a large one; '' if it has none."""
     own = (file for file in run.glob("videos/**/*.mp4") if _is_own(file, run))
-    files = sorted(own, key=lambda file: file.stat().st_mtime)
-    if not files:
+    file = max(own, key=lambda file: file.stat().st_mtime, default=None)
+    if file is None:
         return ""
-    file = files[-1]
-    if file.stat().st_size <= MAX_EMBEDDED_BYTES:
-        source = f"data:video/mp4;base64,{base64.b64encode(file.read_bytes()).decode()}"
-    else:
-        source = quote(
-            os.path.relpath(file.absolute(), out.absolute().parent), errors="surrogateescape"
-        )
     name = html.escape(str(file.relative_to(run)))
-    return (
-        f"<h2>{name}</h2>"
-        f'<video src="{source}" title="{name}" controls loop muted playsinline></video>'
-    )
-
-
-def _joined(parts: Sequence[str]) -> str:
-    return "\n".join(part for part in parts if part)
+    if file.stat().st_size > MAX_VIDEO_BYTES:
+        return f"<h2>{name}</h2>"
+    data = base64.b64encode(file.read_bytes()).decode()
+    source = f"data:video/mp4;base64,{data}"
+    return f'<h2>{name}</h2><video src="{source}" controls loop muted playsinline></video>'

@@ -57,10 +57,6 @@ class Series:
         columns = (self.frames[kept], self.minutes[kept], self.values[kept])
         return Series(*columns, resumed_at=self.resumed_at)
 
-    def with_values(self, values: FloatArray) -> Series:
-        """Return other values (n,) at the same times."""
-        return Series(self.frames, self.minutes, values, resumed_at=self.resumed_at)
-
     def first_reach(self, at_least: float) -> tuple[float, float] | None:
         """Return (frames, minutes) of the first value of at least `at_least`; None without one."""
         reached = np.flatnonzero(self.values >= at_least)

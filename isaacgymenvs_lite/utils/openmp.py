@@ -2,8 +2,8 @@
 
 OpenMP's idle threads spin, in torch's builds some 10 ms behind each operation, on CPUs that the
 physics or another process needs. On a busy machine every operation of a network then waits for a
-thread that the system has suspended: a training becomes ten to forty times slower
-(`python -m benchmarks.threads`). OpenMP reads how to wait once, when torch is imported.
+thread that the system has suspended: a training becomes ten to forty times slower.
+OpenMP reads how to wait once, when torch is imported.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from isaacgymenvs_lite.errors import MissingPackageError
 EXTRAS = {
     "PIL": "video",
     "av": "video",
-    "matplotlib": "docs",
+    "matplotlib": "report",
     "mink": "retarget",
     "onnx": "export",
     "onnxruntime": "export",

@@ -13,7 +13,8 @@ from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.utils.files import check_no_links
-from isaacgymenvs_lite.viewers.video_capture import capture_videos
+from isaacgymenvs_lite.viewers.video_capture import VideoCapture, make_video_folder
+from isaacgymenvs_lite.viewers.video_writer import VideoWriter
 from isaacgymenvs_lite.viewers.web_page import WebPage, check_page
 from isaacgymenvs_lite.viewers.window import Window
 
@@ -28,8 +29,7 @@ class Viewers:
 
     Raises:
         RenderingError: this machine cannot draw.
-        ConfigError: a package is missing, there is no display, a port is taken, or a host of the
-            page is misspelt.
+        ConfigError: a package is missing, there is no display, or a port is taken.
     """
 
     def __init__(self, settings: LaunchSettings) -> None:
@@ -42,7 +42,7 @@ class Viewers:
         if not settings.headless:
             check_display()
         if settings.viewer == "web":
-            check_page(settings.viewer_host, settings.viewer_port, settings.viewer_allowed_hosts)
+            check_page(settings.viewer_port)
 
     def start(
         self, env: Any, run_folder: Path, on_quit: Callable[[], None], prefix: str = "rl-video"
@@ -64,7 +64,7 @@ class Viewers:
         if settings.capture_video or not settings.headless:
             check_no_links(run_folder, "videos")
         if settings.capture_video:
-            self._listeners.append(self._capture(env, folder, prefix))
+            self._add(self._capture(env, folder, prefix))
         if not settings.headless:
             window = Window(
                 env,
@@ -78,10 +78,8 @@ class Viewers:
             # A play waits for the simulated time: it would be over too soon.
             page = WebPage(
                 env,
-                settings.viewer_host,
                 settings.viewer_port,
                 real_time=settings.test,
-                allowed_hosts=settings.viewer_allowed_hosts,
                 keys_to_task=settings.test,
             )
             self._add(page)
@@ -100,14 +98,16 @@ class Viewers:
             from isaacgymenvs_lite.run.wandb_observer import log_video
 
             on_done = log_video
-        return capture_videos(
+        make_video_folder(folder)
+        log.info("videos go to %s", folder)
+        return VideoCapture(
             env,
+            VideoWriter(on_done),
             folder,
             every=settings.capture_video_freq,
             length=settings.capture_video_len,
             num_envs=settings.capture_video_envs,
             prefix=prefix,
-            on_done=on_done,
         )
 
     def close(self) -> None:

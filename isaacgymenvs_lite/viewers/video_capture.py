@@ -6,60 +6,12 @@ take a hundred times as long and run in a thread (`VideoWriter`).
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder
-from isaacgymenvs_lite.rendering.video import check_encoder
 from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
-
-log = logging.getLogger(__name__)
-
-
-def capture_videos(
-    env: Any,
-    folder: Path,
-    *,
-    every: int,
-    length: int,
-    num_envs: int = 1,
-    prefix: str = "rl-video",
-    on_done: Callable[[Path], None] | None = None,
-) -> VideoCapture:
-    """Start to record a task; closing the task, or the result, finishes the current video.
-
-    Args:
-        env: the task.
-        folder: where the files go; made if it does not exist.
-        every: see `VideoCapture`.
-        length: see `VideoCapture`.
-        num_envs: see `VideoCapture`.
-        prefix: see `VideoCapture`.
-        on_done: called with the path of each video, in another thread.
-
-    Raises:
-        ConfigError: the folder cannot be written, or there is no encoder.
-        RenderingError: this machine cannot draw.
-    """
-    check_encoder()
-    ensure_gl()
-    make_video_folder(folder)
-    log.info("videos go to %s", folder)
-    capture = VideoCapture(
-        env,
-        VideoWriter(on_done),
-        folder,
-        every=every,
-        length=length,
-        num_envs=num_envs,
-        prefix=prefix,
-    )
-    env.listeners.append(capture)
-    return capture
 
 
 def make_video_folder(folder: Path) -> None:

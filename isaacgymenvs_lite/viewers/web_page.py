@@ -1,8 +1,8 @@
-"""A task in a browser: MuJoCo's web viewer, served on one port during a training or a play.
+"""A task in a browser: MuJoCo's web viewer on one port of localhost, for a training or a play.
 
-A process of its own serves the page, and browsers draw it; the task sends a state up to 30 times a
-second and never waits. The page is at localhost by default; elsewhere its address has a secret
-token.
+The viewer is native code with threads of its own, so it runs in a process of its own
+(`web_server`): a fault there cannot end a training. The task sends a state up to 30 times a second
+and never waits.
 """
 
 from __future__ import annotations
@@ -11,25 +11,33 @@ import copy
 import importlib.util
 import logging
 import os
+import pickle
+import signal
 import socket
+import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
+import isaacgymenvs_lite
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.terrain_window import TerrainWindow
 from isaacgymenvs_lite.rendering.tracks import PoseReader, markers_of
 from isaacgymenvs_lite.viewers.reference_overlay import ReferenceOverlay
 from isaacgymenvs_lite.viewers.task_keys import TaskKeys
-from isaacgymenvs_lite.viewers.web_process import PageProcess, missing_viewer, no_listening
 
 log = logging.getLogger(__name__)
 
 # Limit of the states that are sent to the page.
 _PICTURES_PER_S = 30.0
+_CLOSE_TIMEOUT_S = 3.0
+_MAX_KEY_BYTES = 16
+_MAX_KEYS = 64
+_PROGRAM = "from isaacgymenvs_lite.viewers.web_server import main; main()"
 
 
 class WebPage:
@@ -39,62 +47,49 @@ class WebPage:
 
     Args:
         env: the task; the reference of one that imitates is shown beside the character.
-        host: name or address to listen at.
         port: 0 takes a free one.
         real_time: let the task wait, so that it is no faster than the simulated time.
-        allowed_hosts: more hosts, with or without a port, at which browsers may reach the page.
         keys_to_task: whether keys that are pressed in the page reach the task's `on_key`.
 
     Attributes:
-        url: address of the page, with its token if other machines reach it.
+        url: address of the page.
         process: serves the page.
 
     Raises:
-        ConfigError: the port is taken, the viewer is not installed, or a host is misspelt.
+        ConfigError: the port is taken, or the viewer is not installed.
     """
 
-    def __init__(
-        self,
-        env: Any,
-        host: str,
-        port: int,
-        *,
-        real_time: bool,
-        allowed_hosts: Sequence[str] = (),
-        keys_to_task: bool = True,
-    ) -> None:
-        check_page(host, port, allowed_hosts)
+    def __init__(self, env: Any, port: int, *, real_time: bool, keys_to_task: bool = True) -> None:
+        check_page(port)
         self._keys = TaskKeys(env, keys_to_task)
         self._read_pose = PoseReader(env)
         # As in videos, rough ground is drawn around the robot only.
         self._model: mujoco.MjModel = copy.copy(env.simulation.model)
         self._ground = TerrainWindow(self._model)
         self._ground.move(self._read_pose(0)[:2])
-        self._has_new_ground = False
+        self._has_new_model = True
         self._reference = ReferenceOverlay.for_task(env, self._model)
         self._markers_of = markers_of(env)
         self._pace_s = env.simulation.dt if real_time else 0.0
         self._next_step_s = self._next_picture_s = time.monotonic()
-        self.process = PageProcess(self._model, host, port, allowed_hosts)
+        # A message is one packet, sent as a whole or not at all.
+        self._link, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._link.setblocking(False)
+        with there, _listen(port) as listener:
+            self.url = f"http://localhost:{listener.getsockname()[1]}/"
+            self.process = _start(there, listener)
         self._is_open = True
-        name = socket.gethostname() if host == "0.0.0.0" else host
-        self.url = f"http://{name}:{self.process.port}/"
-        who = "every user of this machine can"
-        if self.process.token:
-            self.url += f"?token={self.process.token}"
-            who = "whoever has this address can; it is not encrypted"
         self.render()
-        log.info("watch it at %s (%s)", self.url, who)
+        log.info("watch it at %s (every user of this machine can)", self.url)
 
     @property
     def keeps_playing(self) -> bool:
         """Whether the page is served: browsers may come and go."""
-        return self._is_open and self.process.is_running()
+        return self._is_open and self.process.poll() is None
 
     def after_step(self) -> None:
         """Pass on keys, and show the new state if the last one was long enough ago."""
-        for key in self.process.link.pressed_keys():
-            self._keys.press(key)
+        self._read_keys()
         now = time.monotonic()
         if now >= self._next_picture_s:
             self._next_picture_s = now + 1.0 / _PICTURES_PER_S
@@ -103,53 +98,113 @@ class WebPage:
             time.sleep(max(0.0, self._next_step_s - now))
             self._next_step_s = max(self._next_step_s, now) + self._pace_s
 
+    def _read_keys(self) -> None:
+        for _ in range(_MAX_KEYS):
+            try:
+                packet = self._link.recv(_MAX_KEY_BYTES)
+            except OSError:  # no key, or the other end is closed
+                return
+            if not packet:
+                return
+            self._keys.press(packet.decode("ascii", "replace"))
+
     def render(self) -> None:
-        """Show the current state, unless the page is busy with those before."""
+        """Show the current state, unless the page is busy with earlier states."""
         if not self._is_open:
             return
-        if not self.process.is_running():
-            how = self.process.how_it_ended()
+        status = self.process.poll()
+        if status is not None:
+            how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
             log.warning("viewer=web: the page ended (%s); the run goes on without it", how)
             self.close()
             return
         qpos = self._read_pose(0)
-        self._has_new_ground |= self._ground.move(qpos[:2])
-        if self._has_new_ground:
-            self._has_new_ground = not self.process.link.send_model(self._model)
+        self._has_new_model |= self._ground.move(qpos[:2])
+        if self._has_new_model:
+            self._has_new_model = not self._send_model()
         reference = None if self._reference is None else self._reference.pose(qpos)
-        self.process.link.send_state(qpos, reference, self._markers_of(0))
+        self._send(pickle.dumps((qpos, reference, self._markers_of(0))))
+
+    def _send_model(self) -> bool:
+        content = np.empty(mujoco.mj_sizeModel(self._model), np.uint8)
+        mujoco.mj_saveModel(self._model, None, content)
+        with os.fdopen(os.memfd_create("model.mjb"), "wb") as file:
+            file.write(content.data)
+            file.flush()
+            return self._send(b"model", file.fileno())
+
+    def _send(self, packet: bytes, *files: int) -> bool:
+        """Send a packet; return whether there was room."""
+        try:
+            socket.send_fds(self._link, [packet], files)
+        except OSError:
+            return False
+        return True
 
     def close(self) -> None:
-        """End the page; a second call does nothing."""
+        """End the page within seconds; a second call does nothing."""
         self._is_open = False
-        self.process.close()
+        self._link.close()
+        try:
+            self.process.wait(_CLOSE_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
 
 
-def check_page(host: str, port: int, allowed_hosts: Sequence[str] = ()) -> None:
+def check_page(port: int) -> None:
     """Check that a page can be served.
 
     Raises:
-        ConfigError: the port is taken, the host is not an address of this machine, an allowed host
-            is misspelt, the viewer is not installed, or this is not Linux.
+        ConfigError: the port is taken, the viewer is not installed, or this is not Linux.
     """
-    try:
-        is_installed = importlib.util.find_spec("mujoco.studio.web_viewer") is not None
-        from isaacgymenvs_lite.viewers.web_guard import address_of, read_hosts  # imports websockets
-    except ImportError as error:
-        raise ConfigError(missing_viewer(error)) from error
-    if not is_installed:
-        raise ConfigError(missing_viewer("it is not installed"))
-    if not hasattr(os, "memfd_create"):  # see web_link
+    if sys.platform != "linux":
         raise ConfigError(
             f"viewer=web runs on Linux only so far, not on {sys.platform}; capture_video=True makes"
             " videos, headless=False opens a window"
         )
-    read_hosts(allowed_hosts)
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            trial.bind((address_of(host), port))
-            trial.listen()
-        except (OSError, UnicodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else None
-            raise ConfigError(no_listening(host, port, reason or error)) from error
+    try:
+        import websockets  # noqa: F401
+
+        reason: object = "it is not installed"
+        found = importlib.util.find_spec("mujoco.studio.web_viewer")
+    except ImportError as error:
+        found, reason = None, error
+    if found is None:
+        raise ConfigError(
+            f"viewer=web needs MuJoCo's web viewer, which cannot be imported ({reason}); pip"
+            " install mujoco-studio"
+        )
+    _listen(port).close()
+
+
+def _listen(port: int) -> socket.socket:
+    """Return a socket that listens on localhost.
+
+    Raises:
+        ConfigError: the port is taken.
+    """
+    try:
+        return socket.create_server(("127.0.0.1", port))
+    except OSError as error:
+        raise ConfigError(
+            f"viewer_port={port}: cannot listen there ({error.strerror}); choose another port, 0"
+            " takes a free one"
+        ) from error
+
+
+def _start(link: socket.socket, listener: socket.socket) -> subprocess.Popen[bytes]:
+    """Start the process of a page; both sockets stay open in it."""
+    files = (link.fileno(), listener.fileno())
+    # It imports what this process imports, whatever its current folder is.
+    folders = [str(Path(isaacgymenvs_lite.__file__).parents[1])]
+    folders += [os.path.abspath(folder) for folder in sys.path if folder]
+    arguments = map(str, (os.getpid(), *files))
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", _PROGRAM, *arguments],
+        pass_fds=files,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        process_group=0,  # a terminal's Ctrl-C is for the task, which then closes the page
+    )

@@ -1,30 +1,42 @@
-"""MuJoCo's web viewer in the process of a page: guarded, and with a robot beside the character.
+"""The process of a page: MuJoCo's web viewer, with a robot and markers beside the character.
 
-It imports all of `mujoco.studio`; only `web_process.main` imports it.
+`web_page` starts it with two sockets: the link to the task, and the one that browsers connect to.
+MuJoCo's server answers the pages of all sites, so requests are checked before it sees them: the
+Host must be localhost, which keeps out sites whose name resolves to this machine (DNS rebinding),
+and the Origin must be the page itself.
 """
 
 from __future__ import annotations
 
+import http
 import logging
+import os
+import pickle
+import signal
 import socket
 import string
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
 from mujoco.studio import messages, plugin, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import web_server
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.http11 import Request, Response
 
 from isaacgymenvs_lite.rendering.markers import Marker, add_markers
 from isaacgymenvs_lite.rendering.view import aim_camera
 from isaacgymenvs_lite.viewers.robot_overlay import RobotOverlay
-from isaacgymenvs_lite.viewers.web_guard import PageGuard, address_of
-from isaacgymenvs_lite.viewers.web_link import PageEnd, Pose
 
-_START_TIMEOUT_S = 20.0
+_MAX_PACKET_BYTES = 2**18
 _MAX_GEOMS = 200
+_MAX_MESSAGE_BYTES = 2**16
+_LOCAL_NAMES = ("localhost", "127.0.0.1")
 # Custom number of a model with the colour of the page's sky.
 _SKY_COLOUR = "filament.clear_color"
 KEYS = {
@@ -36,57 +48,71 @@ KEYS = {
 """The names in `KEY_NAMES`, by Dear ImGui's."""
 
 
-@dataclass(frozen=True)
-class Page:
-    """A page to which browsers can connect.
+def main() -> None:
+    """Serve a page until the task's process closes the link, or ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the task decides what Ctrl-C ends
+    parent, *files = map(int, sys.argv[1:])
+    link, listener = (socket.socket(fileno=file) for file in files)
+    server_log = logging.getLogger("WebServer")
+    server_log.handlers.clear()
+    server_log.setLevel(logging.WARNING)
+    # A browser that leaves while it is sent a state is no error.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    # MuJoCo's server has no parameters for its address and for checks.
+    web_server.bind_public_socket = lambda host, port: listener
+    web_server.serve = serve_locally
+    endpoint: Any = LinkEndpoint(link, parent)
+    model = endpoint.wait_for_model()
+    if model is None:
+        return
+    config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web")
+    viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[PagePlugin(link)])
+    viewer_protocol.run_viewer_loop(viewer)
+    # Native threads and objects of the viewer would be freed in any order.
+    os._exit(0)
 
-    Attributes:
-        viewer: shows the model.
-        port: where browsers connect.
-        token: secret that browsers need; '' if only this machine reaches the page.
-    """
 
-    viewer: viewer_protocol.Viewer
-    port: int
-    token: str
-
-    def serve(self) -> None:
-        """Serve the page until the task ends."""
-        viewer_protocol.run_viewer_loop(self.viewer)
-
-
-def open_page(
-    link: PageEnd, model: mujoco.MjModel, host: str, port: int, allowed_hosts: Iterable[str]
-) -> Page:
-    """Return a page that browsers can open; call it once in a process.
+async def serve_locally(
+    handler: Callable[[ServerConnection], Any],
+    *,
+    process_request: Callable[[ServerConnection, Request], Response | None],
+    process_response: Callable[[ServerConnection, Request, Response], Response | None],
+    **options: Any,
+) -> Server:
+    """Serve as `websockets.serve` does, to pages of this machine only.
 
     Args:
-        link: to the task.
-        model: what is shown at first.
-        host: name or address of this machine, where to listen.
-        port: 0 takes a free one.
-        allowed_hosts: see `PageGuard`.
-
-    Raises:
-        OSError: the port is taken, or the server does not start.
+        handler: serves a WebSocket.
+        process_request: answers a request that passes the checks.
+        process_response: adds headers.
+        options: of `websockets.serve`.
     """
-    _silence_server_log()
-    address = address_of(host)
-    port = port or _free_port(address)
-    guard = PageGuard(host, address, port, allowed_hosts)
-    # MuJoCo's server has no parameter for limits, so its name of `websockets.serve` is replaced. A
-    # version that no longer calls it is not served at all.
-    web_server.serve = guard.serve
-    PageViewer.address = address
-    config = viewer_protocol.ViewerConfig(title="isaacgymenvs_lite", gfx="web", http_port=port)
-    endpoint: Any = LinkEndpoint(link)
-    try:
-        viewer = PageViewer(config, endpoint, model=model, plugins=[PagePlugin(link)])
-    except RuntimeError as error:  # MuJoCo's, for a port that was taken meanwhile
-        raise OSError(str(error)) from error
-    if not guard.started.wait(_START_TIMEOUT_S):
-        raise TimeoutError(f"MuJoCo's server did not start within {_START_TIMEOUT_S:.0f} s")
-    return Page(viewer, port, guard.token)
+
+    def check(connection: ServerConnection, request: Request) -> Response | None:
+        host = request.headers.get("Host", "")
+        own_origin = f"http://{host}"
+        if host.partition(":")[0] not in _LOCAL_NAMES:
+            refusal = "open the page at localhost, elsewhere through ssh -L"
+        elif request.headers.get("Origin", own_origin) != own_origin:
+            refusal = "another site may not use this page"
+        elif request.path.startswith("/drop"):
+            refusal = "models cannot be dropped on this page"
+        else:
+            return process_request(connection, request)
+        return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
+
+    def without_sharing(
+        connection: ServerConnection, request: Request, response: Response
+    ) -> Response:
+        response = process_response(connection, request, response) or response
+        for name in ("Access-Control-Allow-Origin", "Cross-Origin-Resource-Policy"):
+            if name in response.headers:
+                del response.headers[name]
+        response.headers["Cross-Origin-Resource-Policy"] = "same-origin"
+        return response
+
+    options["max_size"] = _MAX_MESSAGE_BYTES
+    return await serve(handler, process_request=check, process_response=without_sharing, **options)
 
 
 @dataclass(frozen=True)
@@ -98,7 +124,7 @@ class BesideSnapshot(messages.Snapshot):
         markers: of the goal.
     """
 
-    reference: Pose | None = None
+    reference: npt.NDArray[np.float64] | None = None
     markers: tuple[Marker, ...] = ()
 
 
@@ -107,21 +133,59 @@ class LinkEndpoint:
 
     Args:
         link: to the task.
+        parent: process ID of the task. The link alone does not show the task's end: processes that
+            the task forked may hold the other end.
     """
 
-    def __init__(self, link: PageEnd) -> None:
+    def __init__(self, link: socket.socket, parent: int) -> None:
         self._link = link
+        self._parent = parent
         self._states: list[messages.Snapshot] = []
+
+    def wait_for_model(self) -> mujoco.MjModel | None:
+        """Return the first model, which the task sends first; None if the task ended before."""
+        self._link.setblocking(True)
+        event = self._read_packet()
+        self._link.setblocking(False)
+        return event.model if isinstance(event, messages.ModelEvent) else None
 
     def get_sim_events(self) -> list[messages.Event]:
         """Return a new model, or the end; the viewer asks before each picture."""
-        update = self._link.receive()
-        if update.has_ended:
+        events: list[messages.Event] = []
+        if os.getppid() != self._parent:
             return [messages.ExitEvent()]
-        if update.qpos is not None:
-            state = messages.StateSnapshot(update.qpos, int(mujoco.mjtState.mjSTATE_QPOS))
-            self._states = [state, BesideSnapshot(update.reference, update.markers)]
-        return [] if update.model is None else [messages.ModelEvent(update.model)]
+        while not any(isinstance(event, messages.ExitEvent) for event in events):
+            try:
+                event = self._read_packet()
+            except BlockingIOError:
+                break
+            if event is not None:
+                events.append(event)
+        return events
+
+    def _read_packet(self) -> messages.Event | None:
+        """Read one packet: return a model or the end, and store a state.
+
+        Raises:
+            BlockingIOError: no packet has arrived.
+        """
+        try:
+            packet, files, _, _ = socket.recv_fds(self._link, _MAX_PACKET_BYTES, 1)
+        except ConnectionError:
+            packet, files = b"", []
+        if not packet:
+            return messages.ExitEvent()
+        if files:
+            with os.fdopen(files[0], "rb") as file:
+                file.seek(0)
+                content = file.read()
+            self._states = []  # of the model before
+            model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": content})
+            return messages.ModelEvent(model)
+        qpos, reference, markers = pickle.loads(packet)  # of the task, this process's parent
+        state = messages.StateSnapshot(qpos, int(mujoco.mjtState.mjSTATE_QPOS))
+        self._states = [state, BesideSnapshot(reference, tuple(markers))]
+        return None
 
     def get_sim_snapshots(self) -> list[messages.Snapshot]:
         """Return the newest state, once."""
@@ -142,7 +206,7 @@ class PagePlugin(plugin.ViewerPlugin):
         link: to the task.
     """
 
-    def __init__(self, link: PageEnd) -> None:
+    def __init__(self, link: socket.socket) -> None:
         self._link = link
         self._beside = BesideSnapshot()
         self._overlay: tuple[mujoco.MjvScene, RobotOverlay] | None = None
@@ -188,38 +252,7 @@ class PagePlugin(plugin.ViewerPlugin):
         for key, name in KEYS.items():
             # Not with Ctrl and the like, nor again while it is held.
             if imgui.IsKeyChordPressed(imgui.Key.__members__[key]):
-                self._link.send_key(name)
-
-
-class PageViewer(web_viewer.WebViewer):
-    """Listens at one address in place of all of them.
-
-    Attributes:
-        address: where to listen; set it before an instance is made.
-    """
-
-    address = "127.0.0.1"
-
-    @property
-    def _host(self) -> str:
-        return self.address
-
-    @_host.setter
-    def _host(self, value: str) -> None:
-        """Ignore MuJoCo's choice, every address of the machine."""
-
-
-def _silence_server_log() -> None:
-    """Keep the server's lines about connections out of the log."""
-    server_log = logging.getLogger("WebServer")
-    server_log.handlers.clear()
-    server_log.propagate = True
-    server_log.setLevel(logging.WARNING)
-    # A browser that leaves while it is sent a state is no error.
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)
-
-
-def _free_port(address: str) -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
-        trial.bind((address, 0))
-        return int(trial.getsockname()[1])
+                try:
+                    self._link.send(name.encode())
+                except OSError:  # no room, or the task ended, which the endpoint reports
+                    return

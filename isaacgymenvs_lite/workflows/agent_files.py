@@ -6,13 +6,11 @@ It cannot name code: the workflow chooses the classes.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -22,25 +20,18 @@ from yaml import YAMLError
 from isaacgymenvs_lite.config.staging import read_yaml
 from isaacgymenvs_lite.errors import ConfigError, UserError, one_line, unknown
 from isaacgymenvs_lite.paths import cfg_dir, user_path
-from isaacgymenvs_lite.schema import keys_of, plain, setting
+from isaacgymenvs_lite.schema import keys_of, plain, read_section, setting
 
 PREFIX = "agent."
 """Start of a key of the agent file on the command line."""
 
-_DEFAULT = "default"
-_NUM_NEAREST = 3
 _SEED = 42
 # Isaac Lab's names of a task's own file: sb3_cfg_entry_point.
 _ENTRY_POINT = "_cfg_entry_point"
-_ACTIVATIONS: dict[str, type[nn.Module]] = {
-    "elu": nn.ELU,
-    "gelu": nn.GELU,
-    "leaky_relu": nn.LeakyReLU,
-    "relu": nn.ReLU,
-    "selu": nn.SELU,
-    "silu": nn.SiLU,
-    "tanh": nn.Tanh,
-}
+_ACTIVATIONS = {
+    function.__name__.lower(): function
+    for function in (nn.ELU, nn.GELU, nn.LeakyReLU, nn.ReLU, nn.SELU, nn.SiLU, nn.Tanh)
+} | {"leaky_relu": nn.LeakyReLU}
 
 
 def load_agent_file(
@@ -58,7 +49,16 @@ def load_agent_file(
     Raises:
         ConfigError: there is no such file, or a value is not valid YAML.
     """
-    content = read_yaml(_find(cfg_dir() / library, task, given))
+    folder = cfg_dir() / library
+    if not given or given.endswith(_ENTRY_POINT):
+        places = [folder / f"{task}.yaml", folder / "default.yaml"]
+    else:
+        places = [user_path(given), folder / f"{given}.yaml"]
+    file = next((place for place in places if place.is_file()), None)
+    if file is None:
+        names = [path.stem for path in folder.glob("*.yaml")]
+        raise ConfigError(unknown("agent file", given, names, "or give the path of a file"))
+    content = read_yaml(file)
     for word in overrides:
         key, _, value = word.removeprefix(PREFIX).partition("=")
         try:
@@ -80,17 +80,6 @@ def seed_of(content: Mapping[str, Any]) -> int:
     return seed
 
 
-def _find(folder: Path, task: str, given: str) -> Path:
-    if not given or given.endswith(_ENTRY_POINT):
-        own = folder / f"{task}.yaml"
-        return own if own.is_file() else folder / f"{_DEFAULT}.yaml"
-    for path in (user_path(given), folder / f"{given}.yaml"):
-        if path.is_file():
-            return path
-    names = [path.stem for path in folder.glob("*.yaml")]
-    raise ConfigError(unknown("agent file", given, names, "or give the path of a file"))
-
-
 @dataclass(frozen=True, kw_only=True)
 class AgentSettings:
     """The keys that all agent files have."""
@@ -103,41 +92,19 @@ class AgentSettings:
     """Unless the command line gives one."""
 
 
-def check_keys(
-    cls: type[Any],
-    content: Mapping[str, Any],
-    where: str,
-    functions: Mapping[str, Callable[..., Any]] | None = None,
-) -> None:
-    """Check that a section has only keys that its settings read.
+Settings = TypeVar("Settings", bound=AgentSettings)
 
-    Args:
-        cls: the settings.
-        content: the section.
-        where: its path, `agent`.
-        functions: section -> function whose arguments the section holds, to find a key that was
-            written one section too high.
+
+def read_agent(cls: type[Settings], content: Mapping[str, Any]) -> Settings:
+    """Return the content of an agent file as settings.
 
     Raises:
-        ConfigError: an unknown key; the message names the nearest ones.
+        ConfigError: an unknown key, or a value that cannot be used.
     """
-    own = keys_of(cls)
-    below = {
-        f"{section}.{name}": name
-        for section, function in (functions or {}).items()
-        for name in inspect.signature(function).parameters
-    }
     for key in content:
-        if key in own:
-            continue
-        near = [path for path, name in below.items() if name == key]
-        near += difflib.get_close_matches(str(key), [*own, *below], n=_NUM_NEAREST, cutoff=0.5)
-        near = list(dict.fromkeys(near))[:_NUM_NEAREST]
-        names = " or ".join(f"'{path}'" for path in near)
-        question = f" (did you mean {names}?)" if near else ""
-        raise ConfigError(
-            f"unknown key '{where}.{key}'{question}; {where} has {', '.join(sorted(own))}"
-        )
+        if key not in keys_of(cls):
+            raise ConfigError(unknown("key of agent", str(key), keys_of(cls)))
+    return read_section(cls, content, "agent", complete=True)
 
 
 def check_arguments(
@@ -161,13 +128,31 @@ def check_arguments(
     names = set(parameters) - {"self", *reserved}
     for name, value in arguments.items():
         if name not in names:
-            raise ConfigError(unknown(f"key of {where}", name, names))
+            raise ConfigError(unknown(f"key of {where}", str(name), names))
         default = parameters[name].default
-        if isinstance(default, bool) and not isinstance(value, bool):
-            raise ConfigError(f"{where}.{name}: got {value!r}, expected True or False")
         may_be_none = value is None and "None" in str(parameters[name].annotation)
-        if _is_number(default) and not (_is_number(value) or may_be_none):
+        if isinstance(default, bool):
+            if not isinstance(value, bool):
+                raise ConfigError(f"{where}.{name}: got {value!r}, expected True or False")
+        elif isinstance(default, int | float) and not may_be_none and not is_number(value):
             raise ConfigError(f"{where}.{name}: got {value!r}, expected a number")
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number, or a library's schedule of one."""
+    return callable(value) or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def whole_number(section: Mapping[str, Any], key: str, where: str) -> int:
+    """Return a whole number >= 1 of a section.
+
+    Raises:
+        ConfigError: it is missing or something else.
+    """
+    value = section.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise ConfigError(f"{where}.{key}: got {value!r}, expected a whole number >= 1")
+    return value
 
 
 @contextmanager
@@ -186,10 +171,6 @@ def constructing(what: str) -> Iterator[None]:
         raise
     except (TypeError, ValueError, AssertionError) as error:
         raise ConfigError(f"agent: {what} refuses its values: {one_line(error)}") from error
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def activation_class(name: str) -> type[nn.Module]:

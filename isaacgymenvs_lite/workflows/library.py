@@ -1,34 +1,27 @@
-"""What a workflow uses of an RL library: its agent, and its checkpoints.
+"""What the workflows use of an RL library.
 
-The libraries' own `load` functions unpickle whatever a file holds. `read_parameters` reads tensors
-only; the networks are made from the agent file.
+The libraries' own `load` functions unpickle whatever a file holds. Agents here are made from the
+agent file, and read only tensors from a checkpoint.
 """
 
 from __future__ import annotations
 
 import importlib
-import zipfile
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from isaacgymenvs_lite.checkpoints.archive import read_archive
-from isaacgymenvs_lite.errors import CheckpointError
+from torch import nn
+
+from isaacgymenvs_lite.errors import CheckpointError, UserError, one_line
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
-from isaacgymenvs_lite.typed_command import package_command
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
-# Library -> keys that only its checkpoints have. Stable-Baselines3 writes archives with a member.
-_KEYS: dict[str, set[str]] = {
-    "rsl_rl": {"actor_state_dict", "critic_state_dict"},
-    "skrl": {"policy", "value", "optimizer"},
-    "rl_games": {"model"},
-}
-_SB3, _SB3_MEMBER = "sb3", "policy.pth"
 
-
-class Agent(Protocol):
+class Agent(ABC):
     """An agent of a library with its environment.
 
     Attributes:
@@ -43,6 +36,7 @@ class Agent(Protocol):
     minibatch_rows: int
     num_parameters: int
 
+    @abstractmethod
     def learn(self, folder: Path, log_interval: int | None = None) -> None:
         """Train for `max_iterations`; checkpoints and TensorBoard's files go into `folder`.
 
@@ -50,23 +44,22 @@ class Agent(Protocol):
             folder: folder of the training.
             log_interval: frames from one log entry to the next; None: the library's own.
         """
-        ...
 
+    @abstractmethod
     def save(self, folder: Path) -> Path:
         """Write a checkpoint below `folder`, with a name as in `learn`; return the file."""
-        ...
 
+    @abstractmethod
     def load(self, checkpoint: Path) -> None:
         """Load parameters and normalisers from a checkpoint, without running code from it.
 
         Raises:
             CheckpointError: it belongs to another library or another network.
         """
-        ...
 
+    @abstractmethod
     def player(self) -> Callable[[], None]:
         """Start new episodes; return a function that makes a step with the mean actions."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -77,14 +70,12 @@ class Library:
         name: of its folders in cfg/ and logs/, and of its package in `workflows`.
         title: as its users write it.
         package: module that it is imported by.
-        agent_class: name of the `Agent` in `workflows.<name>.agent`.
         checkpoints: patterns of the checkpoints in the folder of a training.
     """
 
     name: str
     title: str
     package: str
-    agent_class: str
     checkpoints: tuple[str, ...]
 
     def make_agent(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> Agent:
@@ -100,81 +91,48 @@ class Library:
             ConfigError: a key of the agent file that cannot be used.
         """
         module = importlib.import_module(f"isaacgymenvs_lite.workflows.{self.name}.agent")
-        return getattr(module, self.agent_class)(task, content, device, seed)
-
-    def command(self, verb: str) -> str:
-        """Return the command that trains or plays, for a shell."""
-        return package_command("workflows", self.name, verb)
+        return module.Agent(task, content, device, seed)
 
 
-def read_parameters(checkpoint: Path, library: Library) -> dict[str, Any]:
-    """Return the tensors of a checkpoint, on the CPU: nested dictionaries by name.
-
-    A checkpoint of Stable-Baselines3 gives an empty dictionary: its archive holds other files,
-    which `Sb3Agent.load` reads.
-
-    Raises:
-        CheckpointError: no such file, a file that is damaged or would run code, or a checkpoint of
-            another library.
-    """
-    if not checkpoint.is_file():
-        raise CheckpointError(f"checkpoint={checkpoint}: no such file")
-    content: dict[str, Any] = {}
-    if _is_sb3(checkpoint):
-        kind = _SB3
-    else:
-        content = _read(checkpoint, library)
-        kinds = (name for name, keys in _KEYS.items() if keys <= content.keys())
-        kind = next(kinds, None)
-    if kind != library.name:
-        raise CheckpointError(_wrong_kind(checkpoint, library, kind))
-    return content
+LIBRARIES = {
+    library.name: library
+    for library in (
+        Library(
+            "sb3",
+            "Stable-Baselines3",
+            "stable_baselines3",
+            ("checkpoints/model_*.zip", "model.zip"),
+        ),
+        Library("skrl", "skrl", "skrl", ("checkpoints/agent_*.pt",)),
+        Library("rsl_rl", "rsl_rl", "rsl_rl", ("model_*.pt",)),
+    )
+}
 
 
-def load_into(networks: Callable[[], object], checkpoint: Path) -> None:
-    """Load parameters of a checkpoint into networks.
+@contextmanager
+def loading(file: str | Path, title: str) -> Iterator[None]:
+    """Report whatever goes wrong while a checkpoint is loaded as a user's mistake.
 
     Args:
-        networks: loads them.
-        checkpoint: for the message.
+        file: the checkpoint.
+        title: of the library.
 
     Raises:
-        CheckpointError: the parameters do not fit.
+        CheckpointError: something was raised.
     """
     try:
-        networks()
-    except (KeyError, RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split())
+        yield
+    except UserError:
+        raise
+    except Exception as error:  # on arbitrary bytes the readers may raise anything
+        fits = isinstance(error, (KeyError, RuntimeError, TypeError, ValueError))
+        reason = one_line(error)[:160] if fits else "damaged, or with more than tensors in it"
         raise CheckpointError(
-            f"checkpoint={checkpoint}: of another network or task ({reason[:160]}); give the task"
-            " and overrides of its training"
+            f"checkpoint={file}: no checkpoint of {title} for this task and agent file ({reason});"
+            " nothing of it was run; give the library, task and overrides of its training"
         ) from error
 
 
-def _is_sb3(checkpoint: Path) -> bool:
-    if not zipfile.is_zipfile(checkpoint):
-        return False
-    with zipfile.ZipFile(checkpoint) as archive:
-        return _SB3_MEMBER in archive.namelist()
-
-
-def _read(checkpoint: Path, library: Library) -> dict[str, Any]:
-    try:
-        content = read_archive(checkpoint)
-    except Exception as error:  # on arbitrary bytes the reader may raise anything
-        raise CheckpointError(
-            f"checkpoint={checkpoint}: damaged, or no checkpoint, or with more than tensors in it"
-            f" (nothing was run); expected one of {library.title}"
-        ) from error
-    return dict(content) if isinstance(content, Mapping) else {}
-
-
-def _wrong_kind(checkpoint: Path, library: Library, kind: str | None) -> str:
-    hint = ""
-    if kind == "rl_games":
-        command = package_command("train", "task=HumanoidAMP", "test=True")
-        hint = f"; play it with {command} checkpoint={checkpoint}, and its own task"
-    elif kind is not None:
-        hint = f"; play it with {package_command('workflows', kind, 'play')}"
-    what = f"a checkpoint of {kind}" if kind else "no checkpoint of a known library"
-    return f"checkpoint={checkpoint}: {what}, expected one of {library.title}{hint}"
+def count_parameters(networks: Iterable[nn.Module]) -> int:
+    """Return the number of parameters of networks."""
+    return sum(parameter.numel() for network in networks for parameter in network.parameters())

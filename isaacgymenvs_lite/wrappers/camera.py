@@ -6,6 +6,7 @@ from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.rendering.tracks import TaskCamera
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 RENDER_MODE = "rgb_array"
 
@@ -50,3 +51,28 @@ class AdapterCamera:
     def close(self) -> None:
         """Free the renderer; a second call does nothing."""
         self._camera.close()
+
+
+class ShowsFirst:
+    """An environment that shows environment 0 of its task.
+
+    Attributes:
+        stepper: steps the task.
+    """
+
+    stepper: AutoresetTask
+    _camera: AdapterCamera
+
+    def render(self) -> Image | None:
+        """Return a picture (height, width, 3) of environment 0; None without a render mode.
+
+        Raises:
+            RenderingError: this machine cannot draw.
+        """
+        pictures = self._camera.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Free renderer and simulation; a second call does nothing."""
+        self._camera.close()
+        self.stepper.close()

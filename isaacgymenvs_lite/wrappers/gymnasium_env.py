@@ -31,7 +31,7 @@ from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.utils.random_stream import RandomStream
 from isaacgymenvs_lite.utils.threads import limit_torch_threads, threads_for_envs
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera
+from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera, ShowsFirst
 
 Floats = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
@@ -267,7 +267,7 @@ class GymnasiumVectorEnv(VectorEnv[Floats, Floats, npt.NDArray[Any]]):
         self.stepper.close()
 
 
-class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
+class GymnasiumEnv(ShowsFirst, gymnasium.Env[Floats, Floats]):
     """One environment; `gymnasium.make("IsaacGymEnvsLite/<Task>-v0")` makes one.
 
     The step that ends an episode returns its last observation, and `reset` starts the next. `info`
@@ -312,7 +312,6 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
         self._camera = AdapterCamera(self.task, render_mode, width, height)
         self.observation_space = self.task.observation_space
         self.action_space = self.task.action_space
-        self._is_closed = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -339,22 +338,6 @@ class GymnasiumEnv(gymnasium.Env[Floats, Floats]):
             bool(step.truncated[0]),
             {**info, **step.scalars},
         )
-
-    def render(self) -> Image | None:  # type: ignore[override]
-        """Return a picture (height, width, 3); None without a render mode.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
-        pictures = self._camera.render()
-        return None if pictures is None else pictures[0]
-
-    def close(self) -> None:
-        """Free renderer and simulation; a second call does nothing."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._camera.close()
-            self.stepper.close()
 
 
 def as_numpy(tensor: torch.Tensor) -> npt.NDArray[Any]:

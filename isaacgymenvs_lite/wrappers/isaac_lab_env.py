@@ -11,9 +11,8 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.rendering.scene import Image
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Observations
-from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera
+from isaacgymenvs_lite.wrappers.camera import RENDER_MODE, AdapterCamera, ShowsFirst
 from isaacgymenvs_lite.wrappers.gymnasium_env import make_task, render_fps
 
 
@@ -49,7 +48,7 @@ def make_isaac_lab_env(
     return env
 
 
-class IsaacLabEnv(gymnasium.Env[dict[str, Tensor], Tensor]):
+class IsaacLabEnv(ShowsFirst, gymnasium.Env[dict[str, Tensor], Tensor]):
     """N environments of a task in one, as Isaac Lab's: batches of tensors.
 
     A step that ends an episode returns the first observation of the next one. Observations are
@@ -105,20 +104,6 @@ class IsaacLabEnv(gymnasium.Env[dict[str, Tensor], Tensor]):
         step = self.stepper.step(torch.as_tensor(action, dtype=torch.float32))
         infos = {**step.per_env, "log": step.scalars}
         return _renamed(step.observations), step.rewards, step.terminated, step.truncated, infos
-
-    def render(self) -> Image | None:  # type: ignore[override]
-        """Return a picture (height, width, 3) of environment 0; None without a render mode.
-
-        Raises:
-            RenderingError: this machine cannot draw.
-        """
-        pictures = self._camera.render()
-        return None if pictures is None else pictures[0]
-
-    def close(self) -> None:
-        """Free renderer and simulation; a second call does nothing."""
-        self._camera.close()
-        self.stepper.close()
 
 
 def _renamed(observations: Observations) -> dict[str, Tensor]:

@@ -21,11 +21,9 @@ from isaacgymenvs_lite.errors import ConfigError
 
 log = logging.getLogger(__name__)
 
-SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
-"""Arguments of PPO that may be "lin_3e-4": linearly to zero, as in Stable-Baselines3's zoo."""
-
+# Arguments of PPO that may be "lin_3e-4": linearly to zero, as in Stable-Baselines3's zoo.
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _LINEAR = "lin_"
-_MOST_TEXT = 2000
 _NN = ("nn.", "torch.nn.", "th.nn.")
 
 
@@ -43,82 +41,62 @@ def process_sb3_cfg(cfg: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
     Raises:
         ConfigError: a value that cannot be used.
     """
-    made = dict(cfg)
-    for key in SCHEDULED:
-        made |= {key: read_schedule(made[key], f"agent.{key}")} if key in made else {}
+    made = read_schedules(cfg, "agent")
     if "n_minibatches" in made:
         made["batch_size"] = made.get("n_steps", 2048) * num_envs // made.pop("n_minibatches")
     if "policy_kwargs" in made:
-        policy = made["policy_kwargs"] = read_policy_kwargs(made["policy_kwargs"])
-        if name := policy.get("activation_fn"):
-            policy["activation_fn"] = _activation(name)
+        made["policy_kwargs"] = _read_policy_kwargs(made["policy_kwargs"] or {})
     if str(made.get("device", "")).startswith("cuda") and not torch.cuda.is_available():
         log.info("agent.device=%s: torch sees no GPU; the CPU is used", made.pop("device"))
     return made
 
 
-def read_schedule(value: Any, where: str) -> Any:
-    """Return a falling schedule for "lin_3e-4"; other values unchanged.
+def read_schedules(section: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return arguments of PPO with falling schedules for "lin_3e-4"; other values unchanged.
 
     Raises:
         ConfigError: no number after lin_.
     """
-    if not isinstance(value, str) or not value.startswith(_LINEAR):
-        return value
-    try:
-        return LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
-    except ValueError as error:
-        message = f"{where}: got {value!r}, expected a number, or lin_ and a number"
-        raise ConfigError(message) from error
+    made = dict(section)
+    for key in _SCHEDULED:
+        value = made.get(key)
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            try:
+                made[key] = LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
+            except ValueError as error:
+                message = f"{where}.{key}: got {value!r}, expected a number, or lin_ and a number"
+                raise ConfigError(message) from error
+    return made
 
 
-def read_policy_kwargs(arguments: Any) -> dict[str, Any]:
-    """Return `policy_kwargs`, with the activation by its class's name in torch.nn: "ELU".
+def _read_policy_kwargs(arguments: Any) -> dict[str, Any]:
+    """Return `policy_kwargs` with the activation as a class of torch.nn.
 
     Raises:
         ConfigError: no mapping, or an activation that is no name.
     """
     if isinstance(arguments, str):
-        arguments = _parsed(arguments)
+        try:
+            arguments = _value(ast.parse(arguments.strip(), mode="eval").body)
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise ConfigError(
+                f"agent.policy_kwargs={arguments[:60]!r}: expected a mapping, or dict(...) of"
+                " numbers, lists and activations such as nn.ELU; nothing of it is run"
+            ) from error
     if not isinstance(arguments, Mapping):
         raise ConfigError(f"agent.policy_kwargs: got {arguments!r}, expected a mapping")
     policy = dict(arguments)
-    function = policy.get("activation_fn")
-    if function is None:
-        return policy
-    prefix = next((p for p in _NN if str(function).startswith(p)), None)
-    if not isinstance(function, str) or prefix is None:
-        raise ConfigError(
-            f"agent.policy_kwargs.activation_fn: got {function!r}, expected a name such as nn.ELU"
-        )
-    return {**policy, "activation_fn": function.removeprefix(prefix)}
-
-
-def _activation(name: str) -> type[nn.Module]:
-    if name not in nn.modules.activation.__all__:
-        raise ConfigError(
-            f"agent.policy_kwargs.activation_fn: torch.nn has no activation {name}; expected a name"
-            " such as nn.ELU"
-        )
-    return getattr(nn, name)
-
-
-def _parsed(text: str) -> Any:
-    """Return the value of a line of Python, without running it.
-
-    Raises:
-        ConfigError: it holds more than numbers, texts, lists, dictionaries and activations.
-    """
-    refusal = (
-        f"agent.policy_kwargs={text[:60]!r}: expected a mapping, or dict(...) of numbers, lists and"
-        " activations such as nn.ELU; nothing of it is run"
-    )
-    if len(text) > _MOST_TEXT:
-        raise ConfigError(refusal)
-    try:
-        return _value(ast.parse(text.strip(), mode="eval").body)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ConfigError(refusal) from error
+    if policy.get("activation_fn") is not None:
+        given = str(policy["activation_fn"])
+        prefix = next((prefix for prefix in _NN if given.startswith(prefix)), None)
+        name = given.removeprefix(prefix or given)
+        if name not in nn.modules.activation.__all__:
+            raise ConfigError(
+                f"agent.policy_kwargs.activation_fn: got {given!r}, expected the name of an"
+                " activation, such as nn.ELU"
+            )
+        policy["activation_fn"] = getattr(nn, name)
+    return policy
 
 
 def _value(node: ast.expr) -> Any:
@@ -128,12 +106,10 @@ def _value(node: ast.expr) -> Any:
                 raise ValueError("**")
             return {str(word.arg): _value(word.value) for word in words}
         case ast.Dict(keys=keys, values=values):
-            if not all(
-                isinstance(key, ast.Constant) and isinstance(key.value, str) for key in keys
-            ):
+            names = [ast.literal_eval(key) if key is not None else None for key in keys]
+            if not all(isinstance(name, str) for name in names):
                 raise ValueError("a key that is not text")
-            pairs = zip(keys, values, strict=True)
-            return {key.value: _value(value) for key, value in pairs}  # type: ignore[union-attr]
+            return dict(zip(names, map(_value, values), strict=True))
         case ast.List(elts=entries) | ast.Tuple(elts=entries):
             return [_value(entry) for entry in entries]
         case ast.Attribute() if ast.unparse(node).startswith(_NN):

@@ -8,16 +8,11 @@ from benchmarks.curves import (
     draw,
     draw_returns,
     markdown_table,
-    markdown_table_of_measurements,
     markdown_table_of_returns,
     median_line,
-    with_gaps,
 )
-from benchmarks.evaluate import CURVES, RESULTS_DIR
 from benchmarks.learning_curve import read_learning_curve
-from benchmarks.saved_curves import find_saved_curves
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.report.scalars import Series
 
 
 @pytest.fixture
@@ -50,23 +45,6 @@ def test_median_line_is_where_all_have_values():
 )
 def test_median_line_of_nothing_common_is_empty(lines):
     assert [len(part) for part in median_line(lines)] == [0, 0]
-
-
-def test_a_line_is_broken_where_its_run_was_resumed():
-    frames = np.array([0.0, 100.0, 700.0])
-    series = Series(frames, frames, np.array([1.0, 2.0, 3.0]), resumed_at=(200.0, 800.0))
-    x, y = with_gaps(series, frames)
-    np.testing.assert_equal(x, [0.0, 100.0, np.nan, 700.0])
-    np.testing.assert_equal(y, [1.0, 2.0, np.nan, 3.0])
-
-
-def test_the_kept_curves_have_no_cliffs():
-    """Those of Humanoid and Anymal fell to nothing where their runs were resumed."""
-    for experiment in ("humanoid", "anymal"):
-        for curve in find_saved_curves(experiment, RESULTS_DIR / CURVES):
-            returns = curve.even("episode_return").values
-            high = returns[:-1] > 10.0
-            assert (returns[1:][high] > 0.6 * returns[:-1][high]).all()
 
 
 def test_table(two_seeds):
@@ -112,15 +90,3 @@ def test_picture_without_a_folder(two_seeds, tmp_path):
     pytest.importorskip("matplotlib")
     with pytest.raises(ConfigError, match="does not exist"):
         draw(two_seeds, tmp_path / "absent" / "curves.png")
-
-
-def test_the_course_of_a_run_has_a_row_for_each_measurement(two_seeds):
-    text = markdown_table_of_measurements(two_seeds)
-    first, second = text.split("walk, run 2")
-    rows = [line.split(" | ") for line in first.splitlines()[4:] if line]
-    # at 100 frames an episode length of 100, at 200 one of 280; minutes count the epochs before
-    assert [row[2] for row in rows] == ["100", "280"]
-    assert [row[7] for row in rows] == ["0.100", "0.050"]
-    assert {row[3] for row in rows} == {"-"}  # no falls were written
-    assert "| 20 |" in second
-    assert "| 30 |" in second

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -71,64 +70,6 @@ def test_skills(runs, tmp_path, capsys) -> None:
     assert 0.0 <= found["encoder_reward"] <= 1.0
     assert found["no_fall_share"] == 0.0
     assert "skills seed 1: coverage 1.00" in capsys.readouterr().out
-
-
-def test_clips(runs, tmp_path, capsys) -> None:
-    found = measured(runs, tmp_path, "clips", "skills")
-    (name,), (skill,) = zip(*found["clips"].items(), strict=True)
-    assert name == "stand"
-    assert skill["clip"] == pytest.approx({"forward": 0.0, "left": 0.0, "turn": 0.0}, abs=0.05)
-    # An untrained character falls within 5 s, and lies there.
-    assert skill["no_fall_share"] == 0.0
-    assert 0.0 <= skill["encoder_reward"] <= 1.0
-    assert (found["num_moving"], found["num_followed"]) == (0, 0)
-    assert "| stand | -0.00, -0.00, 0 |" in capsys.readouterr().out
-
-
-def test_more_clips_than_episodes_are_refused(runs, monkeypatch) -> None:
-    monkeypatch.setattr(hierarchy, "EPISODES", 1)
-    with pytest.raises(SystemExit, match="got a data set of 35 clips, expected at most 1"):
-        hierarchy.main(
-            ["clips", "skills", "task.env.motion_file=locomotion", "--runs-dir", str(runs)]
-        )
-
-
-def test_pace_is_measured_along_and_across_where_the_root_faces() -> None:
-    """A root that faces +y, walks along +x at 0.5 m/s and turns left by 20 degrees/s, by hand."""
-    yaw = torch.tensor(math.pi / 2) + torch.tensor([0.0, 2.0]).deg2rad()
-    zero = torch.zeros(2)
-    root_rot = torch.stack((zero, zero, (yaw / 2).sin(), (yaw / 2).cos()), dim=-1)
-    root_pos = torch.tensor([[0.0, 0.0, 0.9], [0.05, 0.0, 0.9]])
-    pace = hierarchy.Pace.of(root_pos[:, None], root_rot[:, None], dt_s=0.1)
-    assert (pace.forward, pace.left, pace.turn) == pytest.approx((0.0, -0.5, 20.0), abs=1e-3)
-
-
-def test_a_clip_is_followed_at_more_than_half_of_its_pace() -> None:
-    def skill(clip: tuple[float, float, float], shown: tuple[float, float, float]) -> Any:
-        paces = [
-            hierarchy.Pace(forward=forward, left=left, turn=turn)
-            for forward, left, turn in (clip, shown)
-        ]
-        return hierarchy.ClipSkill(
-            clip=paces[0], shown=paces[1], encoder_reward=1.0, no_fall_share=1.0
-        )
-
-    found = hierarchy.ClipSkills.of(
-        {
-            "followed": skill((-1.0, 0.0, 0.0), (-0.6, 0.0, 10.0)),
-            "stands": skill((-1.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-            "turns": skill((0.0, 0.0, 50.0), (0.0, 0.0, 74.0)),
-            "turns the other way": skill((0.0, 0.0, 50.0), (0.0, 0.0, -50.0)),
-            "rests": skill((0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
-        }
-    )
-    assert (found.num_moving, found.num_followed) == (4, 2)
-
-
-def test_latents_are_of_moments_all_along_each_clip() -> None:
-    windows = [torch.arange(5.0)[:, None], 10.0 + torch.arange(3.0)[:, None]]
-    rows = hierarchy.moments_of(windows, torch.tensor([0, 1, 0, 1, 0]))
-    assert rows.flatten().tolist() == [0.0, 10.0, 2.0, 12.0, 4.0]
 
 
 @pytest.mark.parametrize("name", ["skills", "heading_hrl", "heading_ppo"])

@@ -20,8 +20,8 @@ ROOT_KEYS = {
     *("wandb_name", "wandb_project", "wandb_tags", "capture_video", "capture_video_freq"),
     *("capture_video_len", "force_render", "headless", "latent"),
     # ours
-    *("capture_video_envs", "progress_interval", "viewer", "viewer_port", "viewer_host"),
-    *("viewer_allowed_hosts", "task_checkout", "resume", "distributed_timeout_s"),
+    *("capture_video_envs", "progress_interval", "viewer", "viewer_port"),
+    *("task_checkout", "resume", "distributed_timeout_s"),
 }
 
 

@@ -7,7 +7,6 @@ import math
 import pytest
 import torch
 
-from benchmarks import motion_shown
 from isaacgymenvs_lite.evaluation.body_tracks import Track, tracks_of_clips
 from isaacgymenvs_lite.evaluation.motion_coverage import MotionCoverage
 from isaacgymenvs_lite.evaluation.pose_error import (
@@ -15,18 +14,34 @@ from isaacgymenvs_lite.evaluation.pose_error import (
     PoseErrorMetric,
     ReferencePoses,
 )
+from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.utils.rotations import quat_from_angle_axis, rotate_about_z
 
-DT_S, STEPS = motion_shown.DT_S, motion_shown.STEPS
+DT_S = 1.0 / 30.0
+STEPS = 300
+KEY_BODIES = (5, 8, 11, 14)
 
 
-def played(name: str, *args, **kwargs) -> Track:
-    """An episode of a shipped clip; see `benchmarks.motion_shown.played`."""
-    return motion_shown.played(motion_shown.library(name), *args, **kwargs)
+def library(name: str) -> MotionLib:
+    return MotionLib(name, 28, KEY_BODIES, "cpu", True, interpolation="spline")
+
+
+def played(name: str, steps: int = STEPS, phase: float = 0.0, tempo: float = 1.0) -> Track:
+    """An episode of a clip that goes on from where it ends, beginning at a share of its length."""
+    lib = library(name)
+    length_s = float(lib.get_motion_length([0]))
+    times_s = phase * length_s + tempo * DT_S * torch.arange(steps, dtype=torch.float64)
+    ids, in_clip_s = torch.zeros(steps, dtype=torch.long), times_s % length_s
+    ends = lib.get_motion_state([0, 0], [0.0, length_s]).root_pos
+    moved = ends[1] - ends[0]
+    moved[2] = 0.0
+    repetitions = torch.floor(times_s / length_s).float().view(-1, 1, 1)
+    body_pos_w = lib.get_body_pos(ids, in_clip_s) + repetitions * moved
+    return Track(body_pos_w, lib.get_motion_state(ids, in_clip_s).root_rot)
 
 
 def coverage(*names: str) -> MotionCoverage:
-    libs = [motion_shown.library(name) for name in names]
+    libs = [library(name) for name in names]
     return MotionCoverage([track for lib in libs for track in tracks_of_clips(lib, DT_S)], DT_S)
 
 
@@ -64,7 +79,7 @@ def test_who_starts_in_a_walk_and_stops_has_shown_no_more_than_it_walked():
         torch.cat((walked.body_pos_w, walked.body_pos_w[-1:].expand(STEPS - 20, -1, -1))),
         torch.cat((walked.root_rot_w, walked.root_rot_w[-1:].expand(STEPS - 20, -1))),
     )
-    length_s = motion_shown.library("crouch_walk").get_total_length()
+    length_s = library("crouch_walk").get_total_length()
     # Those that begin in the walk and end after the stop count in part.
     assert coverage("crouch_walk").share([stopped], STEPS) < 1.5 * 20 * DT_S / length_s
 
@@ -114,7 +129,7 @@ def test_of_a_clip_longer_than_an_episode_as_much_is_expected_as_fits():
 def test_of_an_episode_that_ends_with_its_clip_the_rest_of_the_clip_counts():
     """Episodes from the first second of the jump to its end, one of which stands."""
     measured = coverage("jump")
-    length_s = float(motion_shown.library("jump").get_motion_length([0]))
+    length_s = float(library("jump").get_motion_length([0]))
     rest = played("jump", round((length_s - 1.0) / DT_S), phase=1.0 / length_s)
     stood = played("stand", len(rest))
     assert measured.share_of_rest([(rest, 1.0)]) > 0.95
@@ -146,12 +161,12 @@ def test_who_gets_up_later_has_another_median_height_and_still_gets_up():
 def test_where_falls_begin():
     """Episodes that follow the jump until 1.5 s, wherever they start, and then lie down."""
     measured = coverage("jump")
-    lib = motion_shown.library("jump")
+    lib = library("jump")
     length_s = float(lib.get_motion_length([0]))
 
     def falling(start_s: float, end_s: float) -> Track:
         steps = round((end_s - start_s) / DT_S)
-        followed = motion_shown.played(lib, steps, phase=start_s / length_s)
+        followed = played("jump", steps, phase=start_s / length_s)
         lying = followed.body_pos_w[-1:].expand(20, -1, -1) * torch.tensor([1.0, 1.0, 0.1])
         rot = followed.root_rot_w[-1:].expand(20, -1)
         return Track(torch.cat((followed.body_pos_w, lying)), torch.cat((followed.root_rot_w, rot)))

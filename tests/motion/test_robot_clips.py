@@ -351,7 +351,6 @@ def test_joints_without_mirror_images_are_refused(moving: Moving) -> None:
         (lambda clip: {"dof_pos": clip.dof_pos[0]}, r"dof_pos has shape \(12,\), expected"),
         (lambda clip: {"dof_pos": np.full((40, 12), np.nan)}, "dof_pos holds 480 number"),
         (lambda clip: {"dof_pos": np.full((40, 12), 1001.0)}, "dof_pos has 1001 rad"),
-        (lambda clip: {"dof_pos": np.zeros((40, 2000))}, "dof_pos has 2000 columns"),
         (lambda clip: {"local_translation": np.zeros((3, 6, 3))}, "local_translation has shape"),
         (lambda clip: {"local_translation": np.full((40, 6, 3), np.inf)}, "local_translation hol"),
     ],

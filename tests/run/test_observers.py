@@ -70,4 +70,4 @@ def test_the_advice_depends_on_whether_episodes_keep_to_their_clip(words, limits
     observers = TrainingObservers(cfg, check_config(cfg), "run", None, 300, StopRequest())
     (advice,) = (one for one in observers.observers if isinstance(one, DiagnosticsObserver))
     advice.after_init(types.SimpleNamespace(config={}))
-    assert advice.diagnostics.clip_limits == limits
+    assert advice.clip_limits == limits

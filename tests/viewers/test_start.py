@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite import runner
+from isaacgymenvs_lite import registration, runner
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
 from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
@@ -46,7 +46,7 @@ def no_training(monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("a training began")
 
-    monkeypatch.setattr(runner, "build_runner", refuse)
+    monkeypatch.setattr(registration, "build_runner", refuse)
 
 
 def cfg_of(*overrides: str) -> DictConfig:

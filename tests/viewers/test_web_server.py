@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pickle
+import socket
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +18,6 @@ from mujoco.studio import messages
 
 from isaacgymenvs_lite.rendering.markers import Sphere
 from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES
-from isaacgymenvs_lite.viewers.web_link import PageEnd, TaskEnd, make_link
 from isaacgymenvs_lite.viewers.web_server import KEYS, BesideSnapshot, LinkEndpoint, PagePlugin
 
 XML = '<mujoco><worldbody><body><freejoint/><geom size="{}"/></body></worldbody></mujoco>'
@@ -23,21 +25,30 @@ XML = '<mujoco><worldbody><body><freejoint/><geom size="{}"/></body></worldbody>
 
 @pytest.fixture
 def link():
-    here, there = make_link()
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with here, there:
-        yield TaskEnd(here), PageEnd(there)
+        yield here, there
+
+
+def send_model(task: socket.socket, model: mujoco.MjModel) -> None:
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    with os.fdopen(os.memfd_create("model.mjb"), "wb") as file:
+        file.write(content.data)
+        file.flush()
+        socket.send_fds(task, [b"model"], [file.fileno()])
 
 
 def test_the_viewer_receives_models_states_and_the_end(link):
     task, page = link
     model = mujoco.MjModel.from_xml_string(XML.format(0.5))
-    task.send_model(model)
-    page.wait_for_model()
-    endpoint = LinkEndpoint(page)
+    send_model(task, model)
+    endpoint = LinkEndpoint(page, os.getppid())
+    assert endpoint.wait_for_model() is not None
     assert endpoint.get_sim_events() == endpoint.get_sim_snapshots() == []
     qpos = np.array((1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))
     goal = Sphere((1.0, 2.0, 0.5), 0.1, (1.0, 0.0, 0.0))
-    task.send_state(qpos, qpos + 1.0, [goal])
+    task.send(pickle.dumps((qpos, qpos + 1.0, [goal])))
     assert endpoint.get_sim_events() == []
     state, beside = endpoint.get_sim_snapshots()
     assert isinstance(state, messages.StateSnapshot)
@@ -48,7 +59,7 @@ def test_the_viewer_receives_models_states_and_the_end(link):
     np.testing.assert_array_equal(beside.reference, qpos + 1.0)
     assert beside.markers == (goal,)
     assert endpoint.get_sim_snapshots() == []
-    task.send_model(mujoco.MjModel.from_xml_string(XML.format(0.7)))
+    send_model(task, mujoco.MjModel.from_xml_string(XML.format(0.7)))
     (event,) = endpoint.get_sim_events()
     assert isinstance(event, messages.ModelEvent)
     assert event.model.geom_size[0, 0] == 0.7

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +12,10 @@ import pytest
 import torch
 import yaml
 
+from isaacgymenvs_lite.workflows.__main__ import main
 from isaacgymenvs_lite.workflows.agent_files import load_agent_file
-from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY as RSL_RL
-from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
-from isaacgymenvs_lite.workflows.skrl import LIBRARY as SKRL
-from isaacgymenvs_lite.workflows.training import make_task, play_episodes, train
+from isaacgymenvs_lite.workflows.library import LIBRARIES
+from isaacgymenvs_lite.workflows.training import play_episodes, task_session
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # rsl_rl normalises no returns, and takes longer.
@@ -51,13 +51,6 @@ def test_a_training_leaves_what_it_was_made_of(library, run_train, tmp_path):
     assert list(folder.glob("events.out.tfevents.*"))
 
 
-def test_a_training_goes_on_from_a_checkpoint(library, run_train, tmp_path):
-    run_train(library, *SMALL, "--max_iterations", "1")
-    folder = folder_of(tmp_path, library)
-    (file, *_) = (file for pattern in library.checkpoints for file in folder.glob(pattern))
-    run_train(library, *SMALL, "--max_iterations", "1", "--checkpoint", str(file))
-
-
 def test_an_interrupted_training_is_saved(library, run_play, tmp_path, monkeypatch):
     step, made = AutoresetTask.step, []
 
@@ -69,13 +62,8 @@ def test_an_interrupted_training_is_saved(library, run_play, tmp_path, monkeypat
 
     monkeypatch.setattr(AutoresetTask, "step", interrupted)
     words = ["--task", "Cartpole", "--logs", str(tmp_path / "logs"), *SMALL]
-    assert train(library, words) == 130
+    assert main([library.name, "train", *words]) == 130
     assert "episodes: 4, " in run_play(library, *SMALL, "--use_last_checkpoint")
-
-
-def test_a_task_without_a_file_of_its_own_trains_with_the_default(library, run_train, tmp_path):
-    run_train(library, *SMALL, "--task", "BallBalance", "--max_iterations", "1")
-    assert (tmp_path / "logs" / library.name / "BallBalance").is_dir()
 
 
 # Without normalisers, so that the networks' inputs are rows of the observations or states.
@@ -126,7 +114,7 @@ def test_critics_see_the_states_without_noise(library, tmp_path, monkeypatch):
     words.append("task.env.asymmetric_observations=True")
     content = load_agent_file(library.name, "Ant", "", RAW[library.name])
     content["max_iterations"] = 1
-    with make_task("Ant", words, 1, plays=False) as session:
+    with task_session("Ant", ["seed=1", *words], plays=False) as session:
         agent = library.make_agent(session.task, content, "cpu", 1)
         seen: tuple[list[torch.Tensor], list[torch.Tensor]] = ([], [])
         for network, inputs in zip(NETWORKS[library.name](agent), seen, strict=True):
@@ -140,6 +128,72 @@ def test_critics_see_the_states_without_noise(library, tmp_path, monkeypatch):
     assert len(policy_inputs - states) >= 4 * 20  # all of a rollout but resets have noise
     assert critic_inputs <= (observations if library.name == "sb3" else states)
     assert len(critic_inputs) >= 4 * 20
+
+
+def test_a_checkpoint_is_gone_on_from_and_played_and_others_are_one_line(
+    library, run_train, run_play, fails, tmp_path, monkeypatch
+):
+    words = ("--max_iterations", "1", "viewer=web", "viewer_port=0")
+    run_train(library, *SMALL, *words)
+    file = max(folder_of(tmp_path, library).rglob(library.checkpoints[-1].split("/")[-1]))
+    run_train(library, *SMALL, *words, "--checkpoint", "last")
+    assert "episodes: 4, " in run_play(library, *SMALL)
+
+    def line(*words: str) -> str:
+        return fails(run_play, library, *SMALL, "--checkpoint", *words)
+
+    assert "for this task and agent file" in line(str(file), "--task", "Ant")
+    assert "no such file" in line(str(tmp_path / "none.pt"))
+    damaged, harmful = tmp_path / "damaged.pt", tmp_path / "harmful.pt"
+    damaged.write_bytes(b"no checkpoint")
+    assert f"no checkpoint of {library.title}" in line(str(damaged))
+    monkeypatch.setenv("HARM", str(tmp_path / "harm"))
+    torch.save({"policy": Harmful(), "value": {}, "optimizer": {}}, harmful)
+    assert "nothing of it was run" in line(str(harmful))
+    assert not (tmp_path / "harm").exists()
+    words = ("--use_last_checkpoint", "--logs", str(tmp_path / "none"))
+    assert "no checkpoint below" in fails(run_play, library, *SMALL, *words)
+
+
+class Harmful:
+    def __reduce__(self) -> tuple:
+        return os.mkdir, (os.environ["HARM"],)
+
+
+def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
+    def line(*words: str) -> str:
+        return fails(run_train, library, *SMALL, *words)
+
+    section = {"sb3": "ppo", "skrl": "ppo", "rsl_rl": "algorithm"}[library.name]
+    assert "Cartpole" in line("--task", "Cartpol")
+    assert "'max_iteration' (did you mean 'max_iterations'" in line("agent.max_iteration=3")
+    assert "unknown key of agent 'zzz'" in line("agent.zzz=1")
+    wrong = f"unknown key of agent.{section} 'learning_rat' (did you mean 'learning_rate'?)"
+    assert wrong in line(f"agent.{section}.learning_rat=1")
+    assert "expected one of '', web" in line("viewer=webb")
+    assert "unknown agent file 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
+    assert "rl_device" in line("--device", "gpu")
+    (tmp_path / "file").touch()
+    assert "cannot write the log folder" in line("--logs", str(tmp_path / "file"))
+    unknown = tmp_path / "agent.yaml"
+    unknown.write_text("max_iterations: 1\n")
+    assert "is missing" in line("--agent", str(unknown))
+
+
+def test_the_log_can_be_written_less_often(run_train, tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    pytest.importorskip("stable_baselines3")
+    steps = []
+    for interval in ("128", "512"):  # a rollout is 32 x 4 frames
+        logs = tmp_path / interval
+        words = ("--max_iterations", "8", "--log_interval", interval)
+        run_train(LIBRARIES["sb3"], *SMALL, *words, "--logs", str(logs))
+        (folder,) = (logs / "sb3" / "Cartpole").iterdir()
+        events = EventAccumulator(str(folder))
+        events.Reload()
+        steps.append(len(events.Scalars("time/fps")))
+    assert steps[0] > 2 * steps[1] > 0
 
 
 def test_videos_are_written(gl, library, run_train, tmp_path):
@@ -160,25 +214,6 @@ def test_a_played_checkpoint_can_be_recorded(gl, library, run_train, run_play, t
     assert "episodes: 4, " in printed
     (video,) = (folder_of(tmp_path, library) / "videos").iterdir()
     assert re.fullmatch(r"play_.*-step-0\.mp4", video.name)
-
-
-def test_a_checkpoint_of_another_library_or_task_is_one_line(
-    library, run_train, run_play, fails, tmp_path
-):
-    run_train(library, *SMALL, "--max_iterations", "1")
-    folder = folder_of(tmp_path, library)
-    file = next(file for pattern in library.checkpoints for file in folder.glob(pattern))
-    for other in (SB3, SKRL, RSL_RL):
-        words = (*SMALL, "--checkpoint", str(file))
-        if other is library:
-            line = fails(run_play, library, *words, "--task", "Ant")
-            assert "of another network or task" in line
-        elif importlib.util.find_spec(other.package) is not None:
-            line = fails(run_play, other, *words)
-            assert f"a checkpoint of {library.name}, expected one of {other.title}" in line
-    assert "no checkpoint below" in fails(
-        run_play, library, *SMALL, "--use_last_checkpoint", "--logs", str(tmp_path / "none")
-    )
 
 
 def test_a_library_that_is_not_installed_is_one_line(library, run_train, fails, monkeypatch):
@@ -209,47 +244,11 @@ def test_arguments_that_the_file_does_not_name_can_be_given(library, run_train):
     run_train(library, *SMALL, "--max_iterations", "1", word[library.name])
 
 
-def test_a_page_in_the_browser_is_served(library, run_train, caplog):
-    run_train(library, *SMALL, "--max_iterations", "1", "viewer=web", "viewer_port=0")
-    assert "watch it at http://localhost:" in caplog.text
-
-
-def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
-    def line(*words: str) -> str:
-        return fails(run_train, library, *SMALL, *words)
-
-    assert "Cartpole" in line("--task", "Cartpol")
-    assert "'agent.max_iteration' (did you mean 'max_iterations'" in line("agent.max_iteration=3")
-    assert "(did you mean 'max_iterations'?)" in line("max_iteration=3")
-    assert "is no setting of another library's agent" in line("wandb_activate=True")
-    assert "task=Ant: given as an option as well" in line("--task", "Cartpole", "task=Ant")
-    assert "expected one of '', web" in line("viewer=webb")
-    assert "unknown agent file 'Nobody'; choices: Cartpole, default" in line("--agent", "Nobody")
-    (tmp_path / "file").touch()
-    assert "cannot write the log folder" in line("--logs", str(tmp_path / "file"))
-    unknown = tmp_path / "agent.yaml"
-    unknown.write_text("max_iterations: 1\n")
-    assert "is missing" in line("--agent", str(unknown))
-
-
-def test_unknown_keys_of_the_agent_file_name_the_nearest(library, run_train, fails):
-    def line(*words: str) -> str:
-        return fails(run_train, library, *SMALL, *words)
-
-    # Resembles nothing, and stood in the log only.
-    assert "unknown key 'agent.zzz'; agent has " in line("agent.zzz=1")
-    section = {"sb3": "ppo", "skrl": "ppo", "rsl_rl": "algorithm"}[library.name]
-    wrong = f"unknown key 'agent.learning_rate' (did you mean '{section}.learning_rate'"
-    assert wrong in line("agent.learning_rate=1e-3")
-    assert f"unknown key of agent.{section} 'learning_rat'" in line(
-        f"agent.{section}.learning_rat=1"
-    )
-
-
 def test_the_last_model_of_sb3_is_where_isaac_lab_has_it(run_train, tmp_path):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    run_train(SB3, *SMALL, "--max_iterations", "1")
-    folder = folder_of(tmp_path, SB3)
+    sb3 = LIBRARIES["sb3"]
+    run_train(sb3, *SMALL, "--max_iterations", "1")
+    folder = folder_of(tmp_path, sb3)
     assert stable_baselines3.PPO.load(folder / "model").num_timesteps == 32 * 4
     assert not list(folder.rglob("*.pkl"))
 

@@ -23,7 +23,7 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
-from isaacgymenvs_lite.motion.clip import MAX_PLACE_M, MAX_POSES, MIN_FPS, MotionClip
+from isaacgymenvs_lite.motion.clip import MAX_PLACE_M, MIN_FPS, MotionClip
 from isaacgymenvs_lite.motion.formats.files import read_json, reading, written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.plausibility import is_in_air, put_on_ground
@@ -132,10 +132,7 @@ def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
 
 def _rows(data: dict[str, Any], name: str) -> FloatArray:
     """Return the frames (T, 44)."""
-    try:
-        rows = np.array(data.get("Frames"), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        rows = np.zeros((0, 0))
+    rows = np.array(data.get("Frames"), dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != NUM_COLUMNS:
         raise MotionFileError(
             f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
@@ -232,11 +229,6 @@ def _equal_durations(
     if np.abs(durations - usual).max() <= _DURATION_TOLERANCE * usual:
         return len(durations) / total, local, root
     num_steps = max(1, round(total / usual))
-    if num_steps * local.shape[1] > MAX_POSES:
-        raise MotionFileError(
-            f"{name}: its frames last {usual:g} s as a rule and {total:g} s together; resampled to "
-            f"equal durations they would be {num_steps} frames, more than a clip may have"
-        )
     _log.info("%s: frames of unequal duration resampled to %.2f Hz", name, num_steps / total)
     times = np.concatenate(([0.0], durations.cumsum()))
     new_times = np.linspace(0.0, total, num_steps + 1)

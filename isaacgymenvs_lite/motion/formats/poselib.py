@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError, one_line
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
@@ -57,8 +57,14 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
 
 
 def _clip(data: Any, name: str) -> MotionClip:
-    _check_tag(data, name)
-    tree = _mapping(data, "skeleton_tree", name)
+    tag = data.get("__name__") if isinstance(data, Mapping) else None
+    if tag != _CLIP_TAG:
+        hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
+        found = ", ".join(sorted(str(key) for key in data)) or "nothing"
+        raise MotionFileError(
+            f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
+        )
+    tree = _item(data, "skeleton_tree", name)
     clip = MotionClip(
         name=name,
         fps=_number(data, "fps", name),
@@ -77,18 +83,6 @@ def _clip(data: Any, name: str) -> MotionClip:
     return clip
 
 
-def _check_tag(data: Any, name: str) -> None:
-    if not isinstance(data, Mapping):
-        raise MotionFileError(f"{name}: holds a {type(data).__name__}, expected a {_CLIP_TAG}")
-    tag = data.get("__name__")
-    if tag != _CLIP_TAG:
-        hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
-        found = ", ".join(sorted(str(key) for key in data)) or "nothing"
-        raise MotionFileError(
-            f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
-        )
-
-
 def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
     if key not in data:
         found = ", ".join(sorted(str(other) for other in data)) or "nothing"
@@ -96,29 +90,16 @@ def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
     return data[key]
 
 
-def _mapping(data: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
-    item = _item(data, key, name)
-    if not isinstance(item, Mapping):
-        raise MotionFileError(f"{name}: {key} is a {type(item).__name__}, expected a dictionary")
-    return item
-
-
 def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
     """Return the array of numbers {arr, context: {dtype}} under `key`, cast to its dtype."""
-    item = _mapping(data, key, name)
+    item = _item(data, key, name)
     stored = _item(item, "arr", name)
-    dtype = _item(_mapping(item, "context", name), "dtype", name)
-    try:
-        if isinstance(stored, Mapping):
-            stored = np.reshape(stored["__ndarray__"], stored["shape"])
-        array = np.asarray(stored)
-        cast_to = np.dtype(str(dtype))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = one_line(error)
-        raise MotionFileError(f"{name}: {key} is no array of numbers ({reason})") from error
+    if isinstance(stored, Mapping):
+        stored = np.reshape(stored["__ndarray__"], stored["shape"])
+    array, cast_to = np.asarray(stored), np.dtype(str(_item(item, "context", name)["dtype"]))
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
         raise MotionFileError(
-            f"{name}: {key} holds {array.dtype} to be read as {dtype}, expected numbers"
+            f"{name}: {key} holds {array.dtype} to be read as {cast_to}, expected numbers"
         )
     return array.astype(cast_to)
 
@@ -126,12 +107,7 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
 def _number(data: Mapping[str, Any], key: str, name: str) -> float:
     """Return the number under `key`: int, float or, as in IsaacGymEnvs' clips, a 0-d array."""
     item = _item(data, key, name)
-    if isinstance(item, Mapping):
-        item = item.get("__ndarray__", item)
-    try:
-        return float(np.asarray(item).item())
-    except (TypeError, ValueError, OverflowError) as error:
-        raise MotionFileError(f"{name}: {key} is {item!r}, expected a number") from error
+    return float(np.asarray(item["__ndarray__"] if isinstance(item, Mapping) else item).item())
 
 
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:

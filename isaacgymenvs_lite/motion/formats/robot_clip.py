@@ -9,8 +9,15 @@ from pathlib import Path
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion.formats.files import reading
-from isaacgymenvs_lite.motion.formats.joint_csv import COLUMN, POSITION, ROTATION, TIME, read_lines
-from isaacgymenvs_lite.motion.formats.robot_csv import is_number, load_robot_csv
+from isaacgymenvs_lite.motion.formats.joint_csv import (
+    POSITION,
+    ROTATION,
+    TIME,
+    is_number,
+    read_header,
+    read_lines,
+)
+from isaacgymenvs_lite.motion.formats.robot_csv import load_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_dictionary import (
     SUFFIXES,
     is_robot_dictionary,
@@ -39,12 +46,11 @@ def looks_like_joint_clip(path: str | Path) -> bool:
             return is_robot_dictionary(path)
         with reading(path, "table of joint angles"):
             header = read_lines(path)[0][0]
+            if is_number(header[0]):
+                return True
+            names = set(read_header(header, path)[0])
     except MotionFileError:
         return False
-    if not header or is_number(header[0]):
-        return bool(header)
-    matches = [COLUMN.fullmatch(text[:100]) for text in header]
-    names = {match["name"] for match in matches if match}
     joints = names - {TIME, *POSITION, *ROTATION}
     of_humanoids = {
         name for number in SHIPPED_NUM_DOFS for name in skeleton_for_num_dofs(number).dof_names

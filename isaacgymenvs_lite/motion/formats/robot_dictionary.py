@@ -23,9 +23,8 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
-from isaacgymenvs_lite.motion.clip import MAX_POSES
 from isaacgymenvs_lite.motion.formats.files import reading
-from isaacgymenvs_lite.motion.formats.npz import check_kind
+from isaacgymenvs_lite.motion.formats.npz import check_kind, one_number
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -39,8 +38,6 @@ _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
 _JOINT_NAMES = ("joint_names", "dof_names")
 _FRAMES, _FPS = "frames", "fps"
-# An array holds joint angles and numbers of the root.
-_MAX_NUMBERS = 2 * MAX_POSES
 
 
 def is_robot_dictionary(path: Path) -> bool:
@@ -66,7 +63,7 @@ def load_robot_dictionary(
         fps: frames per second of a clip without a rate.
 
     Raises:
-        MotionFileError: the file would run code, is damaged, too large, holds something else, or
+        MotionFileError: the file would run code, is damaged, holds something else, or
             has no such motion.
     """
     with reading(path, _EXPECTED):
@@ -109,7 +106,7 @@ def _is_clip(data: Any) -> bool:
 
 
 def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
-    fps = _fps(data, name) if _FPS in data else fps
+    fps = one_number(np.asarray(data[_FPS]), _FPS, name) if _FPS in data else fps
     if fps is None:
         raise MotionFileError(f"{name}: has no fps; give file_fps=, the frames per second")
     names = next((_texts(data, key, name) for key in _JOINT_NAMES if key in data), None)
@@ -155,21 +152,6 @@ def _texts(data: Mapping[str, Any], key: str, name: str) -> tuple[str, ...] | No
 
 
 def _floats(data: Mapping[str, Any], key: str, name: str) -> FloatArray:
-    value = data[key]
-    if not isinstance(value, np.ndarray):
-        # Of a list with texts or dictionaries numpy makes an array that is far larger.
-        rows = value if isinstance(value, list) else [value]
-        for row in rows:
-            items = row if isinstance(row, list) else [row]
-            if not all(isinstance(item, (int, float)) for item in items):
-                raise MotionFileError(f"{name}: {key} is no array and no list of numbers")
-        value = np.asarray(value)
-    check_kind(value, key, "fiu", name, _MAX_NUMBERS)
+    value = np.asarray(data[key])
+    check_kind(value, key, "fiu", name)
     return value.astype(np.float64)
-
-
-def _fps(data: Mapping[str, Any], name: str) -> float:
-    fps = _floats(data, _FPS, name)
-    if fps.size != 1:
-        raise MotionFileError(f"{name}: fps has shape {fps.shape}, expected one number")
-    return float(fps.item())

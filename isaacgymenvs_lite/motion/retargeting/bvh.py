@@ -22,15 +22,11 @@ import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, one_line
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.files import read_bytes, reading
+from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-_MAX_BYTES = 2**25
-# Of the hierarchy. A rig with fingers has 80 joints and lines of 100 characters.
-_MAX_HEADER_LINES, _MAX_HEADER_LENGTH = 10_000, 1_000
-_MAX_FRAMES = 1_000_000
 # What it reads in place of the file, and how its messages name that.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
@@ -116,9 +112,7 @@ def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
         MotionFileError: the file is missing, too long, or has no joints.
     """
     with reading(path, "BVH file"):
-        text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
-        _check_size(text)
-        return _hierarchy(text)
+        return _hierarchy(Path(path).read_text(encoding="utf-8", errors="replace"))
 
 
 def _hierarchy(text: str) -> tuple[list[str], list[int]]:
@@ -138,9 +132,7 @@ def _hierarchy(text: str) -> tuple[list[str], list[int]]:
 
 
 def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
-    text = read_bytes(path, _MAX_BYTES).decode("utf-8", errors="replace")
-    _check_size(text)
-    text, positions = _split_positions(text)
+    text, positions = _split_positions(path.read_text(encoding="utf-8", errors="replace"))
     try:
         motion, root, wxyz = _parse(pybvh, text)
     except ValueError as error:
@@ -148,7 +140,10 @@ def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
     nodes = [node for node in motion.nodes if not node.is_end_site()]
     names, parents = _hierarchy(text)  # the library ends names at a space
     offsets = np.array([node.offset for node in nodes], dtype=np.float64)
-    _check_numbers(path, root, wxyz, offsets, *(given for _, given in positions.values()))
+    if not all(
+        np.isfinite(numbers).all() for numbers in (root, wxyz, offsets, *positions.values())
+    ):
+        raise MotionFileError(f"{path}: holds numbers that are NaN or infinite")
     above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
     steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
     turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
@@ -189,7 +184,7 @@ def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
 def _places_in_parents(
     names: Sequence[str],
     offsets: FloatArray,
-    positions: Mapping[str, tuple[list[int], FloatArray]],
+    positions: Mapping[str, FloatArray],
     above: Sequence[str],
     path: Path,
 ) -> list[FloatArray]:
@@ -212,20 +207,19 @@ def _places_in_parents(
     """
     tolerance = _TOLERANCE * float(np.linalg.norm(offsets, axis=1).max())
     steps = dict(zip(names, offsets[:, None].copy(), strict=True))
-    for name, (axes, given) in positions.items():
+    for name, given in positions.items():
         if np.abs(given).max() <= tolerance:
             continue
-        steps[name] = np.repeat(steps[name], len(given), axis=0)
-        steps[name][:, axes] = given
+        steps[name] = given
         if name not in above:
-            spread = float(np.ptp(steps[name], axis=0).max())
+            spread = float(np.ptp(given, axis=0).max())
             if spread > 2.0 * tolerance:
                 raise MotionFileError(
                     f"{path}: joint {name} moves within its parent by {spread:.3g} units; limbs "
                     "that change their length cannot be followed, write the file with position "
                     "channels of the hips and the joints above them only"
                 )
-            offsets[names.index(name)] = steps[name].mean(axis=0)
+            offsets[names.index(name)] = given.mean(axis=0)
     return [steps[name] for name in above[1:]]
 
 
@@ -239,29 +233,6 @@ def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
         # The mapping gives the axis that points up.
         motion = pybvh.read_bvh_file(copy, world_up="+y")
         return motion, *motion.to_quat()
-
-
-def _check_size(text: str) -> None:
-    """Refuse texts that would take long, before they are searched and read.
-
-    Raises:
-        ValueError: there are more joints, longer names or more frames than motion capture has.
-    """
-    header, _, frames = text.partition("MOTION")
-    lines = header.splitlines()
-    longest = max(map(len, lines), default=0)
-    if len(lines) > _MAX_HEADER_LINES or longest > _MAX_HEADER_LENGTH:
-        raise ValueError(
-            f"its hierarchy has {len(lines)} lines of up to {longest} characters, expected at most "
-            f"{_MAX_HEADER_LINES} and {_MAX_HEADER_LENGTH}"
-        )
-    if frames.count("\n") + frames.count("\r") > _MAX_FRAMES:
-        raise ValueError(f"it has more than {_MAX_FRAMES:,} lines of frames")
-
-
-def _check_numbers(path: Path, *arrays: FloatArray) -> None:
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise MotionFileError(f"{path}: holds numbers that are NaN or infinite")
 
 
 @dataclass(frozen=True)
@@ -287,14 +258,14 @@ class _Joint:
         return (*(_POSITIONS if self.is_root else ()), *(turns or _ROTATIONS))
 
 
-def _split_positions(text: str) -> tuple[str, dict[str, tuple[list[int], FloatArray]]]:
+def _split_positions(text: str) -> tuple[str, dict[str, FloatArray]]:
     """Return a BVH text with positions of ROOT only, and the positions of the other joints.
 
     In the text every joint has rotations, zero where the file has none. A text that needs no change
     is returned unchanged, and so is one that is no BVH file: its reader reports what is wrong.
 
     Returns:
-        The text, and for each other joint with positions the axes, 0 to 2, and their values (T, C).
+        The text, and the positions (T, 3) of each other joint that has them.
 
     Raises:
         ValueError: there are no frames, or one has not as many numbers as there are channels.
@@ -316,10 +287,8 @@ def _split_positions(text: str) -> tuple[str, dict[str, tuple[list[int], FloatAr
     for joint in joints:
         kept += [joint.columns.get(channel, width) for channel in joint.expected]
         lines[joint.line] = f"CHANNELS {len(joint.expected)} {' '.join(joint.expected)}"
-        axes = [axis for axis, channel in enumerate(_POSITIONS) if channel in joint.columns]
-        if axes and not joint.is_root:
-            columns = [joint.columns[_POSITIONS[axis]] for axis in axes]
-            positions[joint.name] = axes, values[:, columns]
+        if not joint.is_root and _POSITIONS[0] in joint.columns:
+            positions[joint.name] = values[:, [joint.columns[channel] for channel in _POSITIONS]]
     frames = [" ".join(f"{x:.9g}" for x in row) for row in values[:, kept]]
     return "\n".join([*lines[:first], *frames, ""]), positions
 

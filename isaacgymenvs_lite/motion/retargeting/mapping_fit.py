@@ -160,23 +160,10 @@ def _fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
 
 
 def _variants(motion: BvhMotion, mapping: SkeletonMapping) -> Iterator[SkeletonMapping]:
-    """Yield a mapping, then with the axes of the rest pose, then with all axes exchanged."""
+    """Yield a mapping, then the mapping with the axes of the rest pose."""
     yield mapping
     if sources := _sources_at_rest(motion, mapping):
         yield dataclasses.replace(mapping, up=_rest_axis(motion, mapping), sources=sources)
-    for axes in _FRAMES:
-        turn = body_frame(*axes)
-        frames = {
-            body: rotations.quat_mul(torch.from_numpy(turn), torch.from_numpy(source.frame)).numpy()
-            for body, source in mapping.sources.items()
-            if source.frame is not None
-        }
-        sources = {
-            body: dataclasses.replace(source, frame=frames.get(body))
-            for body, source in mapping.sources.items()
-        }
-        up = _nearest_axis(rotate(turn[None], axis_vector(mapping.up))[0], _STRAIGHT)
-        yield dataclasses.replace(mapping, up=up, sources=sources)
 
 
 def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:

@@ -14,6 +14,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
+from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.tasks.amp.reference_motions import ReferenceMotions
 from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
 from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
 
@@ -86,6 +89,12 @@ def travel_through(root_states: Tensor, num_phases: int, repeats: bool) -> Tenso
     if not repeats:
         travel_m[:num_phases] = torch.nan
     return travel_m
+
+
+def points_of(state: CharacterState) -> Tensor:
+    """Return the root and the key bodies, (n, 1 + K, 3) m, from the root's place on the ground."""
+    root_pos = state[0][:, None, :3]
+    return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
 
 
 class ClipPhases:
@@ -167,6 +176,46 @@ class ClipPhases:
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
 
+    @classmethod
+    def of_motions(
+        cls,
+        motions: ReferenceMotions,
+        num_envs: int,
+        control_dt_s: float,
+        standing_m: float,
+        config: HumanoidAMPConfig,
+    ) -> ClipPhases:
+        """Return what follows the episodes of a task through its clips.
+
+        Args:
+            motions: the clips.
+            num_envs: N.
+            control_dt_s: control step.
+            standing_m: height of the root in standing, of which the limits are shares.
+            config: `clip_deviation`, `clip_deviation_final`, `clip_travel`, `clip_tempo`.
+        """
+        clips, root_states = [], []
+        for motion_id in range(motions.lib.num_motions()):
+            length_s = float(motions.lib.get_motion_length([motion_id]))
+            device = motions.lib.device
+            times_s = torch.arange(0.0, length_s, control_dt_s / PHASES_PER_STEP, device=device)
+            ids = torch.full((len(times_s),), motion_id, device=device)
+            state = motions.states(ids, times_s, ids.new_zeros(1))
+            clips.append(points_of(state))
+            root_states.append(state[0])
+        limit_m = config.clip_deviation * standing_m
+        final_limit_m = config.clip_deviation_final * standing_m or limit_m
+        return cls(
+            clips,
+            num_envs,
+            control_dt_s,
+            limit_m,
+            root_states,
+            config.clip_travel,
+            config.clip_tempo,
+            min(limit_m, final_limit_m),
+        )
+
     @property
     def repeats(self) -> Tensor:
         """Return (M,) bool: the end of the clip is near its start."""
@@ -214,6 +263,17 @@ class ClipPhases:
     def follows_any(self) -> bool:
         """Return whether an environment is followed: none is, of several clips without latents."""
         return bool((self._phase != _NONE).any())
+
+    @torch.inference_mode()
+    def are_off(self, state: CharacterState) -> Tensor:
+        """Move all phases on by a control step; return (N,) bool: who left its clip.
+
+        Args:
+            state: of all characters.
+        """
+        is_far = self.advance(points_of(state)) > self.current_limit_m()
+        is_behind = self.lags_behind(state[0][:, :3], state[0][:, 3:7])
+        return is_far | is_behind | self.is_off_tempo()
 
     def advance(self, points: Tensor) -> Tensor:
         """Move all phases on by a control step.

@@ -37,7 +37,7 @@ class HumanoidViewMotion(HumanoidASE):
         """Add the clip that each environment plays, (N,)."""
         super().allocate_buffers()
         clips = torch.arange(self.num_envs, device=self.device)
-        self._motion_ids = clips % self._motion_lib.num_motions()
+        self._motion_ids = clips % self.motion_lib.num_motions()
 
     def action_scaling(self) -> None:
         """Return None: actions do nothing."""
@@ -55,7 +55,7 @@ class HumanoidViewMotion(HumanoidASE):
 
     def _show(self, env_ids: Tensor, steps: Tensor) -> None:
         motion_ids = self._motion_ids.index_select(0, env_ids)
-        state = self._motion_lib.get_motion_state(motion_ids, steps * self.control_dt_s)
+        state = self.motion_lib.get_motion_state(motion_ids, steps * self.control_dt_s)
         root_states = torch.zeros(len(env_ids), 13, device=self.device)
         root_states[:, :3], root_states[:, 3:7] = state.root_pos, state.root_rot
         at_rest = torch.zeros_like(state.dof_vel)
@@ -67,14 +67,14 @@ class HumanoidViewMotion(HumanoidASE):
 
     def compute_time_outs(self) -> Tensor:
         """Return (N,) bool: the clip is over."""
-        lengths = self._motion_lib.get_motion_length(self._motion_ids)
+        lengths = self.motion_lib.get_motion_length(self._motion_ids)
         return self.progress_buf * self.control_dt_s > lengths
 
     def reset_state(self, env_ids: Tensor) -> None:
         """Go on to the next clips; the first ones stay."""
         is_over = self.progress_buf.index_select(0, env_ids) > 0
         clips = self._motion_ids.index_select(0, env_ids) + is_over * self.num_envs
-        self._motion_ids.index_copy_(0, env_ids, clips % self._motion_lib.num_motions())
+        self._motion_ids.index_copy_(0, env_ids, clips % self.motion_lib.num_motions())
         self._show(env_ids, torch.zeros_like(env_ids))
         self._reference_env_ids = env_ids[:0]
         self.goal.reset(env_ids)

@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""PPO of rsl_rl on a task."""
+"""PPO of rsl_rl on a task; the critic gets the states of asymmetric tasks."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import GaussianDistribution
 from rsl_rl.runners import OnPolicyRunner
 
-from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.workflows import library
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     check_arguments,
-    check_keys,
     constructing,
+    read_agent,
 )
-from isaacgymenvs_lite.workflows.library import load_into, read_parameters
-from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
 from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
 
 log = logging.getLogger(__name__)
@@ -52,10 +51,8 @@ class RslRlSettings(AgentSettings):
     """Arguments of GaussianDistribution, of the actor."""
 
 
-class RslRlAgent:
-    """The on-policy runner with PPO and two networks.
-
-    Checkpoints are `model_<iteration>.pt`.
+class Agent(library.Agent):
+    """The on-policy runner with PPO and two networks; checkpoints are `model_<iteration>.pt`.
 
     Args:
         task: the task.
@@ -64,10 +61,6 @@ class RslRlAgent:
         seed: not read, as the generators are seeded already.
 
     Attributes:
-        stepper: steps the task.
-        max_iterations: see `library.Agent`.
-        minibatch_rows: see `library.Agent`.
-        num_parameters: see `library.Agent`.
         runner: rsl_rl's.
 
     Raises:
@@ -75,9 +68,7 @@ class RslRlAgent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        sections = {"algorithm": PPO, "actor": MLPModel, "distribution": GaussianDistribution}
-        check_keys(RslRlSettings, content, "agent", sections)
-        settings = read_section(RslRlSettings, content, "agent", complete=True)
+        settings = read_agent(RslRlSettings, content)
         self.max_iterations = settings.max_iterations
         self._env = env = RslRlVecEnvWrapper(task)
         self.stepper = env.stepper
@@ -88,8 +79,7 @@ class RslRlAgent:
         algorithm = self.runner.alg
         rows = settings.num_steps_per_env * task.num_envs
         self.minibatch_rows = rows // max(1, algorithm.num_mini_batches)
-        networks = (algorithm.actor, algorithm.critic)
-        self.num_parameters = sum(p.numel() for network in networks for p in network.parameters())
+        self.num_parameters = library.count_parameters((algorithm.actor, algorithm.critic))
 
     def learn(self, folder: Path, log_interval: int | None = None) -> None:
         """See `library.Agent`; rsl_rl logs every iteration."""
@@ -106,8 +96,9 @@ class RslRlAgent:
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
-        state = read_parameters(checkpoint, LIBRARY)
-        load_into(lambda: self.runner.alg.load(state, None, True), checkpoint)
+        with library.loading(checkpoint, "rsl_rl"):
+            state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+            self.runner.alg.load(state, None, True)
 
     def player(self) -> Callable[[], None]:
         """See `library.Agent`."""
@@ -129,9 +120,8 @@ def _runner_settings(settings: RslRlSettings, task: VecTask) -> dict[str, Any]:
     check_arguments(
         GaussianDistribution, settings.distribution, "agent.distribution", ("output_dim",)
     )
-    models = {"actor": settings.actor, "critic": settings.critic}
-    for name, model in models.items():
-        check_arguments(MLPModel, model, f"agent.{name}", _RESERVED_MODEL)
+    check_arguments(MLPModel, settings.actor, "agent.actor", _RESERVED_MODEL)
+    check_arguments(MLPModel, settings.critic, "agent.critic", _RESERVED_MODEL)
     distribution = {"class_name": "GaussianDistribution", **settings.distribution}
     critic_group = CRITIC_GROUP if task.num_states > 0 else ACTOR_GROUP
     return {

@@ -2,8 +2,7 @@
 
 import sys
 
-from isaacgymenvs_lite.workflows.rsl_rl import LIBRARY
-from isaacgymenvs_lite.workflows.training import play
+from isaacgymenvs_lite.workflows.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(play(LIBRARY))
+    sys.exit(main(["rsl_rl", "play", *sys.argv[1:]]))

@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""PPO of Stable-Baselines3 on a task.
+"""PPO of Stable-Baselines3 on a task, with agent files of ours and of Isaac Lab.
 
 A user can load the statistics of a normalised environment without the agent:
 
@@ -9,36 +9,42 @@ A user can load the statistics of a normalised environment without the agent:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, LogEveryNTimesteps
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    ConvertCallback,
+    EveryNTimesteps,
+    LogEveryNTimesteps,
+)
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.workflows import library
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     activation_class,
     check_arguments,
-    check_keys,
     constructing,
+    is_number,
+    read_agent,
+    whole_number,
 )
-from isaacgymenvs_lite.workflows.library import load_into, read_parameters
-from isaacgymenvs_lite.workflows.sb3 import LIBRARY
-from isaacgymenvs_lite.workflows.sb3.isaac_lab import is_flat, to_sections
 from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper
-from isaacgymenvs_lite.wrappers.sb3_settings import SCHEDULED, read_schedule
+from isaacgymenvs_lite.wrappers.sb3_settings import process_sb3_cfg, read_schedules
 
+_TITLE = "Stable-Baselines3"
 # Set by the workflow, or able to name code.
 _RESERVED = (
     *("policy", "env", "seed", "device", "batch_size", "policy_kwargs"),
@@ -48,6 +54,8 @@ _RESERVED_POLICY = (
     *("observation_space", "action_space", "lr_schedule", "activation_fn"),
     *("features_extractor_class", "features_extractor_kwargs", "optimizer_class"),
 )
+_OWN_KEYS = ("max_iterations", "checkpoint_interval", "seed", "batch_size")
+_CLIP_OBS = 100.0  # Isaac Lab's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,12 +74,7 @@ class Sb3Settings(AgentSettings):
     """Arguments of VecNormalize; None for none."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Rollout:
-    n_steps: int = setting(minimum=1)
-
-
-class Sb3Agent:
+class Agent(library.Agent):
     """PPO, with `VecNormalize` around the environment if the agent file has `vec_normalize`.
 
     Checkpoints are `checkpoints/model_<steps>.zip` and at the end `model.zip`, for `PPO.load`, each
@@ -84,11 +87,7 @@ class Sb3Agent:
         seed: of the agent.
 
     Attributes:
-        stepper: steps the task.
         model: the algorithm.
-        max_iterations: see `library.Agent`.
-        minibatch_rows: see `library.Agent`.
-        num_parameters: see `library.Agent`.
         normalizer: around the environment, or None.
 
     Raises:
@@ -96,22 +95,30 @@ class Sb3Agent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        if is_flat(content):
+        if "ppo" not in content and {"n_timesteps", "n_steps", "policy_kwargs"} & content.keys():
             content = to_sections(content, task.num_envs)
-        sections = {"ppo": PPO, "policy": ActorCriticPolicy, "vec_normalize": VecNormalize}
-        check_keys(Sb3Settings, content, "agent", sections)
-        settings = read_section(Sb3Settings, content, "agent", complete=True)
+        settings = read_agent(Sb3Settings, content)
         self.max_iterations = settings.max_iterations
         self._interval = settings.checkpoint_interval
         adapter = Sb3VecEnvWrapper(task)
         self.stepper = adapter.stepper
-        self.normalizer = _make_normalizer(settings, adapter)
-        self._env: VecEnv = self.normalizer or adapter
-        arguments = _ppo_arguments(settings)
-        self.minibatch_rows = _minibatch_rows(settings, task.num_envs)
-        function = activation_class(settings.policy.get("activation", "elu"))
-        policy = {k: v for k, v in settings.policy.items() if k != "activation"}
+        ppo = read_schedules(settings.ppo, "agent.ppo")
+        check_arguments(PPO, ppo, "agent.ppo", _RESERVED)
+        steps = whole_number(ppo, "n_steps", "agent.ppo")
+        if (settings.minibatches is None) == (settings.batch_size is None):
+            raise ConfigError("agent: expected either minibatches, of an epoch, or batch_size")
+        rows = max(2, steps * task.num_envs // (settings.minibatches or 1))
+        self.minibatch_rows = settings.batch_size or rows
+        policy = dict(settings.policy)
+        function = activation_class(policy.pop("activation", "elu"))
         check_arguments(ActorCriticPolicy, policy, "agent.policy", _RESERVED_POLICY)
+        self.normalizer: VecNormalize | None = None
+        normalize = settings.vec_normalize
+        if normalize is not None:
+            check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
+            with constructing("VecNormalize"):
+                self.normalizer = VecNormalize(adapter, gamma=ppo.get("gamma", 0.99), **normalize)
+        self._env: VecEnv = self.normalizer or adapter
         with constructing("PPO"):
             self.model = PPO(
                 "MlpPolicy",
@@ -120,20 +127,28 @@ class Sb3Agent:
                 policy_kwargs={**policy, "activation_fn": function},
                 seed=seed,
                 device=device,
-                **arguments,
+                **ppo,
             )
-        self.num_parameters = sum(p.numel() for p in self.model.policy.parameters())
+        self.num_parameters = library.count_parameters([self.model.policy])
 
     def learn(self, folder: Path, log_interval: int | None = None) -> None:
         """See `library.Agent`; the last checkpoint is `model.zip`."""
         self.model.set_logger(configure(str(folder), ["stdout", "tensorboard"]))
-        steps = self.max_iterations * self.model.n_steps * self.stepper.num_envs
-        callbacks: list[BaseCallback] = [_Saver(self, folder, self._interval)]
-        if log_interval is None:
-            self.model.learn(steps, callback=callbacks)
-        else:
+        frames = self.model.n_steps * self.stepper.num_envs
+
+        def save(*_: Any) -> bool:
+            self.save(folder)
+            return True
+
+        callbacks: list[BaseCallback] = [
+            EveryNTimesteps(self._interval * frames, ConvertCallback(save))
+        ]
+        interval: Any = 1
+        if log_interval is not None:
             callbacks.append(LogEveryNTimesteps(log_interval))
-            self.model.learn(steps, callback=callbacks, log_interval=None)  # type: ignore[arg-type]
+            interval = None
+        total = self.max_iterations * frames
+        self.model.learn(total, callback=callbacks, log_interval=interval)
         self._save(folder / "model.zip")
 
     def save(self, folder: Path) -> Path:
@@ -150,10 +165,10 @@ class Sb3Agent:
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
-        read_parameters(checkpoint, LIBRARY)
-        # load_data=False: the data would be unpickled.
-        _, parameters, _ = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
-        load_into(lambda: self.model.set_parameters(parameters, exact_match=True), checkpoint)
+        with library.loading(checkpoint, _TITLE):
+            # load_data=False: the data would be unpickled.
+            found = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
+            self.model.set_parameters(found[1], exact_match=True)
         if self.normalizer is not None:
             statistics = checkpoint.with_suffix(".npz")
             if not statistics.is_file():
@@ -177,62 +192,44 @@ class Sb3Agent:
         return step
 
 
-class _Saver(BaseCallback):
-    """Writes a checkpoint every so many rollouts."""
+def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
+    """Return Isaac Lab's agent file, whose keys are in one section, in the sections of ours.
 
-    def __init__(self, agent: Sb3Agent, folder: Path, interval: int) -> None:
-        super().__init__()
-        self._agent, self._folder, self._interval = agent, folder, interval
-        self._rollouts = 0
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self._rollouts += 1
-        if self._rollouts % self._interval == 0:
-            self._agent.save(self._folder)
-
-
-def _make_normalizer(settings: Sb3Settings, env: VecEnv) -> VecNormalize | None:
-    normalize = settings.vec_normalize
-    if normalize is None:
-        return None
-    check_arguments(VecNormalize, normalize, "agent.vec_normalize", ("venv", "gamma"))
-    gamma = settings.ppo.get("gamma", 0.99)
-    with constructing("VecNormalize"):
-        return VecNormalize(env, gamma=float(gamma), **normalize)
-
-
-def _ppo_arguments(settings: Sb3Settings) -> dict[str, Any]:
-    """Return the section `ppo` with schedules as functions.
+    Args:
+        content: of the file.
+        num_envs: of the training; `n_timesteps` counts the frames of all environments.
 
     Raises:
-        ConfigError: a key or a value that cannot be used.
+        ConfigError: a value that cannot be used.
     """
-    arguments = dict(settings.ppo)
-    schedules: dict[str, LinearSchedule] = {}
-    for key in SCHEDULED:
-        value = read_schedule(arguments.get(key), f"agent.ppo.{key}")
-        if isinstance(value, LinearSchedule):
-            schedules[key] = value
-            arguments[key] = value.start
-    check_arguments(PPO, arguments, "agent.ppo", _RESERVED)
-    return arguments | schedules
-
-
-def _minibatch_rows(settings: Sb3Settings, num_envs: int) -> int:
-    """Return the rows of a minibatch.
-
-    Raises:
-        ConfigError: the agent file has both keys for it, or none.
-    """
-    if (settings.minibatches is None) == (settings.batch_size is None):
-        raise ConfigError("agent: expected either minibatches, of an epoch, or batch_size, in rows")
-    if settings.batch_size is not None:
-        return settings.batch_size
-    rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
-    return max(2, rollout.n_steps * num_envs // (settings.minibatches or 1))
+    ppo: dict[str, Any] = {"n_steps": 2048, "batch_size": 64}  # Stable-Baselines3's own
+    ppo |= process_sb3_cfg(content, num_envs)
+    policy = dict(ppo.pop("policy_kwargs", {}))
+    policy["activation"] = policy.pop("activation_fn", activation_class("tanh")).__name__.lower()
+    frames, name = ppo.pop("n_timesteps", None), ppo.pop("policy", "MlpPolicy")
+    ppo.pop("device", None)  # rl_device= says where the networks are
+    is_normalized = ppo.pop("normalize_input", False)
+    normalizer = {
+        "norm_obs": True,
+        "norm_reward": ppo.pop("normalize_value", False),
+        "clip_obs": ppo.pop("clip_obs", _CLIP_OBS),
+        "clip_reward": math.inf,
+    }
+    own = {key: ppo.pop(key) for key in _OWN_KEYS if key in ppo}
+    if name != "MlpPolicy":
+        raise ConfigError(f"agent.policy: got {name!r}, expected MlpPolicy")
+    if "max_iterations" not in own:
+        if not is_number(frames) or not 1 <= frames < math.inf:
+            raise ConfigError(f"agent.n_timesteps: got {frames!r}, expected a number >= 1")
+        rollout = whole_number(ppo, "n_steps", "agent") * num_envs
+        own["max_iterations"] = max(1, math.ceil(frames / rollout))
+    return {
+        "checkpoint_interval": 50,
+        **own,
+        "ppo": ppo,
+        "policy": policy,
+        "vec_normalize": normalizer if is_normalized else None,
+    }
 
 
 def save_statistics(normalizer: VecNormalize, file: str | Path) -> None:
@@ -249,18 +246,14 @@ def load_statistics(normalizer: VecNormalize, file: str | Path) -> None:
     Raises:
         CheckpointError: they belong to other observations, or the file is damaged.
     """
-
-    def assign() -> None:
-        with np.load(file, allow_pickle=False) as saved:
-            for name, own in _statistics(normalizer).items():
-                value = saved[name]
-                if value.shape != np.shape(own):
-                    raise ValueError(f"{name} has shape {value.shape}, not {np.shape(own)}")
-                kind, part = name.split("_")
-                moments = normalizer.obs_rms if kind == "obs" else normalizer.ret_rms
-                setattr(moments, part, value if part != "count" else float(value))
-
-    load_into(assign, Path(file))
+    with library.loading(file, _TITLE), np.load(file, allow_pickle=False) as saved:
+        for name, own in _statistics(normalizer).items():
+            value = saved[name]
+            if value.shape != np.shape(own):
+                raise ValueError(f"{name} has shape {value.shape}, not {np.shape(own)}")
+            kind, part = name.split("_")
+            moments = normalizer.obs_rms if kind == "obs" else normalizer.ret_rms
+            setattr(moments, part, value if part != "count" else float(value))
 
 
 def _statistics(normalizer: VecNormalize) -> dict[str, Any]:

@@ -2,8 +2,7 @@
 
 import sys
 
-from isaacgymenvs_lite.workflows.sb3 import LIBRARY
-from isaacgymenvs_lite.workflows.training import train
+from isaacgymenvs_lite.workflows.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(train(LIBRARY))
+    sys.exit(main(["sb3", "train", *sys.argv[1:]]))

@@ -3,11 +3,7 @@
 
 from __future__ import annotations
 
-import logging
-import sys
-import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,23 +17,19 @@ from skrl.resources.schedulers.torch import KLAdaptiveLR
 from skrl.trainers.torch import SequentialTrainer, SequentialTrainerCfg
 from torch import Tensor, nn
 
-from isaacgymenvs_lite.schema import read_section, setting
+from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
+from isaacgymenvs_lite.workflows import library
 from isaacgymenvs_lite.workflows.agent_files import (
     AgentSettings,
     activation_class,
     check_arguments,
-    check_keys,
     constructing,
+    read_agent,
+    whole_number,
 )
-from isaacgymenvs_lite.workflows.library import load_into, read_parameters
-from isaacgymenvs_lite.workflows.skrl import LIBRARY
-from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 
-log = logging.getLogger(__name__)
-
-_NUM_EPISODES = 100
 # Classes and functions, which a file cannot name; the agent file has other keys for them.
 _RESERVED = (
     *("experiment", "rewards_shaper", "learning_rate_scheduler", "learning_rate_scheduler_kwargs"),
@@ -71,15 +63,8 @@ class SkrlSettings(AgentSettings):
     """KL divergence that the learning rate is adapted to; None: a constant learning rate."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Rollout:
-    rollouts: int = setting(minimum=1)
-
-
-class SkrlAgent:
-    """PPO with a Gaussian policy.
-
-    Checkpoints are `checkpoints/agent_<steps>.pt`.
+class Agent(library.Agent):
+    """PPO with a Gaussian policy; checkpoints are `checkpoints/agent_<steps>.pt`.
 
     Args:
         task: the task.
@@ -88,10 +73,6 @@ class SkrlAgent:
         seed: not read, as the generators are seeded already.
 
     Attributes:
-        stepper: steps the task.
-        max_iterations: see `library.Agent`.
-        minibatch_rows: see `library.Agent`.
-        num_parameters: see `library.Agent`.
         agent: skrl's.
 
     Raises:
@@ -99,14 +80,11 @@ class SkrlAgent:
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        check_keys(SkrlSettings, content, "agent", {"ppo": PPO_CFG, "network": NetworkSettings})
-        if isinstance(content.get("network"), Mapping):
-            check_keys(NetworkSettings, content["network"], "agent.network")
-        settings = read_section(SkrlSettings, content, "agent", complete=True)
+        settings = read_agent(SkrlSettings, content)
         check_arguments(PPO_CFG, settings.ppo, "agent.ppo", _RESERVED)
-        rollout = read_section(_Rollout, settings.ppo, "agent.ppo", ignored=settings.ppo)
         self.max_iterations = settings.max_iterations
-        self._rollouts, self._interval = rollout.rollouts, settings.checkpoint_interval
+        self._interval = settings.checkpoint_interval
+        self._rollouts = whole_number(settings.ppo, "rollouts", "agent.ppo")
         self._env = env = SkrlVecEnvWrapper(task)
         self.stepper = env.stepper
         spaces: dict[str, Any] = {
@@ -126,8 +104,7 @@ class SkrlAgent:
             cfg = PPO_CFG(**settings.ppo, **self._class_arguments(settings, device))
             self.agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
         self.minibatch_rows = self._rollouts * env.num_envs // max(1, cfg.mini_batches)
-        networks = models.values()
-        self.num_parameters = sum(p.numel() for network in networks for p in network.parameters())
+        self.num_parameters = library.count_parameters(models.values())
 
     def _class_arguments(self, settings: SkrlSettings, device: str) -> dict[str, Any]:
         """Return the arguments of PPO_CFG that are classes or functions, see `_RESERVED`."""
@@ -156,16 +133,11 @@ class SkrlAgent:
         self.agent.write_interval = experiment.write_interval = max(1, write)
         interval = self._interval * self._rollouts
         self.agent.checkpoint_interval = experiment.checkpoint_interval = interval
-        steps = self.max_iterations * self._rollouts
-        # None: a progress bar on a terminal only; elsewhere `ProgressLines`.
         cfg = SequentialTrainerCfg(
-            timesteps=steps,
+            timesteps=self.max_iterations * self._rollouts,
             headless=True,
-            disable_progressbar=None,
             close_environment_at_exit=False,
         )
-        if not sys.stderr.isatty():
-            self.stepper.task.listeners.append(ProgressLines(self.stepper, steps))
         SequentialTrainer(cfg=cfg, env=self._env, agents=self.agent).train()
         self.save(folder)
         self.agent.writer.close()
@@ -179,13 +151,10 @@ class SkrlAgent:
 
     def load(self, checkpoint: Path) -> None:
         """See `library.Agent`."""
-        modules = read_parameters(checkpoint, LIBRARY)
-
-        def load_modules() -> None:
+        with library.loading(checkpoint, "skrl"):
+            modules = torch.load(checkpoint, map_location="cpu", weights_only=True)
             for name, module in self.agent.checkpoint_modules.items():
                 module.load_state_dict(modules[name])
-
-        load_into(load_modules, checkpoint)
 
     def player(self) -> Callable[[], None]:
         """See `library.Agent`."""
@@ -257,49 +226,3 @@ class Critic(DeterministicMixin, Model):
     def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
         """Return values (n, 1)."""
         return self.layers(inputs[self._input]), {}
-
-
-class ProgressLines:
-    """Logs progress and the last episodes every few seconds, without a terminal; a `StepListener`.
-
-    Args:
-        stepper: steps the task.
-        num_steps: control steps of the training.
-        interval_s: from one line to the next.
-    """
-
-    def __init__(self, stepper: AutoresetTask, num_steps: int, interval_s: float = 10.0) -> None:
-        self._stepper = stepper
-        self._num_steps = num_steps
-        self._interval_s = interval_s
-        self._first_step = stepper.num_steps
-        self._returns: deque[float] = deque(maxlen=_NUM_EPISODES)
-        self._lengths: deque[int] = deque(maxlen=_NUM_EPISODES)
-        self._start_s = self._last_line_s = time.monotonic()
-
-    def after_step(self) -> None:
-        """Count the episodes that ended with the previous step; write a line when it is due."""
-        if self._stepper.last_step is not None:
-            ended = self._stepper.last_step.episodes
-            self._returns.extend(ended.returns.tolist())
-            self._lengths.extend(ended.lengths.tolist())
-        now_s = time.monotonic()
-        if now_s - self._last_line_s >= self._interval_s:
-            self._last_line_s = now_s
-            log.info("%s", self._line(now_s - self._start_s))
-
-    def render(self) -> None:
-        """Do nothing: there is nothing to show."""
-
-    def close(self) -> None:
-        """Do nothing: nothing is open."""
-
-    def _line(self, passed_s: float) -> str:
-        steps = self._stepper.num_steps - self._first_step + 1
-        frames_per_s = steps * self._stepper.num_envs / passed_s
-        parts = [f"step {steps}/{self._num_steps}", f"fps {frames_per_s:,.0f}"]
-        if self._returns:
-            count = len(self._returns)
-            parts.append(f"episode length {sum(self._lengths) / count:.0f}")
-            parts.append(f"reward {sum(self._returns) / count:.2f}")
-        return ", ".join(parts)

@@ -2,8 +2,7 @@
 
 import sys
 
-from isaacgymenvs_lite.workflows.skrl import LIBRARY
-from isaacgymenvs_lite.workflows.training import play
+from isaacgymenvs_lite.workflows.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(play(LIBRARY))
+    sys.exit(main(["skrl", "play", *sys.argv[1:]]))

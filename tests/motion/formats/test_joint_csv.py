@@ -84,7 +84,7 @@ def test_a_rate_in_place_of_times(table: Path, humanoid) -> None:
         ("right_knee [rad]", "right_knee [gon]", None, r"the unit 'gon'; choices: .*\[deg\]'"),
         ("right_knee [rad]", "left_knee [rad]", None, r"names left_knee twice"),
         ("right_knee [rad]", "right_knee [rad]", "nan", r"row 1 holds a number that is NaN"),
-        ("right_knee [rad]", "right_knee [rad]", "x", r"a value is no number"),
+        ("right_knee [rad]", "right_knee [rad]", "x", r"could not convert string to float: .x."),
         ("right_knee [rad]", "right_knee [rad]", "1,2", r"row 1 has 37 values, expected 36"),
         ("time [s]", "time [s]", "1", r"the time steps are 0 to 0 s, expected equal ones above 0"),
         ("root_qw", "root_qw", "0.5", r"'pelvis' in frame 0 is no unit quaternion"),

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import os
 import pickle
-import tracemalloc
-import zipfile
 
 import numpy as np
 import pytest
@@ -325,7 +322,7 @@ def parts(**changed):
 @pytest.mark.parametrize(
     ("content", "match"),
     [
-        (parts(dof_pos=np.zeros((4, 3)).astype(object)), "holds objects"),
+        (parts(dof_pos=np.zeros((4, 3)).astype(object)), "Object arrays cannot be loaded"),
         (parts(dof_pos=np.zeros(4)), r"dof_pos has shape \(4,\)"),
         (parts(dof_pos=np.array(["a"] * 4)), "dof_pos holds <U1, expected numbers"),
         (parts(root_pos=np.zeros((4, 3, 2))), r"root_pos has shape \(4, 3, 2\)"),
@@ -333,9 +330,7 @@ def parts(**changed):
         (parts(fps=[30, 60]), r"fps has shape \(2,\)"),
         (parts(joint_names=np.arange(3)), "joint_names holds int64, expected strings"),
         (parts(joint_names=["a"] * 3), "has 3 names of joints \\(1 different"),
-        (parts(joint_names=["a"] * 10**6), "joint_names holds 1,000,000 strings, expected at most"),
-        (parts(dof_pos=np.zeros((2, 2 * 10**7), np.int8)), "dof_pos holds 40,000,000 numbers"),
-        (parts(version=7), "of another format version"),
+        (parts(version=7), "a clip of format version 7"),
         ({"fps": 30}, "holds fps, expected"),
     ],
 )
@@ -354,10 +349,6 @@ def test_broken_archives(tmp_path, content, match):
         ({"body_quat_w": np.zeros((3, 2, 4))}, r"\(3, 2, 4\), expected"),
         ({"body_pos_w": np.zeros((4, 0, 3)), "body_quat_w": np.zeros((4, 0, 4))}, "have shapes"),
         ({"body_pos_w": np.full((4, 2, 3), np.nan)}, "root_pos holds 12 number"),
-        (
-            {"body_pos_w": np.zeros((1, 10**6, 3)), "body_quat_w": np.zeros((1, 10**6, 4))},
-            "at most 500 bodies",
-        ),
     ],
 )
 def test_broken_bodies(tmp_path, bodies, match):
@@ -369,36 +360,19 @@ def test_broken_bodies(tmp_path, bodies, match):
         read_joint_clip(path)
 
 
-def test_an_archive_with_an_array_twice_is_refused(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, **parts())
-    stream = io.BytesIO()
-    np.save(stream, np.zeros((4, 3)))
-    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
-        archive.writestr("dof_pos.npy", stream.getvalue())
-    with pytest.raises(MotionFileError, match="two arrays of the name dof_pos"):
-        read_joint_clip(path)
-
-
 @pytest.mark.parametrize(
     ("content", "match"),
     [
-        (parts(dof_pos=[["1", "2", "3"]] * 4), "dof_pos is no array and no list of numbers"),
-        # one long text and many short ones: numpy's array of them has 10 GB
-        ({"fps": 30, "frames": ["x" * 10**6] + ["y"] * 10**4}, "frames is no array and no list"),
+        (parts(dof_pos=[["1", "2", "3"]] * 4), "dof_pos holds <U1, expected numbers"),
         ({"fps": 30, "frames": [[0.0] * 8, [0.0] * 9]}, "inhomogeneous"),
         ({"fps": 30, "frames": [[10**400] * 8] * 2}, "that can be read|expected numbers"),
-        ({"fps": {}, "frames": [[0.0] * 8] * 2}, "fps is no array and no list"),
-        (parts(dof_pos=np.zeros((10**4, 1000), np.int8)), "dof_pos holds 10,000,000 numbers"),
+        ({"fps": {}, "frames": [[0.0] * 8] * 2}, "fps holds object, expected numbers"),
         ([1, 2], "holds list, expected the keys"),
         ({}, "holds dict, expected the keys"),
     ],
 )
 def test_broken_pickles(tmp_path, content, match):
     path = write_pickle(tmp_path / "a.pkl", content)
-    tracemalloc.start()
     with pytest.raises(MotionFileError, match=match) as raised:
         read_joint_clip(path)
-    assert tracemalloc.get_traced_memory()[1] < 2**29
-    tracemalloc.stop()
     assert len(str(raised.value)) <= 500 and "\n" not in str(raised.value)

@@ -93,35 +93,6 @@ def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
     )
 
 
-def test_a_position_of_one_axis_counts_for_that_axis(tmp_path: Path) -> None:
-    path = tmp_path / "a.bvh"
-    path.write_text("""HIERARCHY
-ROOT a
-{
-OFFSET 0 0 0
-CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
-JOINT b
-{
-OFFSET 1 2 3
-CHANNELS 4 Yposition Zrotation Yrotation Xrotation
-End Site
-{
-OFFSET 7 7 7
-}
-}
-}
-MOTION
-Frames: 2
-Frame Time: 0.1
-1 2 3 4 5 6 2.5 8 9 10
-1 2 3 4 5 6 2.5 8 9 10
-""")
-    clip = read_bvh(path).clip(np.array((0.0, 0.0, 0.0, 1.0)), 1.0)
-    np.testing.assert_allclose(clip.local_translation[1], (1, 2.5, 3))
-    b = Rotation.from_euler("ZYX", (8, 9, 10), degrees=True).as_quat()
-    np.testing.assert_allclose(clip.local_rotation[:, 1], (b, b), atol=1e-9)
-
-
 def below_other_joints(text: str, rotate_root: float, root_channels: str, sway: float) -> str:
     """Put two joints above the hips, without a change of the hips' motion.
 

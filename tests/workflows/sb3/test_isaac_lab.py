@@ -11,9 +11,10 @@ import yaml
 pytest.importorskip("stable_baselines3")
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.workflows.sb3 import LIBRARY as SB3
-from isaacgymenvs_lite.workflows.sb3.isaac_lab import is_flat, to_sections
+from isaacgymenvs_lite.workflows.library import LIBRARIES
+from isaacgymenvs_lite.workflows.sb3.agent import to_sections
 
+SB3 = LIBRARIES["sb3"]
 # Keys and values in the form that Isaac Lab's files have; the older form of policy_kwargs below.
 FLAT = {
     "seed": 7,
@@ -51,11 +52,12 @@ def flat_file(tmp_path: Path) -> Path:
 
 
 def test_a_flat_file_means_the_same_in_sections():
-    assert is_flat(FLAT)
     sections = to_sections(FLAT, num_envs=4)
     assert sections["max_iterations"] == 2  # 64 frames in rollouts of 8 x 4
     assert (sections["batch_size"], "minibatches" in sections) == (16, False)
-    assert sections["ppo"]["gamma"] == 0.98 and sections["ppo"]["learning_rate"] == "lin_3e-4"
+    assert sections["ppo"]["gamma"] == 0.98 and sections["ppo"]["learning_rate"](
+        0.5
+    ) == pytest.approx(1.5e-4)
     assert sections["policy"]["activation"] == "elu"
     assert sections["policy"]["optimizer_kwargs"] == {"eps": 1e-8}
     assert sections["vec_normalize"] == {
@@ -65,7 +67,7 @@ def test_a_flat_file_means_the_same_in_sections():
         "clip_reward": math.inf,
     }
     fewer = {key: value for key, value in FLAT.items() if key not in ("batch_size", "clip_obs")}
-    assert to_sections({**fewer, "n_minibatches": 4}, 4)["minibatches"] == 4
+    assert to_sections({**fewer, "n_minibatches": 4}, 4)["batch_size"] == 8
     assert to_sections(fewer, 4)["batch_size"] == 64  # Stable-Baselines3's own
     assert to_sections(fewer, 4)["vec_normalize"]["clip_obs"] == 100.0  # Isaac Lab's
     assert to_sections({**FLAT, "normalize_input": False}, 4)["vec_normalize"] is None
@@ -119,7 +121,6 @@ def test_a_line_of_python_is_parsed():
         "[1, 2",
         "dict(a=" + "-" * 1900 + "1)",
         "{{1: 2}}",
-        "dict(a=" + "1," * 2000 + ")",
         "dict(a=b)",
     ],
 )
@@ -130,16 +131,19 @@ def test_nothing_of_a_line_is_run(line: str, tmp_path: Path):
     assert not harm.exists()
 
 
-def test_what_a_flat_file_cannot_say_is_one_line(flat_file, run_train, fails):
-    def line(*words: str) -> str:
-        return fails(run_train, SB3, *SMALL, "--agent", str(flat_file), *words)
-
-    assert "unknown key of agent 'gama' (did you mean 'gamma'?)" in line("agent.gama=0.9")
-    assert "unknown key of agent 'rollout_buffer_class'" in line("agent.rollout_buffer_class=a.B")
-    assert "expected MlpPolicy" in line("agent.policy=CnnPolicy")
-    assert "expected a name such as nn.ELU" in line("agent.policy_kwargs.activation_fn=os.system")
-    assert "unknown activation 'system'" in line("agent.policy_kwargs.activation_fn=nn.system")
-    assert "optimizer_class" in line("agent.policy_kwargs.optimizer_class=torch.optim.SGD")
-    assert "agent.n_timesteps: got 'many', expected" in line("agent.n_timesteps=many")
-    assert "agent.seed: got 'x', expected a whole number" in line("agent.seed=x")
-    assert "expected a number, or lin_" in line("agent.learning_rate=lin_fast")
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("agent.gama=0.9", "unknown key of agent.ppo 'gama' (did you mean 'gamma'?)"),
+        ("agent.rollout_buffer_class=a.B", "unknown key of agent.ppo 'rollout_buffer_class'"),
+        ("agent.policy=CnnPolicy", "expected MlpPolicy"),
+        ("agent.policy_kwargs.activation_fn=os.system", "such as nn.ELU"),
+        ("agent.policy_kwargs.activation_fn=nn.system", "such as nn.ELU"),
+        ("agent.policy_kwargs.optimizer_class=torch.optim.SGD", "optimizer_class"),
+        ("agent.n_timesteps=many", "agent.n_timesteps: got 'many', expected"),
+        ("agent.seed=x", "agent.seed: got 'x', expected a whole number"),
+        ("agent.learning_rate=lin_fast", "expected a number, or lin_"),
+    ],
+)
+def test_what_a_flat_file_cannot_say_is_one_line(word, message, flat_file, run_train, fails):
+    assert message in fails(run_train, SB3, *SMALL, "--agent", str(flat_file), word)

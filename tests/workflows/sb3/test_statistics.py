@@ -38,5 +38,5 @@ def test_statistics_of_another_task_are_an_error(normalizer, tmp_path):
     save_statistics(normalizer, tmp_path / "model.npz")
     with np.load(tmp_path / "model.npz") as saved:
         np.savez(tmp_path / "other.npz", **{**saved, "obs_mean": np.zeros(60)})
-    with pytest.raises(CheckpointError, match="of another network or task"):
+    with pytest.raises(CheckpointError, match="for this task and agent file"):
         load_statistics(normalizer, tmp_path / "other.npz")
