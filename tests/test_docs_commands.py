@@ -144,7 +144,9 @@ def text_of(page: Path) -> str:
 
 def inline_commands_of(page: Path) -> Iterator[tuple[str, ...]]:
     """Whole commands within sentences; `python -m module` alone only names a module."""
-    for command in re.findall(r"`((?:python|make|pip|isaacgymenvs-lite) [^`]+)`", text_of(page)):
+    for command in re.findall(
+        r"`((?:python|torchrun|make|pip|isaacgymenvs-lite) [^`]+)`", text_of(page)
+    ):
         if "..." not in command and not re.fullmatch(r"(python -m|\S+-lite) [\w.]+", command):
             yield from split_command(" ".join(command.split()))
 
@@ -235,7 +237,8 @@ def words_of_first_job(words: Sequence[str]) -> list[str]:
         if override.is_choice_sweep():
             word = f"{override.key_or_group}={next(override.sweep_string_iterator())}"
         elif override.is_interval_sweep():
-            word = f"{override.key_or_group}={override.value().start}"
+            interval: Any = override.value()
+            word = f"{override.key_or_group}={interval.start}"
         found.append(word)
     return found
 
@@ -413,7 +416,7 @@ def find_module(name: str) -> Any:
     return importlib.import_module(name)
 
 
-READERS = {
+READERS: dict[str, Callable[[str], object]] = {
     "yaml": yaml.safe_load,
     "toml": tomllib.loads,
     "xml": ElementTree.fromstring,
