@@ -4,13 +4,11 @@ import warnings
 from typing import Any
 
 import pytest
-from rl_games.algos_torch import a2c_continuous, torch_ext
 from rl_games.algos_torch.model_builder import ModelBuilder
 from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver, DefaultAlgoObserver
 from rl_games.torch_runner import Runner
 
-from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
 from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
 from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
@@ -110,12 +108,6 @@ def test_a_runner_that_the_caller_made():
     assert runner.algo_observer is observer
     register(runner)  # twice is as good as once
     assert set(builders_of(runner.algo_factory)) == before | set(ALGORITHMS)
-
-
-def test_checkpoints_are_ours_after_registering(runner):
-    assert torch_ext.save_checkpoint is checkpoints.save_checkpoint
-    # rl_games' agents look the function up when they save
-    assert a2c_continuous.torch_ext is torch_ext
 
 
 def test_users_do_not_read_that_rl_games_scripts_its_normalisers():

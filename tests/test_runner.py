@@ -406,7 +406,7 @@ def test_a_mistake_does_not_touch_what_was_there_before(name, in_tmp, walk_clip)
     [
         (
             True,
-            r"not enough memory: this needs at least .*networks .*this machine has .*; lower units",
+            r"not enough memory: this needs at least .*networks .*; lower num_envs",
         ),
         (False, r"not enough memory for this training: lower num_envs"),  # torch gets none
     ],

@@ -1,8 +1,7 @@
 """Writes checkpoints atomically, loads them without running code, and finds them by name.
 
 rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
-a full unpickler (a stranger's file runs code). `install` replaces both functions by those of this
-module, for all agents.
+a full unpickler (a stranger's file runs code). The agents and players here use this module instead.
 """
 
 from __future__ import annotations
@@ -46,14 +45,6 @@ _STATE_DICTS = (
 _COUNTS = ("epoch", "frame")
 _NUMBERS = ("last_mean_rewards",)
 _MAX_SHOWN = 80
-
-
-def install() -> None:
-    """Make rl_games save and load through this module."""
-    from rl_games.algos_torch import torch_ext
-
-    torch_ext.save_checkpoint = save_checkpoint
-    torch_ext.load_checkpoint = load_checkpoint
 
 
 # --- writing -----------------------------------------------------------------------------------

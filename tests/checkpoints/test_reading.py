@@ -181,14 +181,6 @@ def test_a_missing_file_is_named_at_once(tmp_path):
     assert "no such file" in refusal(tmp_path)
 
 
-def test_rl_games_saves_and_loads_through_this_module():
-    from rl_games.algos_torch import torch_ext
-
-    checkpoints.install()
-    assert torch_ext.save_checkpoint is checkpoints.save_checkpoint
-    assert torch_ext.load_checkpoint is checkpoints.load_checkpoint
-
-
 # --- finding ----------------------------------------------------------------------------------
 
 

@@ -1,5 +1,4 @@
 import logging
-import re
 from typing import Any
 
 import pytest
@@ -120,19 +119,11 @@ def test_a_critic_alone_may_be_recurrent(prepare):
         prepare(*words, f"{CONFIG}.seq_len=5", num_envs=25)
 
 
-@pytest.mark.parametrize(
-    ("horizon", "words"),
-    [
-        (
-            "1e300",
-            "got 1e+300, expected a whole number of at least 1 and of at most 90071992547409",
-        ),
-        ("100000000000", "an epoch of 6.4e+12 samples, expected at most 2147483647"),
-    ],
-)
-def test_an_epoch_that_no_memory_holds_is_refused(horizon, words, prepare):
-    with pytest.raises(ConfigError, match=re.escape(words)):
-        prepare(f"train.params.config.horizon_length={horizon}")
+def test_an_epoch_that_no_memory_holds_is_refused(prepare):
+    with pytest.raises(
+        ConfigError, match=r"an epoch of 6.4e\+12 samples, expected at most 2147483647"
+    ):
+        prepare("train.params.config.horizon_length=100000000000")
 
 
 def test_sequences_must_fit_into_the_horizon(prepare):
@@ -293,7 +284,6 @@ def test_max_iterations_and_experiment_count_in_files_without_interpolations():
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("train.params.config.learning_rate=1e308", "of at most 1e+38"),
         ("train.params.config.gamma=[1,2]", "gamma: got [1, 2], expected a number"),
         ("train.params.network.mlp.units=[1000000000000]", "of at most 1048576"),
         ("train.params.network.mlp.units=[-1]", "units: got [-1], expected a list of whole"),
