@@ -68,7 +68,7 @@ def test_the_wheel_of_the_sdist_is_the_same(wheel, tmp_path):
     with tarfile.open(archive) as sdist:
         sdist.extractall(tmp_path / "unpacked", filter="data")
     (folder,) = (tmp_path / "unpacked").iterdir()
-    for name in ("docs/first_walk.md", "CHANGELOG.md", "tests/conftest.py", ".ci/run"):
+    for name in ("docs/getting_started.md", "CHANGELOG.md", "tests/conftest.py", ".ci/run"):
         assert (folder / name).is_file(), name
     again = build("wheel", folder, tmp_path / "again")
     assert set(zipfile.ZipFile(again).namelist()) == set(zipfile.ZipFile(wheel).namelist())
