@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.checkpoints.archive import MAX_FILE_BYTES, ArchiveError, read_archive
+from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
 from isaacgymenvs_lite.checkpoints.files import (
     load_checkpoint,
     newest_run,
@@ -40,7 +40,7 @@ KEY = "training_state"
 FOLDER = "resume"
 """Folder of the states in a run folder."""
 
-_VERSION = 1
+_VERSION = 2
 _STATE = re.compile(r"\d+\.pth")
 _FILE_OF_STATE = re.compile(r"(\d+)(_rank\d+)?(_buffers)?\.pth")
 
@@ -69,8 +69,8 @@ def new_token() -> str:
 
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
-) -> tuple[list[Path], int | None]:
-    """Write a state into a run folder, beside the ones before.
+) -> list[Path]:
+    """Write a state into a run folder; the former state stays.
 
     Args:
         run: the run folder.
@@ -80,8 +80,7 @@ def write_training_state(
         rank: of this process.
 
     Returns:
-        The files that were written; the bytes of the buffers if these are larger than what a
-        reader accepts and were left out, else None.
+        The files that were written.
 
     Raises:
         OSError: the folder cannot be written or is full; the former state is left.
@@ -89,14 +88,10 @@ def write_training_state(
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     file, buffers = _files_of(folder / f"{epoch}.pth", rank)
-    files, too_large = [file], None
+    files = [file]
     if state.buffers is not None:
-        size = num_bytes(state.buffers)
-        if size < MAX_FILE_BYTES:
-            write_atomically(buffers, {"token": token, "buffers": state.buffers})
-            files.append(buffers)
-        else:
-            too_large = size
+        write_atomically(buffers, {"token": token, "buffers": state.buffers})
+        files.append(buffers)
     entry = {
         "version": _VERSION,
         "token": token,
@@ -105,7 +100,7 @@ def write_training_state(
     }
     checkpoint = plain_numbers(state.checkpoint) if rank == 0 else {}
     write_atomically(file, {**checkpoint, KEY: entry})
-    return files, too_large
+    return files
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:

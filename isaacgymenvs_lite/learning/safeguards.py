@@ -300,7 +300,8 @@ class PPOSafeguards(Safeguards, DataParallel):
     """
 
     stored = (
-        *("game_shaped_rewards", "mean_rewards", "last_lr", "entropy_coef"),
+        *("game_shaped_rewards.mean", "game_shaped_rewards.current_size"),
+        *("mean_rewards", "last_lr", "entropy_coef"),
         *("central_value_net.lr", "central_value_net.epoch_num", "central_value_net.frame"),
     )
     stored_episodes = ("current_shaped_rewards", "rnn_states", "central_value_net.rnn_states")
