@@ -16,7 +16,7 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
-from isaacgymenvs_lite.learning.safeguards import Safeguards, own_rates_kept
+from isaacgymenvs_lite.learning.safeguards import Safeguards
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.state import Stateful
 
@@ -161,13 +161,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature.
-
-        The learning rates of this run count, as for the other agents.
-        """
-        optimizers = (self.actor_optimizer, self.critic_optimizer, self.log_alpha_optimizer)
-        with own_rates_kept(*optimizers):
-            super().set_full_state_weights(weights, set_epoch=set_epoch)
+        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature."""
+        super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
                 self.log_alpha.copy_(weights["log_alpha"])
