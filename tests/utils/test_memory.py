@@ -32,7 +32,7 @@ def test_the_message_has_both_sizes_and_the_large_parts() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["num_envs=16000000", "train.params.config.horizon_length=200"],
+        ["num_envs=100000", "train.params.config.horizon_length=20000"],
         ["train.params.config.horizon_length=4000000"],
         ["train.params.network.mlp.units=[1000000,1000000]"],
         ["train.params.network.mlp.units=[1000000,1000000]", "test=True"],
@@ -40,6 +40,6 @@ def test_the_message_has_both_sizes_and_the_large_parts() -> None:
 )
 def test_a_run_beyond_memory_makes_nothing(words, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match="not enough memory: this needs at least"):
+    with pytest.raises(ConfigError, match="^not enough memory"):
         run(compose(["task=Cartpole", "rl_device=cpu", *words]))
     assert list(tmp_path.iterdir()) == []
