@@ -32,7 +32,6 @@ def test_the_message_has_both_sizes_and_the_large_parts() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["num_envs=100000", "train.params.config.horizon_length=20000"],
         ["train.params.config.horizon_length=4000000"],
         ["train.params.network.mlp.units=[1000000,1000000]"],
         ["train.params.network.mlp.units=[1000000,1000000]", "test=True"],
