@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite import check
+from isaacgymenvs_lite.commands import check
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError

@@ -81,7 +81,7 @@ def test_a_second_restart_adds_nothing():
         ["-u", "-X", "dev", "train.py"],
         ["-m", "isaacgymenvs_lite.train"],
         ["/venv/bin/isaacgymenvs-lite-train"],
-        ["-m", "isaacgymenvs_lite.alias", "train.py"],
+        ["-m", "isaacgymenvs_lite", "alias", "train.py"],
     ],
 )
 def test_the_program_stays(monkeypatch, commands, program):

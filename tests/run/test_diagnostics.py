@@ -10,17 +10,14 @@ import torch
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.evaluation.motion_coverage import FallMoment
-from isaacgymenvs_lite.run import (
-    DiagnosticsObserver,
-    EpochMetrics,
-    MeasurementObserver,
-    MetricsObserver,
-)
 from isaacgymenvs_lite.run.diagnostics import (
     CLIP_LIMITS,
     REPEAT_S,
+    DiagnosticsObserver,
     Measurement,
 )
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
+from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 EPOCH_FRAMES = 16384
 EPOCH_S = 4.0

@@ -39,6 +39,6 @@ def test_the_message_has_both_sizes_and_the_large_parts() -> None:
 )
 def test_a_run_beyond_memory_makes_nothing(words, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match="^not enough memory"):
+    with pytest.raises(ConfigError, match=r"^not enough memory"):
         run(compose(["task=Cartpole", "rl_device=cpu", *words]))
     assert list(tmp_path.iterdir()) == []

@@ -41,7 +41,7 @@ print(obs["obs"].shape, sys.argv[1:], neighbour.VALUE)
 def _run(tmp_path: Path, script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     (tmp_path / "script.py").write_text(script)
     (tmp_path / "neighbour.py").write_text("VALUE = 5\n")
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", str(tmp_path / "script.py")]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", str(tmp_path / "script.py")]
     return subprocess.run(
         [*command, *arguments], capture_output=True, text=True, check=False, cwd=tmp_path
     )
@@ -68,7 +68,7 @@ def test_modules_that_do_not_exist_are_named(tmp_path: Path) -> None:
 
 
 def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", str(tmp_path / "lost.py")]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", str(tmp_path / "lost.py")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
@@ -189,7 +189,7 @@ def fork(tmp_path: Path, walk_clip: Path) -> Path:
 
 
 def _train(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", "train.py", *words]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", "train.py", *words]
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
 
 
