@@ -62,11 +62,7 @@ MODULES = {module_of(path): path for path in FILES}
 
 
 def imported(path: Path) -> Iterator[str]:
-    """Modules of the project that a file imports anywhere, functions and TYPE_CHECKING included.
-
-    Not what it imports where it is run as a program (`if __name__ == "__main__":`): that is above
-    all layers.
-    """
+    """Modules of the project that a file imports anywhere, functions and TYPE_CHECKING included."""
     of_program = {
         node
         for block in tree(path).body

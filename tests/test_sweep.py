@@ -36,14 +36,7 @@ SWEEP_FILES = ["runs", "runs/sweep", "runs/sweep/jobs.csv", "runs/sweep/multirun
 
 
 class Jobs:
-    """Runs jobs in place of `runner.run`: a job returns its seed, unless a test sets more.
-
-    Attributes:
-        seeds: of the jobs that were run.
-        directions: that the jobs were given.
-        results: seed -> what the job returns, or raises.
-        stopped_by: seed of the job in which the user presses Ctrl-C.
-    """
+    """Runs jobs in place of `runner.run`: a job returns its seed, unless a test sets more."""
 
     def __init__(self) -> None:
         self.seeds: list[int] = []

@@ -36,10 +36,7 @@ def refusal(path: Path | str) -> str:
 
 
 def test_what_plain_rl_games_writes_loads(tmp_path):
-    """It stores its best reward as a numpy scalar, which torch's safe loader refuses.
-
-    Of SAC, a file of an earlier version holds a tensor.
-    """
+    """It stores its best reward as a numpy scalar, which torch's safe loader refuses."""
     for number in (np.float32(3.5), np.float64(3.5), torch.tensor(3.5)):
         torch.save({**state(), "last_mean_rewards": number}, tmp_path / "plain.pth")
         assert checkpoints.load_checkpoint(tmp_path / "plain.pth")["last_mean_rewards"] == 3.5

@@ -220,10 +220,7 @@ def test_the_action_of_the_step_that_starts_an_episode_does_nothing(make_task: M
 
 
 def _after_a_ball_is_put(task: BallBalance, x: float, y: float, speed: float, steps: int) -> list:
-    """Return what the three sensors tell of a ball on the tray: force x, torques x, y, z.
-
-    The ball of the one environment was put there with a speed along x (m/s) some steps before.
-    """
+    """Return what the three sensors tell of a ball on the tray: force x, torques x, y, z."""
     task.reset()
     state = torch.tensor([x, y, 0.559117 + 0.01 + 0.1, 0.0, 0.0, 0.0, 1.0, speed, *[0.0] * 5])
     task.simulation.write_object_states(

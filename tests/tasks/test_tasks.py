@@ -36,10 +36,7 @@ def task_name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def make_task(task_name: str, walk_clip: Path) -> Iterator[Callable[..., VecTask]]:
-    """Return `make_task(*overrides, seed=0, num_envs=5)`, a maker of the task.
-
-    Tasks with clips show one of the test, from its beginning to its end.
-    """
+    """Return `make_task(*overrides, seed=0, num_envs=5)`, a maker of the task."""
     made: list[VecTask] = []
 
     def make(*overrides: str, seed: int = 0, num_envs: int = NUM_ENVS) -> VecTask:

@@ -168,11 +168,7 @@ SECOND = round(COMPARED_S / DT_S) * PHASES_PER_STEP
 @pytest.mark.parametrize("num_phases", [7, 30, 80])  # a second has 50
 @pytest.mark.parametrize("turn_rad_s", [0.0, 2.0, -0.7])
 def test_a_clip_that_repeats_goes_on_in_its_direction(num_phases: int, turn_rad_s: float) -> None:
-    """Each second of going round a circle is the same chord, over all ends of the clip.
-
-    From the last moment to the first it goes straight on, so that each end may cost one phase's
-    turn.
-    """
+    """Each second of going round a circle is the same chord, over all ends of the clip."""
     found = travel_through(arc(num_phases, 1.3, turn_rad_s), SECOND, repeats=True)
     straight_on_rad = abs(turn_rad_s) * DT_S / PHASES_PER_STEP * math.ceil(SECOND / num_phases)
     chord = torch.tensor([1.3, 0.0])

@@ -130,10 +130,7 @@ def test_a_lying_box_earns_everything(make) -> None:
 
 @pytest.fixture
 def hit(hold_pose) -> Callable[..., dict[str, Any]]:
-    """Return `hit(task, box, in_first_step=False)`, infos of a step in which the box is met.
-
-    The character stands with its arms bent forward. The hit is in the second step of the episode.
-    """
+    """Return `hit(task, box, in_first_step=False)`, infos of a step in which the box is met."""
 
     def infos_of(task: HumanoidStrike, box: list[float], in_first_step: bool = False) -> Any:
         task.reset()
