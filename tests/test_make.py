@@ -15,7 +15,6 @@ from omegaconf import DictConfig
 import isaacgymenvs_lite
 from isaacgymenvs_lite import env_factory as making
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError, DeviceError, MotionFileError
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -144,12 +143,6 @@ def test_an_unknown_task_lists_the_choices() -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("num_envs", [0, -5])
-def test_no_environments(num_envs: int) -> None:
-    with pytest.raises(ConfigError, match="num_envs"):
-        isaacgymenvs_lite.make(num_envs=num_envs)
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
 def test_learning_on_a_gpu_that_is_not_there_says_how_to_go_on(make) -> None:
     for arguments in ({"num_envs": 2}, {"cfg": _tree("rl_device=cpu")}):
@@ -165,10 +158,6 @@ def test_physics_asked_onto_a_gpu_runs_on_the_cpu_and_says_so(make, caplog) -> N
     assert "physics runs on the CPU" in said
     with pytest.raises(DeviceError, match="sim_device=gpu: expected cpu, cuda or cuda:N"):
         make(num_envs=2, sim_device="gpu")
-
-
-def test_multi_gpu_is_about_trainings(make) -> None:
-    assert make(num_envs=2, multi_gpu=True).num_envs == 2
 
 
 # --- with a composed tree ---------------------------------------------------------------------
@@ -195,13 +184,6 @@ def test_a_composed_tree_says_the_seed(make) -> None:
     assert courses[0] != courses[2]
 
 
-def test_the_class_is_that_of_the_name_inside_the_tree() -> None:
-    tree = _tree()
-    tree.task.name = "Cartwheel"
-    with pytest.raises(ConfigError, match=r"task\.name 'Cartwheel'; choices: .*HumanoidAMP"):
-        make_from_config(tree, sim_device="cpu", rl_device="cpu")
-
-
 def test_errors_of_the_task_come_through() -> None:
     for override, error in (
         ("task.env.motion_file=nowhere.npz", MotionFileError),
@@ -212,15 +194,3 @@ def test_errors_of_the_task_come_through() -> None:
         with pytest.raises(error) as found:
             isaacgymenvs_lite.make(cfg=_tree(override))
         assert "\n" not in str(found.value)
-
-
-def test_physics_on_another_device_than_learning(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    task = make_from_config(_tree(), sim_device="cpu", rl_device="meta")
-    observations, *_ = task.step(torch.zeros(2, 28))
-    assert observations["obs"].device.type == "meta"
-    task.close()
-
-
-def test_the_version_is_there() -> None:
-    assert isaacgymenvs_lite.__version__.count(".") >= 1

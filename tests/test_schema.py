@@ -60,9 +60,8 @@ def test_result_is_frozen_and_defaults_are_not_shared():
     assert read().names == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
+def test_values_become_the_declared_type():
+    for key, value, expected in [
         ("rate", 1, 1.0),
         ("rate", "2e-5", 2e-5),
         ("rate", "0.25", 0.25),
@@ -79,12 +78,10 @@ def test_result_is_frozen_and_defaults_are_not_shared():
         ("extra", {"a": 1}, {"a": 1}),
         ("anything", [1, {"b": 2}], [1, {"b": 2}]),
         ("inner", {"mass": 2}, Inner(mass=2.0)),
-    ],
-)
-def test_values_become_the_declared_type(key, value, expected):
-    result = getattr(read(**{key: value}), key)
-    assert result == expected
-    assert type(result) is type(expected)
+    ]:
+        result = getattr(read(**{key: value}), key)
+        assert result == expected
+        assert type(result) is type(expected)
 
 
 def test_omegaconf_containers_become_plain():
@@ -106,9 +103,8 @@ def test_dangling_interpolation_names_its_place():
         read_section(Example, tree.s, where="s")
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
+def test_wrong_values_are_named_with_what_was_expected():
+    for key, value, message in [
         ("steps", 0, r"here\.steps: got 0, expected a whole number of at least 1"),
         ("steps", 1.5, "got 1.5, expected a whole number"),
         ("steps", True, "got True, expected a whole number"),
@@ -135,12 +131,10 @@ def test_dangling_interpolation_names_its_place():
         ("extra", 3, "got 3, expected a mapping"),
         ("inner", 3, r"here\.inner: got 3, expected a mapping"),
         ("inner", {"mass": 0}, r"here\.inner\.mass: got 0, expected a number above 0"),
-    ],
-)
-def test_wrong_values_are_named_with_what_was_expected(key, value, message):
-    with pytest.raises(ConfigError, match=message) as error:
-        read(**{key: value})
-    assert "\n" not in str(error.value)
+    ]:
+        with pytest.raises(ConfigError, match=message) as error:
+            read(**{key: value})
+        assert "\n" not in str(error.value)
 
 
 def test_section_that_is_no_mapping():
@@ -156,10 +150,10 @@ def test_key_is_the_name_in_the_file():
         read(camelCase="x")
 
 
-@pytest.mark.parametrize("misspelt", ["stpes", "step", "Steps", "st_eps"])
-def test_misspelt_keys_are_refused(misspelt):
-    with pytest.raises(ConfigError, match=rf"'here\.{misspelt}' \(did you mean 'steps'\?\)"):
-        read_section(Example, {misspelt: 4}, where="here")
+def test_misspelt_keys_are_refused():
+    for misspelt in ["stpes", "step", "Steps", "st_eps"]:
+        with pytest.raises(ConfigError, match=rf"'here\.{misspelt}' \(did you mean 'steps'\?\)"):
+            read_section(Example, {misspelt: 4}, where="here")
 
 
 def test_keys_that_nothing_reads_are_named_once(caplog):

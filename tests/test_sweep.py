@@ -124,22 +124,19 @@ def test_ctrl_c_ends_the_sweep(call, jobs, capsys, tmp_path):
     assert files(tmp_path) == SWEEP_FILES
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
+def test_mistakes_of_a_sweep_are_one_line_and_run_nothing(call, jobs, capsys):
+    for words, expected in [
         (["checkpoint=last"], "checkpoint=last with -m: each job would start from the job before"),
         (["+full_experiment_name=x"], "full_experiment_name=x with -m: all jobs would write into"),
         (["resume=last"], "-m: with resume= only settings can be given"),
         (["task=Ant,Antt"], "unknown task 'Antt'"),
         (["num_env=1,2"], "unknown key 'num_env'"),
         ([f"{CONFIG}.gamma=interval(0.9,1.0)"], "interval(...) has no list of values: add hydra/"),
-    ],
-)
-def test_mistakes_of_a_sweep_are_one_line_and_run_nothing(words, expected, call, jobs, capsys):
-    assert call("-m", "seed=1,2", *words) == train.EXIT_USER_ERROR
-    (error,) = (line for line in lines(capsys) if line.startswith("error: "))
-    assert error.startswith(f"error: {expected}")
-    assert jobs.seeds == []
+    ]:
+        assert call("-m", "seed=1,2", *words) == train.EXIT_USER_ERROR
+        (error,) = (line for line in lines(capsys) if line.startswith("error: "))
+        assert error.startswith(f"error: {expected}")
+        assert jobs.seeds == []
 
 
 def test_what_a_sweep_varies_may_be_a_checkpoint_or_a_name(call, jobs):

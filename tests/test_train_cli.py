@@ -84,9 +84,8 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
     assert Path.cwd() == tmp_path
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
+def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys):
+    for arguments, expected in [
         (
             ["task=Humanoids"],
             "error: unknown task 'Humanoids' (did you mean 'Humanoid'",
@@ -112,15 +111,13 @@ def test_nothing_is_written_and_the_working_directory_stays(call: Call, runner, 
             ["resume=~nosuchuser/x"],
             "error: ~nosuchuser/x: no home folder of '~nosuchuser' is known",
         ),
-    ],
-)
-def test_mistakes_end_in_one_line_and_exit_code_2(call: Call, runner, capsys, arguments, expected):
-    assert call(*arguments) == train.EXIT_USER_ERROR
-    output = capsys.readouterr()
-    assert output.err.startswith(expected)
-    assert len(output.err.splitlines()) == 1
-    assert output.out == ""
-    assert runner.runs == []
+    ]:
+        assert call(*arguments) == train.EXIT_USER_ERROR
+        output = capsys.readouterr()
+        assert output.err.startswith(expected)
+        assert len(output.err.splitlines()) == 1
+        assert output.out == ""
+        assert runner.runs == []
 
 
 def test_a_working_folder_that_was_removed(call: Call, runner, capsys, tmp_path, monkeypatch):

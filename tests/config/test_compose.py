@@ -159,9 +159,8 @@ def test_a_published_hierarchy_takes_its_low_level_without_a_plus(config_dir):
     assert compose(["train=Hrl"], config_dir).train.params.config.llc_checkpoint is None
 
 
-@pytest.mark.parametrize(
-    ("override", "parts"),
-    [
+def test_wrong_overrides():
+    for override, parts in [
         ("num_env=3", ["unknown key 'num_env' (did you mean 'num_envs'?)", "max_iterations"]),
         ("task.env.numEnv=3", ["(did you mean 'task.env.numEnvs'?)", "the keys of task.env are"]),
         ("motion_file=x", ["(did you mean 'task.env.motion_file'?)"]),
@@ -180,12 +179,10 @@ def test_a_published_hierarchy_takes_its_low_level_without_a_plus(config_dir):
         ("~foo", ["foo"]),
         ("task@x=HumanoidAMP", ["task@x"]),
         ("hydra.searchpath=3", ["searchpath"]),
-    ],
-)
-def test_wrong_overrides(override, parts):
-    text = message([override])
-    for part in parts:
-        assert part in text
+    ]:
+        text = message([override])
+        for part in parts:
+            assert part in text
 
 
 def test_broken_and_odd_files_of_a_user(config_dir):
@@ -201,15 +198,15 @@ def test_config_dir_must_exist(tmp_path):
     assert "does not exist" in message([], tmp_path / "absent")
 
 
-@pytest.mark.parametrize("entry", ["x" * 300])
-def test_a_defaults_list_that_hydra_cannot_use_is_one_line(entry, tmp_path):
-    file = tmp_path / "Mine.yaml"
-    file.write_text(f"defaults: [ClassicPPO, {entry}]\nparams: {{}}\n")
-    text = message(["task=Cartpole", f"train={file}"])
-    assert "Could not load 'train/xxx" in text
+def test_a_defaults_list_that_hydra_cannot_use_is_one_line(tmp_path):
+    for entry in ["x" * 300]:
+        file = tmp_path / "Mine.yaml"
+        file.write_text(f"defaults: [ClassicPPO, {entry}]\nparams: {{}}\n")
+        text = message(["task=Cartpole", f"train={file}"])
+        assert "Could not load 'train/xxx" in text
 
 
-@pytest.mark.parametrize("section", ["task.env", "task.sim", "task.task", "train.params.network"])
-def test_sections_that_are_values_are_one_line(section):
-    with pytest.raises(ConfigError, match=f"^{section}: got 5, expected a mapping"):
-        check_config(compose(["task=Ant", f"++{section}=5"]))
+def test_sections_that_are_values_are_one_line():
+    for section in ["task.env", "task.sim", "task.task", "train.params.network"]:
+        with pytest.raises(ConfigError, match=f"^{section}: got 5, expected a mapping"):
+            check_config(compose(["task=Ant", f"++{section}=5"]))

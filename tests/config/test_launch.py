@@ -41,9 +41,8 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         check_config(compose(["task=Mine", f"train={train}"], config_dir))
 
 
-@pytest.mark.parametrize(
-    ("override", "expected"),
-    [
+def test_wrong_values(no_gpu):
+    for override, expected in [
         ("num_envs=0", "num_envs: got 0, expected a whole number of at least 1, or ''"),
         ("num_envs=-4", "num_envs: got -4"),
         ("num_envs=1.5", "num_envs: got 1.5"),
@@ -76,10 +75,8 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         ("capture_video_envs=0", "capture_video_envs: got 0"),
         ("progress_interval=0", "progress_interval: got 0"),
         ("pbt.enabled=1", "pbt.enabled: got 1, expected True or False"),
-    ],
-)
-def test_wrong_values(no_gpu, override, expected):
-    assert expected in message(override)
+    ]:
+        assert expected in message(override)
 
 
 def test_several_processes_train_and_do_not_play():
@@ -88,13 +85,14 @@ def test_several_processes_train_and_do_not_play():
     check_config(compose(["multi_gpu=True"]))
 
 
-@pytest.mark.parametrize("override", ["num_envs=0", "seed=abc", "rl_device=gpu"])
-def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch, override):
-    def asked() -> bool:
-        raise AssertionError("torch was asked for a GPU")
+def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch):
+    for override in ["num_envs=0", "seed=abc", "rl_device=gpu"]:
 
-    monkeypatch.setattr(torch.cuda, "is_available", asked)
-    message(override)
+        def asked() -> bool:
+            raise AssertionError("torch was asked for a GPU")
+
+        monkeypatch.setattr(torch.cuda, "is_available", asked)
+        message(override)
 
 
 def test_devices_of_a_machine_without_a_gpu(no_gpu):

@@ -3,9 +3,8 @@ import pytest
 from isaacgymenvs_lite.config.train_params import fit_minibatch
 
 
-@pytest.mark.parametrize(
-    ("batch", "wish", "expected"),
-    [
+def test_nearest_divisor_in_ratio():
+    for batch, wish, expected in [
         (65536, 32768, 32768),  # fits: 4096 environments x 16 steps, as published
         (1024, 32768, 1024),  # 64 x 16: more than there is
         (16, 32768, 16),  # one environment
@@ -18,10 +17,8 @@ from isaacgymenvs_lite.config.train_params import fit_minibatch
         (4, 3, 4),  # 4/3 = 1.33, 3/2 = 1.5
         (7, 3, 7),  # prime: 7/3 = 2.33, 3/1 = 3
         (8, 5, 4),  # 5/4 = 1.25, 8/5 = 1.6
-    ],
-)
-def test_nearest_divisor_in_ratio(batch, wish, expected):
-    assert fit_minibatch(batch, wish) == expected
+    ]:
+        assert fit_minibatch(batch, wish) == expected
 
 
 def test_there_are_no_ties():

@@ -13,9 +13,8 @@ from isaacgymenvs_lite.schema import plain
 ON = ("task=Ant", "pbt=pbt_default", "rl_device=cpu")
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
+def test_one_line_for_a_wrong_value():
+    for words, expected in [
         (["pbt.policy_idx=8"], "pbt.policy_idx=8: expected a number from 0 to 7, a different one"),
         (["pbt.policy_idx=-1"], "pbt.policy_idx: got -1, expected a whole number of at least 0"),
         (["pbt.policy_idx=one"], "pbt.policy_idx: got 'one'"),
@@ -33,17 +32,14 @@ ON = ("task=Ant", "pbt=pbt_default", "rl_device=cpu")
         (["+pbt.polcy_idx=1"], "unknown key 'pbt.polcy_idx' (did you mean 'policy_idx'?)"),
         (["train.params.config.gamma=high"], "train.params.config.gamma='high' cannot be mutated"),
         (["train.params.config.gamma=True"], "train.params.config.gamma=True cannot be mutated"),
-    ],
-)
-def test_one_line_for_a_wrong_value(words, expected):
-    with pytest.raises(ConfigError) as error:
-        check_config(compose([*ON, *words]))
-    assert expected in str(error.value)
+    ]:
+        with pytest.raises(ConfigError) as error:
+            check_config(compose([*ON, *words]))
+        assert expected in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("mutation", "expected"),
-    [
+def test_files_of_mutations(tmp_path):
+    for mutation, expected in [
         (
             "task.env.upWeight: mutate_flaot",
             "pbt.mutation: task.env.upWeight: unknown function 'mutate_flaot' (did you mean"
@@ -57,15 +53,13 @@ def test_one_line_for_a_wrong_value(words, expected):
         ("task.env.asset.assetFileName: mutate_float", "cannot be mutated; expected a number"),
         ("train.params.network.rnn.units: mutate_float", "pbt.mutation names no setting of this"),
         ("{}", "pbt.mutation names no setting of this"),
-    ],
-)
-def test_files_of_mutations(tmp_path, mutation, expected):
-    folder = tmp_path / "pbt" / "mutation"
-    folder.mkdir(parents=True)
-    (folder / "mine.yaml").write_text(mutation)
-    with pytest.raises(ConfigError) as error:
-        check_config(compose([*ON, "pbt/mutation=mine"], tmp_path))
-    assert expected in str(error.value)
+    ]:
+        folder = tmp_path / "pbt" / "mutation"
+        folder.mkdir(parents=True)
+        (folder / "mine.yaml").write_text(mutation)
+        with pytest.raises(ConfigError) as error:
+            check_config(compose([*ON, "pbt/mutation=mine"], tmp_path))
+        assert expected in str(error.value)
 
 
 def test_a_published_file_with_mutations_of_its_own(tmp_path):
@@ -111,12 +105,12 @@ def test_null_is_left_out():
     assert "train.params.config.bounds_loss_coef" not in mutable_values(tree, settings)
 
 
-@pytest.mark.parametrize("name", ["default_mutation", "ant_mutation"])
-def test_our_files_name_settings_of_ant(name):
-    tree = plain(compose([*ON, f"pbt/mutation={name}"]))
-    settings = read_pbt_settings(tree)
-    assert settings is not None
-    assert mutable_values(tree, settings).keys() == settings.mutation.keys()
+def test_our_files_name_settings_of_ant():
+    for name in ["default_mutation", "ant_mutation"]:
+        tree = plain(compose([*ON, f"pbt/mutation={name}"]))
+        settings = read_pbt_settings(tree)
+        assert settings is not None
+        assert mutable_values(tree, settings).keys() == settings.mutation.keys()
 
 
 def test_off_without_a_section_of_its_own():

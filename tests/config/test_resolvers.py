@@ -15,9 +15,8 @@ def resolve(expression: str, **values):
     return OmegaConf.create({**values, "result": expression}).result
 
 
-@pytest.mark.parametrize(
-    ("expression", "expected"),
-    [
+def test_semantics():
+    for expression, expected in [
         ("${eq:gpu,gpu}", True),
         ("${eq:GPU,gpu}", True),
         ('${eq:"cpu",gpu}', False),
@@ -39,12 +38,10 @@ def resolve(expression: str, **values):
         ("${resolve_default:4096,null}", None),
         ("${resolve_default:Ant,mine}", "mine"),
         ("${resolve_default:0.5,''}", 0.5),
-    ],
-)
-def test_semantics(expression, expected):
-    result = resolve(expression)
-    assert result == expected
-    assert type(result) is type(expected)
+    ]:
+        result = resolve(expression)
+        assert result == expected
+        assert type(result) is type(expected)
 
 
 def test_empty_mapping_is_false_and_any_other_is_true():

@@ -53,13 +53,13 @@ def test_a_run_folder_stands_for_its_train_file(tmp_path):
     assert on_gpu["config"]["minibatch_size"] == 16384 != params["config"]["minibatch_size"]
 
 
-@pytest.mark.parametrize("folder", ["isaacgymenvs/cfg/train", "ase/data/cfg/train/rlg"])
-def test_folders_of_published_files_mean_ours(folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found = load_train_file(f"{folder}/HumanoidASEPPO.yaml")
-    assert found["params"]["config"]["latent_dim"] == 16
-    with pytest.raises(ConfigError, match="does not exist"):
-        load_train_file(f"other/{folder}/HumanoidASEPPO.yaml")
+def test_folders_of_published_files_mean_ours(tmp_path, monkeypatch):
+    for folder in ["isaacgymenvs/cfg/train", "ase/data/cfg/train/rlg"]:
+        monkeypatch.chdir(tmp_path)
+        found = load_train_file(f"{folder}/HumanoidASEPPO.yaml")
+        assert found["params"]["config"]["latent_dim"] == 16
+        with pytest.raises(ConfigError, match="does not exist"):
+            load_train_file(f"other/{folder}/HumanoidASEPPO.yaml")
 
 
 def test_a_path_may_be_relative_to_the_project(tmp_path, monkeypatch):
@@ -75,19 +75,16 @@ def test_wrong_paths(tmp_path, monkeypatch):
         load_train_file("some/where.yaml")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_unusable_files(tmp_path):
+    for text, message in [
         ("a: 1\n", "is no train file"),
         ("", "is no train file"),
         ("params: {config: {n: '${....nowhere}'}}\n", "nowhere"),
         ("defaults: [File]\nparams: {}\n", "run in a circle"),
         ("defaults: [{task: Ant}]\nparams: {}\n", "unknown train/task"),
         ("defaults: [Absent]\nparams: {}\n", "Could not load 'train/Absent'"),
-    ],
-)
-def test_unusable_files(tmp_path, text, message):
-    file = tmp_path / "File.yaml"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_train_file(file)
+    ]:
+        file = tmp_path / "File.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            load_train_file(file)

@@ -190,9 +190,8 @@ def test_central_critic_is_fitted_too(prepare):
     assert config["central_value_config"]["minibatch_size"] == 1024
 
 
-@pytest.mark.parametrize(
-    ("overrides", "expected"),
-    [
+def test_wrong_files(prepare):
+    for overrides, expected in [
         (
             ["train.params.algo.name=amp_agnt"],
             "unknown algo 'amp_agnt' (did you mean 'amp_agent'?)",
@@ -221,16 +220,14 @@ def test_central_critic_is_fitted_too(prepare):
         ),
         (["train.params.config.lr_schedule=adaptive"], "'train.params.config.kl_threshold' is"),
         (["+train.params.config.schedule_type=other"], "expected one of legacy, standard"),
-    ],
-)
-def test_wrong_files(prepare, overrides, expected):
-    if expected is None:
-        prepare(*overrides)
-        return
-    with pytest.raises(ConfigError) as error:
-        prepare(*overrides)
-    assert expected in str(error.value)
-    assert "\n" not in str(error.value)
+    ]:
+        if expected is None:
+            prepare(*overrides)
+            return
+        with pytest.raises(ConfigError) as error:
+            prepare(*overrides)
+        assert expected in str(error.value)
+        assert "\n" not in str(error.value)
 
 
 def test_without_registered_names_any_name_passes(prepare):
@@ -249,22 +246,19 @@ def test_soft_actor_critic_has_keys_of_its_own():
     assert (config["batch_size"], config["actor_lr"]) == (4096, 5e-4)
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
+def test_mistakes_in_keys_of_soft_actor_critic_are_named(caplog):
+    for override, said in [
         ("~train.params.config.batch_size", "batch_size' is missing"),
         ("train.params.config.batch_size=0", "batch_size: got 0, expected .*at least 1"),
         ("+train.params.config.crtic_tau=0.1", "nothing"),
-    ],
-)
-def test_mistakes_in_keys_of_soft_actor_critic_are_named(override, said, caplog):
-    cfg = compose(["task=AntSAC", "train=AntSAC", "rl_device=cpu", override])
-    if said == "nothing":  # beside the correct key: taken for another one
-        prepare_train_params(cfg, num_envs=64, seed=1)
-        assert "crtic_tau" in caplog.text
-        return
-    with pytest.raises(ConfigError, match=said):
-        prepare_train_params(cfg, num_envs=64, seed=1)
+    ]:
+        cfg = compose(["task=AntSAC", "train=AntSAC", "rl_device=cpu", override])
+        if said == "nothing":  # beside the correct key: taken for another one
+            prepare_train_params(cfg, num_envs=64, seed=1)
+            assert "crtic_tau" in caplog.text
+            return
+        with pytest.raises(ConfigError, match=said):
+            prepare_train_params(cfg, num_envs=64, seed=1)
 
 
 def test_tree_is_left_as_it_was(config_dir):
@@ -281,9 +275,8 @@ def test_max_iterations_and_experiment_count_in_files_without_interpolations():
     assert (config["max_epochs"], config["name"]) == (7, "mine")
 
 
-@pytest.mark.parametrize(
-    ("override", "expected"),
-    [
+def test_broken_numbers_of_every_section_are_refused(prepare):
+    for override, expected in [
         ("train.params.config.gamma=[1,2]", "gamma: got [1, 2], expected a number"),
         ("train.params.network.mlp.units=[1000000000000]", "of at most 1048576"),
         ("train.params.network.mlp.units=[-1]", "units: got [-1], expected a list of whole"),
@@ -298,15 +291,13 @@ def test_max_iterations_and_experiment_count_in_files_without_interpolations():
         ("+train.params.config.player={games_num: many}", "player.games_num: got 'many'"),
         ("train.params.config.reward_shaper={scale_value: .nan}", "scale_value: got"),
         ("+train.params.config.reward_shaper.factor=2", "unknown key 'factor'"),
-    ],
-)
-def test_broken_numbers_of_every_section_are_refused(prepare, override, expected):
-    words = [override]
-    if "initializer" in override:
-        words.insert(0, "train.params.network.mlp.initializer.name=const_initializer")
-    with pytest.raises(ConfigError) as refused:
-        prepare(*words)
-    assert expected in str(refused.value)
+    ]:
+        words = [override]
+        if "initializer" in override:
+            words.insert(0, "train.params.network.mlp.initializer.name=const_initializer")
+        with pytest.raises(ConfigError) as refused:
+            prepare(*words)
+        assert expected in str(refused.value)
 
 
 def test_the_schedule_has_rl_games_2s_name_too(prepare):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -28,14 +27,6 @@ def test_shares_of_ranges_and_back() -> None:
     torch.testing.assert_close(published.unscale_transform(shares, LOWER, UPPER), values)
     outside = torch.tensor([[-5.0, 11.0]])
     assert published.tensor_clamp(outside, LOWER, UPPER).tolist() == [[-1.0, 10.0]]
-
-
-def test_small_helpers() -> None:
-    assert published.get_axis_params(-9.8, 2) == [0.0, 0.0, -9.8]
-    assert published.get_axis_params(1.0, 0, x_value=5.0) == [1.0, 0.0, 0.0]
-    assert published.get_axis_params(1.0, 1, x_value=5.0) == [5.0, 1.0, 0.0]
-    assert published.to_torch([1, 2], device="cpu").tolist() == [1.0, 2.0]
-    assert published.copysign(-2.0, torch.tensor([-0.5, 3.0, 0.0])).tolist() == [-2.0, 2.0, 0.0]
 
 
 def test_random_numbers() -> None:
@@ -139,12 +130,3 @@ def test_rotation_vectors() -> None:
     axis = torch.tensor([[0.0, 0.6, 0.8]])
     vectors = published.angle_axis_to_exp_map(torch.tensor([2.0]), axis)
     torch.testing.assert_close(vectors, torch.tensor([[0.0, 1.2, 1.6]]))
-
-
-def test_poses_and_numbers_of_numpy() -> None:
-    pose = torch.tensor([[1.0, 2.0, 3.0, 0.0, 3.0, 0.0, 4.0]])
-    normal = published.normalise_quat_in_pose(pose)
-    torch.testing.assert_close(normal, torch.tensor([[1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8]]))
-    assert pose[0, 4] == 3.0
-    shares = published.unscale_np(np.array([[1.0, 2.5]]), LOWER.numpy(), UPPER.numpy())
-    np.testing.assert_array_equal(shares, [[0.0, -0.5]])

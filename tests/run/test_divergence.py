@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from isaacgymenvs_lite.env_factory import model_of_recording
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.simulation import replay
@@ -43,15 +42,6 @@ def test_the_first_ones_are_written_and_can_be_shown(run_folder: Path, capsys: A
     assert "of Ant" in shown
     assert "was made with another model" not in shown
     assert "diverged in control step" in shown
-
-
-def test_the_task_may_be_named_instead_of_the_run(run_folder: Path, tmp_path: Path, capsys) -> None:
-    file = tmp_path / "0001.npz"
-    file.write_bytes((run_folder / "diverged" / "0001.npz").read_bytes())
-    with pytest.raises(ConfigError, match="which task"):
-        model_of_recording(file, [])
-    assert replay.main([str(file), "task=Ant", STRONG], model_of_recording) == 0
-    assert "diverged in control step" in capsys.readouterr().out
 
 
 class _Task:

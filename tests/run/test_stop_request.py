@@ -24,14 +24,6 @@ def test_the_first_signal_asks_and_the_second_ends(number, caplog):
             signal.sigtimedwait([], 1)
 
 
-def test_one_signal_after_the_other_counts_as_two():
-    with StopRequest():
-        os.kill(os.getpid(), signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            signal.sigtimedwait([], 1)
-
-
 def test_former_handlers_come_back():
     former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with StopRequest():
@@ -62,14 +54,6 @@ def test_beside_the_main_thread_nothing_is_caught():
     assert signal.getsignal(signal.SIGINT) is former
 
 
-def test_a_session_that_ends_asks_once_and_never_more(caplog):
-    with StopRequest() as stop:
-        for _ in range(3):
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert stop.requested is True
-    assert caplog.text.count("SIGHUP: ending after this epoch") == 1
-
-
 def test_a_hangup_after_ctrl_c_is_no_second_one():
     with StopRequest():
         os.kill(os.getpid(), signal.SIGINT)
@@ -93,12 +77,3 @@ def test_who_ignores_hangups_goes_on_doing_so():
         assert stop.requested is False
     with signals_as_ctrl_c():
         os.kill(os.getpid(), signal.SIGHUP)
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_loops_of_others_see_ctrl_c_once(number):
-    former = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt), signals_as_ctrl_c():
-        os.kill(os.getpid(), number)
-        signal.sigtimedwait([], 1)
-    assert signal.getsignal(number) is former

@@ -72,19 +72,6 @@ def test_a_wandb_run_mirrors_tensorboard(open_wandb):
     assert fake.finished == 1
 
 
-@pytest.mark.parametrize(
-    ("given", "shown"), [("", "Ant_01-02"), ("Ant", "Ant_01-02"), ("mine", "mine")]
-)
-def test_a_name_of_its_own_is_shown(given, shown, open_wandb):
-    (arguments,) = open_wandb(0, wandb_name=given).inits
-    assert arguments["name"] == shown
-    assert arguments["id"] == "uid_Ant_01-02"
-
-
-def test_the_code_is_stored_if_asked_for(open_wandb):
-    assert open_wandb(0, wandb_logcode_dir="src").logged == ["src"]
-
-
 @pytest.mark.parametrize(("failures", "attempts"), [(2, 3), (99, 3)])
 def test_wandb_failing_never_ends_a_training(failures, attempts, open_wandb, caplog):
     fake = open_wandb(failures)

@@ -201,13 +201,6 @@ def test_actions_move_the_targets_within_the_limits(make_task: MakeTask) -> None
     assert task.targets[:, :2].tolist() == [pytest.approx(limits)] * 2
 
 
-def test_the_speed_of_the_targets_is_a_key(make_task: MakeTask) -> None:
-    task = make_task("task=BallBalance", "task.env.actionSpeedScale=5")
-    task.reset()
-    task.step(torch.ones(4, 3))
-    assert task.targets.flatten().tolist() == pytest.approx([0.05] * 12)
-
-
 def test_the_action_of_the_step_that_starts_an_episode_does_nothing(make_task: MakeTask) -> None:
     task = make_task("task=BallBalance", num_envs=2)
     task.reset()

@@ -52,18 +52,15 @@ def test_scales_of_the_observation() -> None:
     assert observed.tolist() == pytest.approx([*ways, 3, 4, 5, 6, 3.5, 4.0, 4.5, *rates])
 
 
-@pytest.mark.parametrize(
-    ("to_target", "height", "failed"),
-    [
+def test_failures_by_hand() -> None:
+    for to_target, height, failed in [
         ([2.9, 0.0, 0.0], 1.0, False),
         ([2.2, 2.2, 0.0], 1.0, True),
         ([0.0, 0.0, 0.69], 0.31, False),
         ([0.0, 0.0, 0.71], 0.29, True),
-    ],
-)
-def test_failures_by_hand(to_target: list[float], height: float, failed: bool) -> None:
-    found = compute_flight_failures(torch.tensor([to_target]), torch.tensor([height]), 3.0, 0.3)
-    assert found.item() == failed
+    ]:
+        found = compute_flight_failures(torch.tensor([to_target]), torch.tensor([height]), 3.0, 0.3)
+        assert found.item() == failed
 
 
 def test_starts_are_at_rest_around_one_metre_above_the_ground() -> None:
@@ -131,12 +128,6 @@ def test_a_quarter_of_the_weight_per_rotor_hovers(make_task: MakeTask) -> None:
     assert state[3:7].tolist() == pytest.approx(UPRIGHT, abs=1e-6)
 
 
-def test_more_thrust_climbs(make_task: MakeTask) -> None:
-    state = _fly(make_task("task=Quadcopter", num_envs=1), 50, [0.0] * 8, WEIGHT_N / 2)
-    # 0.5 s at 1 g
-    assert state[9].item() == pytest.approx(9.81 * 0.5, rel=1e-3)
-
-
 def test_thrust_is_along_the_axes_of_the_tilted_rotors(make_task: MakeTask) -> None:
     """All rotors are rolled alike about their arms: together they turn the body."""
     task = make_task("task=Quadcopter", num_envs=1)
@@ -154,19 +145,6 @@ def test_thrust_is_along_the_axes_of_the_tilted_rotors(make_task: MakeTask) -> N
     assert state[10:12].abs().max() < 1e-6
     sinking = 9.81 * (1.0 - math.cos(roll)) * steps * 0.01
     assert state[9].item() == pytest.approx(-sinking, rel=1e-2)
-
-
-def test_one_rotor_tips_the_body_over(make_task: MakeTask) -> None:
-    task = make_task("task=Quadcopter", num_envs=1)
-    task.reset()
-    state = torch.tensor([[0.0, 0.0, 1.0, *UPRIGHT, *[0.0] * 6]])
-    task.simulation.write_state(torch.tensor([0]), state, torch.zeros(1, 8), torch.zeros(1, 8))
-    task.targets[:], task.thrusts[:] = 0.0, torch.tensor([[0.5, 0.0, 0.0, 0.0]])
-    task.step(torch.zeros(1, 12))
-    # Rotor 0 is at 45 degrees: it lifts that side, about the axis (1, -1, 0).
-    rates = task.simulation.root_states[0, 10:12]
-    assert rates[0] > 0.1
-    assert rates[0].item() == pytest.approx(-rates[1].item(), rel=1e-3)
 
 
 def test_hinges_are_at_their_targets_after_a_step(make_task: MakeTask) -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,8 @@ import torch
 
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
-from isaacgymenvs_lite.viewers import video_writer
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
+from isaacgymenvs_lite.viewers.video_writer import VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 # Base files that are not meant to run.
@@ -58,14 +56,6 @@ def test_videos_start_at_regular_intervals(make_env, tmp_path):
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")
-def test_an_older_video_stays(make_env, tmp_path):
-    env = make_env("task=Cartpole", "num_envs=1")
-    for _ in range(2):
-        play(env, VideoCapture(env, VideoWriter(), tmp_path, every=9, length=2), 2)
-    assert names(tmp_path) == ["rl-video-step-0-2.mp4", "rl-video-step-0.mp4"]
-
-
-@pytest.mark.usefixtures("gl", "small_pictures")
 def test_several_environments_are_tiles_of_one_picture(make_env, tmp_path):
     env = make_env("task=Ant", "num_envs=4")
     play(env, VideoCapture(env, VideoWriter(), tmp_path, every=99, length=4, num_envs=3), 4)
@@ -95,24 +85,6 @@ def test_the_camera_follows_unless_it_is_switched_off(follow, make_env, tmp_path
     middle = frames[1, 40:100, 65:95].astype(int)
     coloured = (middle.max(axis=2) - middle.min(axis=2) > 70).mean()
     assert (coloured > 0.1) == follow
-
-
-def test_too_many_videos_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
-    env = make_env("task=Cartpole", "num_envs=1")
-    may_draw = threading.Event()
-
-    def write_late(job: VideoJob) -> Path:
-        assert may_draw.wait(30.0)
-        return job.path
-
-    monkeypatch.setattr(video_writer, "write_video", write_late)
-    capture = VideoCapture(env, VideoWriter(), tmp_path, every=1, length=1)
-    for _ in range(20):
-        capture.after_step()
-    may_draw.set()
-    capture.close()
-    assert [record.levelname for record in caplog.records].count("WARNING") == 1
-    assert "raise capture_video_freq" in caplog.text
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")

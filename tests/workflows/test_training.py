@@ -180,22 +180,6 @@ def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
     assert "is missing" in line("--agent", str(unknown))
 
 
-def test_the_log_can_be_written_less_often(run_train, tmp_path):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    pytest.importorskip("stable_baselines3")
-    steps = []
-    for interval in ("128", "512"):  # a rollout is 32 x 4 frames
-        logs = tmp_path / interval
-        words = ("--max_iterations", "8", "--log_interval", interval)
-        run_train(LIBRARIES["sb3"], *SMALL, *words, "--logs", str(logs))
-        (folder,) = (logs / "sb3" / "Cartpole").iterdir()
-        events = EventAccumulator(str(folder))
-        events.Reload()
-        steps.append(len(events.Scalars("time/fps")))
-    assert steps[0] > 2 * steps[1] > 0
-
-
 def test_videos_are_written(gl, library, run_train, tmp_path):
     words = ("--video", "--video_length", "6", "--video_interval", "20")
     run_train(library, *SMALL, "--max_iterations", "1", *words)
@@ -206,14 +190,6 @@ def test_videos_are_written(gl, library, run_train, tmp_path):
     assert len(frames) == 6
     assert all(frame.std() > 5 for frame in frames)
     assert (np.abs(frames[5].astype(int) - frames[0]) > 30).any()
-
-
-def test_a_played_checkpoint_can_be_recorded(gl, library, run_train, run_play, tmp_path):
-    run_train(library, *SMALL, "--max_iterations", "1")
-    printed = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
-    assert "episodes: 4, " in printed
-    (video,) = (folder_of(tmp_path, library) / "videos").iterdir()
-    assert re.fullmatch(r"play_.*-step-0\.mp4", video.name)
 
 
 def test_a_library_that_is_not_installed_is_one_line(library, run_train, fails, monkeypatch):
@@ -233,15 +209,6 @@ def test_values_that_the_library_refuses_are_one_line(library, run_train, fails)
     for word in WRONG_VALUES[library.name]:
         line = fails(run_train, library, *SMALL, "--max_iterations", "1", word)
         assert line.startswith("error: agent")
-
-
-def test_arguments_that_the_file_does_not_name_can_be_given(library, run_train):
-    word = {
-        "sb3": "agent.ppo.clip_range_vf=0.2",
-        "skrl": "agent.ppo.entropy_loss_scale=0.001",
-        "rsl_rl": "agent.algorithm.normalize_advantage_per_mini_batch=True",
-    }
-    run_train(library, *SMALL, "--max_iterations", "1", word[library.name])
 
 
 def test_the_last_model_of_sb3_is_where_isaac_lab_has_it(run_train, tmp_path):

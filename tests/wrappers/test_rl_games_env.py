@@ -118,16 +118,6 @@ def test_the_first_reset_done_chooses_resets_on_request(make_env):
     assert torch.equal(obs["obs"], torch.full((2, 3), 2.0))
 
 
-def test_spaces_of_a_plain_task(make_env):
-    env = make_env()
-    assert env.get_number_of_agents() == 2
-    assert env.get_env_info() == {
-        "observation_space": StubTask.observation_space,
-        "action_space": StubTask.action_space,
-        "agents": 2,
-    }
-
-
 def test_spaces_of_a_task_with_references_and_privileged_states(make_env):
     info = make_env(StubAMPTask).get_env_info()
     assert info["amp_observation_space"].shape == (7,)

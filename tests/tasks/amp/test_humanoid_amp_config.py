@@ -47,9 +47,8 @@ def test_keys_of_isaac_gym_s_viewer_are_accepted(caplog: pytest.LogCaptureFixtur
     assert caplog.messages == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expectation"),
-    [
+def test_a_wrong_value_is_named_with_what_is_expected() -> None:
+    for key, value, expectation in [
         ("stateInit", "Standing", "Default"),
         ("stateInit", "random", "Random"),
         ("numAMPObsSteps", 1, "2"),
@@ -61,25 +60,19 @@ def test_keys_of_isaac_gym_s_viewer_are_accepted(caplog: pytest.LogCaptureFixtur
         ("terminationHeight", "high", "number"),
         ("pdControl", "perhaps", "True or False"),
         ("contactBodies", 5, "list"),
-    ],
-)
-def test_a_wrong_value_is_named_with_what_is_expected(
-    key: str, value: Any, expectation: str
-) -> None:
-    with pytest.raises(ConfigError, match=rf"task\.env\.{key}") as error:
-        read_env_config({key: value})
-    message = str(error.value)
-    assert str(value) in message
-    assert expectation in message.split(str(value), 1)[1]
-    assert "\n" not in message
+    ]:
+        with pytest.raises(ConfigError, match=rf"task\.env\.{key}") as error:
+            read_env_config({key: value})
+        message = str(error.value)
+        assert str(value) in message
+        assert expectation in message.split(str(value), 1)[1]
+        assert "\n" not in message
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("dt", 0.0), ("substeps", 0), ("up_axis", "y"), ("gravity", [0.0, 0.0])]
-)
-def test_wrong_values_of_the_simulation(key: str, value: Any) -> None:
-    with pytest.raises(ConfigError, match=rf"task\.sim\.{key}"):
-        read_sim_config({key: value})
+def test_wrong_values_of_the_simulation() -> None:
+    for key, value in [("dt", 0.0), ("substeps", 0), ("up_axis", "y"), ("gravity", [0.0, 0.0])]:
+        with pytest.raises(ConfigError, match=rf"task\.sim\.{key}"):
+            read_sim_config({key: value})
 
 
 def test_a_misspelt_key_is_an_error() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 
 # name, parent, offset in the parent (m), mass (kg)
@@ -89,34 +87,17 @@ def test_tree_offsets_and_masses(model: mujoco.MjModel) -> None:
     assert float(model.body_mass.sum()) == pytest.approx(48.8908, abs=FOUR_DECIMALS)
 
 
-@pytest.mark.parametrize(
-    ("name", "centre_m", "inertia"),
-    [
+def test_centres_of_mass_and_inertias(model: mujoco.MjModel) -> None:
+    for name, centre_m, inertia in [
         ("pelvis", (0.0, 0.0, 0.1132), (0.06793, 0.06793, 0.02829)),
         ("torso", (-0.0019, 0.0, 0.1389), (0.08984, 0.07201, 0.06818)),
         ("right_foot", (0.045, 0.0, -0.0225), (0.00093, 0.00286, 0.00328)),
         ("left_foot", (0.045, 0.0, -0.0225), (0.00093, 0.00286, 0.00328)),
-    ],
-)
-def test_centres_of_mass_and_inertias(
-    model: mujoco.MjModel,
-    name: str,
-    centre_m: tuple[float, float, float],
-    inertia: tuple[float, float, float],
-) -> None:
-    body = model.body(name)
-    np.testing.assert_allclose(body.ipos, centre_m, atol=FOUR_DECIMALS)
-    # Principal moments; MuJoCo sorts them or not as it likes.
-    np.testing.assert_allclose(sorted(body.inertia), sorted(inertia), atol=FIVE_DECIMALS)
-
-
-def test_the_inertia_of_a_foot_is_larger_about_its_width_than_along_its_length(
-    model: mujoco.MjModel,
-) -> None:
-    foot = model.body("left_foot")
-    axes = Rotation.from_quat(foot.iquat, scalar_first=True).as_matrix()
-    in_body = axes @ np.diag(foot.inertia) @ axes.T
-    np.testing.assert_allclose(np.diag(in_body), [0.00093, 0.00286, 0.00328], atol=FIVE_DECIMALS)
+    ]:
+        body = model.body(name)
+        np.testing.assert_allclose(body.ipos, centre_m, atol=FOUR_DECIMALS)
+        # Principal moments; MuJoCo sorts them or not as it likes.
+        np.testing.assert_allclose(sorted(body.inertia), sorted(inertia), atol=FIVE_DECIMALS)
 
 
 def test_proportions_of_the_zero_pose(model: mujoco.MjModel, posed: mujoco.MjData) -> None:
@@ -147,13 +128,6 @@ def test_gains_efforts_and_armature(model: mujoco.MjModel) -> None:
         np.testing.assert_allclose(model.dof_armature[in_qvel], armature, err_msg=message)
         first += size
     assert first == model.nu == model.nv - 6 == 28
-
-
-def test_no_passive_springs_or_dampers(model: mujoco.MjModel) -> None:
-    # In the original file these attributes are the gains of the drives.
-    assert (model.jnt_stiffness == 0.0).all()
-    assert (model.dof_damping == 0.0).all()
-    assert (model.dof_frictionloss == 0.0).all()
 
 
 def test_joint_kinds_axes_and_ranges(model: mujoco.MjModel) -> None:
@@ -245,12 +219,6 @@ def test_adjacent_bodies_never_collide_and_others_do(model: mujoco.MjModel) -> N
         assert frozenset(pair) in pairs, pair
 
 
-def test_nothing_touches_in_the_zero_pose(model: mujoco.MjModel) -> None:
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)  # the pelvis at 1 m, soles 0.12 m above the floor
-    assert data.ncon == 0
-
-
 def test_plane_friction_goes_into_floor_contacts_only() -> None:
     model = _build({"plane": {"dynamicFriction": 0.3}})
     data = mujoco.MjData(model)
@@ -285,14 +253,6 @@ def test_friction_holds_a_sliding_humanoid_or_does_not(friction: float) -> None:
 
 
 # --- keys of the task -------------------------------------------------------------------------
-
-
-def test_time_step_gravity_and_integrator() -> None:
-    model = _build(sim={"dt": 0.02, "substeps": 5, "gravity": [0.0, 0.1, -1.6]})
-    assert model.opt.timestep == pytest.approx(0.004)
-    np.testing.assert_allclose(model.opt.gravity, [0.0, 0.1, -1.6])
-    assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    assert _build().opt.timestep == pytest.approx(0.0083)
 
 
 def _force(model: mujoco.MjModel, control: float) -> np.ndarray:
@@ -362,27 +322,14 @@ def test_a_broken_asset_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("rest", "reason"),
-    [
+def test_a_strangers_model_is_read_as_a_robot(tmp_path: Path) -> None:
+    for rest, reason in [
         ('<extension><plugin plugin="a"/></extension>', "plugins are not loaded"),
         ('<asset><mesh file="/etc/passwd"/></asset>', "mesh '/etc/passwd'"),
-    ],
-)
-def test_a_strangers_model_is_read_as_a_robot(rest, reason, tmp_path: Path) -> None:
-    body = '<body><freejoint/><geom size="1"/></body>'
-    text = f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>"
-    (tmp_path / "theirs.xml").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=reason) as error:
-        _build({"asset": {"assetFileName": "theirs.xml", "assetRoot": str(tmp_path)}})
-    assert "\n" not in str(error.value)
-
-
-def test_a_copy_of_our_model_elsewhere_is_the_same_model(tmp_path: Path) -> None:
-    shutil.copytree(assets_dir() / "mjcf", tmp_path / "mjcf")
-    ours, copy = _build({}), _build({"asset": {"assetRoot": str(tmp_path)}})
-    for name in ("body_mass", "body_inertia", "geom_size", "geom_pos", "jnt_range", "dof_armature"):
-        np.testing.assert_array_equal(getattr(copy, name), getattr(ours, name), err_msg=name)
-    np.testing.assert_array_equal(copy.actuator_gainprm, ours.actuator_gainprm)
-    np.testing.assert_array_equal(copy.actuator_forcerange, ours.actuator_forcerange)
-    assert copy.nsensor == ours.nsensor
+    ]:
+        body = '<body><freejoint/><geom size="1"/></body>'
+        text = f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>"
+        (tmp_path / "theirs.xml").write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=reason) as error:
+            _build({"asset": {"assetFileName": "theirs.xml", "assetRoot": str(tmp_path)}})
+        assert "\n" not in str(error.value)

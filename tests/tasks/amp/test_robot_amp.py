@@ -14,7 +14,6 @@ import torch
 from isaacgymenvs_lite import make, register_task
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
@@ -174,32 +173,8 @@ def test_a_trunk_on_the_floor_is_a_fall_and_thighs_that_touch_are_none(make_walk
     assert fell.tolist() == [True, False]
 
 
-def test_the_shipped_robot_is_the_default():
-    task = make(1, "RobotAMP", 2)
-    assert task.num_actions == 29
-    assert set(task.contact_body_names()) == {"left_ankle_roll_link", "right_ankle_roll_link"}
-    task.reset()
-    assert 0.7 < float(task.simulation.root_states[:, 2].min()) < 0.85
-    task.close()
-
-
-def test_joints_may_have_the_names_of_the_humanoid(make_walker, walker, tmp_path):
-    renamed = walker.read_text().replace("left_ankle", "left_knee_y").replace("_hip_roll", "_hip_x")
-    walker.write_text(renamed.replace("_hip_pitch", "_hip_y"))
-    names = [j.replace("left_ankle", "left_knee_y") for j in JOINTS]
-    names = [j.replace("_hip_roll", "_hip_x").replace("_hip_pitch", "_hip_y") for j in names]
-    still = np.zeros((31, 8))
-    root_pos, root_rot = np.tile((0, 0, 0.7), (31, 1)), np.tile((0.0, 0.0, 0.0, 1.0), (31, 1))
-    file = tmp_path / "still.csv"
-    save_robot_csv(file, JointClip("still", 30.0, root_pos, root_rot, still, tuple(names)))
-    task = make_walker(motion_file=file)
-    task.reset()
-    torch.testing.assert_close(task.simulation.root_states[:, 2], torch.full((4,), 0.7))
-
-
-@pytest.mark.parametrize(
-    ("env", "message"),
-    [
+def test_a_key_that_fits_no_robot(make_walker):
+    for env, message in [
         ({"contactBodies": "[hand]"}, r"task.env.contactBodies.*hand"),
         ({"drives": "{x_*: {kp: 1}}"}, r"task.env.drives.*x_\*"),
         (
@@ -207,11 +182,9 @@ def test_joints_may_have_the_names_of_the_humanoid(make_walker, walker, tmp_path
             r"unknown keyframe 'kneel'; choices: none; see task.env.startPose",
         ),
         ({"terminationHeight": "-1"}, r"terminationHeight"),
-    ],
-)
-def test_a_key_that_fits_no_robot(make_walker, env, message):
-    with pytest.raises(ConfigError, match=message):
-        make_walker(**env)
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            make_walker(**env)
 
 
 def test_a_clip_of_another_robot_names_both(make_walker):

@@ -13,7 +13,6 @@ from isaacgymenvs_lite import make
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
-from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
 from isaacgymenvs_lite.tasks.goals.heading import Heading
 from isaacgymenvs_lite.utils.rotations import quat_rotate_inverse
 from tests.tasks.amp.test_robot_amp import clip, make_walker, walker  # noqa: F401  fixtures
@@ -194,12 +193,3 @@ def test_robots_differ_from_their_model(walker, clip):  # noqa: F811
 def test_what_cannot_be(make_walker, env, message):  # noqa: F811
     with pytest.raises(ConfigError, match=message):
         make_walker(**{key: str(value).replace(" ", "") for key, value in env.items()})
-
-
-@pytest.mark.parametrize(
-    ("part", "message"), [("last_action", "choices: root_ang_vel_b"), ("dof_ve", "mean 'dof_vel'")]
-)
-def test_noise_on_no_measured_part(part, message):
-    """In a task file; on a command line such a key is unknown at once."""
-    with pytest.raises(ConfigError, match=message):
-        check_realism(RealismSettings(), {"observationNoise": {part: 1.0}})

@@ -95,16 +95,3 @@ def test_roughness_has_steps_on_a_coarse_grid_and_is_linear_in_between() -> None
     assert np.abs(np.diff(heights.astype(int), axis=0)).max() <= 21
     assert heights.std() > 3.0
     assert len(np.unique(heights)) > 20
-
-
-def test_the_seed_decides() -> None:
-    def made(seed: int) -> list[bytes]:
-        rng = _rng(seed)
-        return [
-            roughness(SIZE, rng, 0.1, 0.025, 0.2).tobytes(),
-            discrete_obstacles(SIZE, rng, 0.1, (1.0, 2.0), 40, 3.0).tobytes(),
-            stepping_stones(SIZE, rng, 0.5, 0.1, 3.0).tobytes(),
-        ]
-
-    assert made(1) == made(1)
-    assert all(one != other for one, other in zip(made(1), made(2), strict=True))
