@@ -139,12 +139,6 @@ def test_mistakes_of_a_sweep_are_one_line_and_run_nothing(call, jobs, capsys):
         assert jobs.seeds == []
 
 
-def test_what_a_sweep_varies_may_be_a_checkpoint_or_a_name(call, jobs):
-    assert call("-m", "checkpoint=a.pth,b.pth", "+full_experiment_name=x,y") == 0
-    assert call("-m", "checkpoint=last", "test=True", "seed=1,2") == 0
-    assert len(jobs.seeds) == 6
-
-
 # --- with the real runner -------------------------------------------------------------------------
 
 
@@ -258,13 +252,6 @@ def test_failed_trials_do_not_end_a_study(call, jobs, capsys, tmp_path):
     assert sum(line.endswith("seed=1: walk.npy: truncated") for line in shown) == count(1)
     assert sum("seed=2: nothing to compare" in line for line in shown) == count(2)
     assert shown[-1] == f"error: {count(1) + count(2)} of 8 jobs failed"
-
-
-@pytest.mark.usefixtures("optuna")
-def test_a_study_of_failures_has_no_best_trial(call, jobs, capsys):
-    jobs.results = dict.fromkeys(range(3), MotionFileError("walk.npy: truncated"))
-    assert call("-m", *OPTUNA, "seed=choice(1,2)") == train.EXIT_FAILED_JOBS
-    assert lines(capsys)[-1] == "error: 8 of 8 jobs failed"
 
 
 @pytest.mark.usefixtures("optuna")

@@ -15,7 +15,6 @@ from isaacgymenvs_lite.checkpoints.policy_arguments import (
     as_override,
     complete_arguments,
     inherited_settings,
-    playing_overrides,
 )
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import CheckpointError
@@ -42,12 +41,6 @@ def test_a_policy_brings_its_settings_along(tiny):
     assert cfg.train.params.network.disc.units == [12, 6]
     assert cfg.task.env.localRootObs is True
     assert cfg.num_envs == 2
-
-
-def test_its_networks_are_the_same_where_a_gpu_is(tiny):
-    cfg = compose(complete_arguments(["test=True", "checkpoint=tiny", "rl_device=cuda:0"]))
-    assert cfg.train.params.network.mlp.units == [16, 8]
-    assert cfg.train.params.network.disc.units == [12, 6]
 
 
 def test_what_was_typed_wins(tiny):
@@ -96,19 +89,6 @@ def test_a_run_that_began_with_a_policy_is_played_as_it(tiny):
     for section in ("task.env", "train.params.network"):
         expected, found = (OmegaConf.select(tree, section) for tree in (trained, cfg))
         assert resolved(found) == resolved(expected), section
-
-
-def test_a_network_that_the_files_have_not_is_repeated_whole(edited_run, shipped_dir):
-    """A key of the file's network that the policy lacks is removed first."""
-    pack_policy(edited_run("d2rl: false", "dense: false"), "other")
-    words = inherited_settings(["checkpoint=other", "task=HumanoidAMP", "rl_device=cpu"])
-    assert words[0] == "~train.params.network"
-    assert "++train.params.network.name=amp" in words
-
-
-def test_files_of_a_folder_of_ones_own_need_all_settings(tiny):
-    words = inherited_settings(["--config-dir", "mine", "checkpoint=tiny", "task=Mine"])
-    assert words == playing_overrides(tiny)[1:]
 
 
 def test_a_training_begins_with_a_policy(tiny, shipped_dir, tmp_path, monkeypatch, caplog):

@@ -223,7 +223,7 @@ def test_wrong_files(prepare):
     ]:
         if expected is None:
             prepare(*overrides)
-            return
+            continue
         with pytest.raises(ConfigError) as error:
             prepare(*overrides)
         assert expected in str(error.value)
@@ -256,7 +256,7 @@ def test_mistakes_in_keys_of_soft_actor_critic_are_named(caplog):
         if said == "nothing":  # beside the correct key: taken for another one
             prepare_train_params(cfg, num_envs=64, seed=1)
             assert "crtic_tau" in caplog.text
-            return
+            continue
         with pytest.raises(ConfigError, match=said):
             prepare_train_params(cfg, num_envs=64, seed=1)
 

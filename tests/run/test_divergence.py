@@ -52,15 +52,6 @@ class _Task:
         self.recordings = recordings
 
 
-def test_a_run_has_at_most_twenty_files(run_folder: Path, tmp_path: Path) -> None:
-    recording = read_recording(run_folder / "diverged" / "0001.npz")
-    for _ in range(2):  # a resumed run counts those that are there
-        task = _Task([recording] * 15)
-        DivergenceFiles(task, tmp_path).after_step()
-    names = sorted(file.name for file in (tmp_path / "diverged").iterdir())
-    assert names == [f"{number:04}.npz" for number in range(1, 21)]
-
-
 def test_a_folder_that_cannot_be_written_does_not_end_the_training(
     run_folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -107,13 +107,6 @@ def test_heading_and_uprightness_are_paid_in_full_from_their_thresholds() -> Non
     torch.testing.assert_close(up_reward(heights, 0.1), torch.tensor([0.0, 0.1]))
 
 
-def test_unscale_maps_limits_to_ones() -> None:
-    lower, upper = torch.tensor([-1.0, 2.0]), torch.tensor([3.0, 4.0])
-    rows = torch.stack((lower, upper, torch.tensor([1.0, 3.0])))
-    expected = torch.tensor([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0]])
-    torch.testing.assert_close(unscale(rows, lower, upper), expected)
-
-
 @pytest.fixture
 def ant(make_task) -> Ant:
     return make_task("task=Ant", num_envs=8)

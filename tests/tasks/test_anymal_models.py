@@ -188,15 +188,3 @@ def test_parts_touch_each_other_in_the_minimal_model_only(model: mujoco.MjModel,
     pairs = {frozenset((model.geom(c.geom1).name, model.geom(c.geom2).name)) for c in data.contact}
     assert pairs == ({frozenset(("LF_foot", "LH_knee"))} if name == "anymal_minimal" else set())
     assert (data.contact.dim == 1).all()
-
-
-def test_lowest_and_outermost_points_of_the_trunk(model: mujoco.MjModel, name: str) -> None:
-    """By dropping: the height at which the lying trunk meets the floor."""
-    data = mujoco.MjData(model)
-    radius = {"anymal": 0.09, "anymal_minimal": 0.1}[name]
-    data.qpos[7:] = np.tile([0.0, 3.0, 0.0], 4) * [1, 1, 1, 1, -1, 1, 1, 1, 1, 1, -1, 1]
-    for height, touches in ((radius + 1e-3, False), (radius - 1e-3, True)):
-        data.qpos[2] = height
-        mujoco.mj_forward(model, data)
-        bodies = {model.body(model.geom_bodyid[c.geom2]).name for c in data.contact}
-        assert ("base" in bodies) == touches

@@ -94,21 +94,6 @@ def test_forces_are_in_the_axes_of_the_body(make_task: MakeTask) -> None:
     assert vel[2].item() == pytest.approx(-0.1 * gained, rel=2e-2)
 
 
-def test_opposite_lateral_forces_of_the_rotors_tilt_the_body(make_task: MakeTask) -> None:
-    task = make_task("task=Ingenuity", num_envs=1)
-    _at_home(task, UPRIGHT)
-    task.step(torch.tensor([[-0.2, 0.0, 0.5, 0.2, 0.0, 0.5]]))
-    rates = task.simulation.root_states[0, 10:]
-    # +2 N 25 mm above -2 N; the discs' and the box's inertia about their common centre of mass
-    disc = 0.706858 * (3.0 * 0.15**2 + 0.01**2) / 12.0
-    box = 0.0864 * 0.12**2 / 6.0
-    middle = 0.706858 * 0.025 / MASS_KG
-    inertia = 2.0 * disc + box + 0.706858 * (middle**2 + (0.025 - middle) ** 2)
-    inertia += 0.0864 * middle**2
-    assert rates[1].item() == pytest.approx(2.0 * 0.025 / inertia * 0.01, rel=1e-3)
-    assert rates[[0, 2]].abs().max() < 1e-6
-
-
 def test_the_step_that_starts_an_episode_has_no_forces(make_task: MakeTask) -> None:
     task = make_task("task=Ingenuity", num_envs=2)
     task.reset()

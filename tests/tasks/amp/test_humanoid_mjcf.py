@@ -196,23 +196,3 @@ def test_gains_efforts_and_armature_are_those_of_ase(armed: mujoco.MjModel) -> N
     assert first == armed.nu == armed.nv - 6 == 31
     assert (armed.jnt_stiffness == 0.0).all()
     assert (armed.dof_damping == 0.0).all()
-
-
-def test_each_actuator_measures_its_own_axis(armed: mujoco.MjModel) -> None:
-    # A small turn of each degree of freedom alone moves the length of its actuator alone.
-    data = mujoco.MjData(armed)
-    for dof in range(31):
-        mujoco.mj_resetData(armed, data)
-        velocity = np.zeros(37)
-        velocity[6 + dof] = 0.1
-        mujoco.mj_integratePos(armed, data.qpos, velocity, 1.0)
-        mujoco.mj_forward(armed, data)
-        np.testing.assert_allclose(data.actuator_length, velocity[6:], atol=1e-12)
-
-
-def test_what_the_arms_hold_touches_neither_arm_nor_body_in_the_zero_pose(
-    armed: mujoco.MjModel,
-) -> None:
-    data = mujoco.MjData(armed)
-    mujoco.mj_forward(armed, data)
-    assert data.ncon == 0

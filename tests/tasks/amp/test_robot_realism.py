@@ -12,8 +12,6 @@ from torch import Tensor
 from isaacgymenvs_lite import make
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
-from isaacgymenvs_lite.tasks.goals.heading import Heading
 from isaacgymenvs_lite.utils.rotations import quat_rotate_inverse
 from tests.tasks.amp.test_robot_amp import clip, make_walker, walker  # noqa: F401  fixtures
 
@@ -87,19 +85,6 @@ def test_critic_and_discriminator_see_what_they_did(make_walker):  # noqa: F811
         for _, _, _, infos in results[1:]:
             newest = infos["amp_obs"][:, :FULL]
             torch.testing.assert_close(newest, results[0][3]["amp_obs"][:, :FULL])
-
-
-def test_a_goal_comes_last_for_policy_and_critic(make_walker, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(RobotAMP, "goal_class", Heading)
-    task = make_walker(**DEPLOYABLE, historySteps=2)
-    started(task)
-    obs = task.step(actions_at(0))[0]
-    goal = task.goal.observe(None)
-    assert task.get_task_obs_size() == 5
-    assert list(task.observation_groups())[-2:] == ["last_action_1", "goal"]
-    assert obs["obs"].shape[1] == 2 * FRAME + 5 == sum(task.observation_groups().values())
-    for name in ("obs", "states"):
-        assert torch.equal(obs[name][:, -5:], goal)
 
 
 def test_noise_is_on_the_policys_frames_and_stays_in_their_history(make_walker):  # noqa: F811

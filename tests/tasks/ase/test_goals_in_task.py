@@ -81,16 +81,6 @@ def test_a_goal_lasts_for_a_number_of_steps_inside_its_range(make_ase, goal: str
     assert set(lasted) == {3, 4}
 
 
-def test_a_goal_in_the_middle_of_an_episode_is_observed_after_its_first_step(make_ase) -> None:
-    task = make_ase(4, goal="heading", headingChangeStepsMin=1, headingChangeStepsMax=2)
-    task.reset_done()
-    _random_step(task)
-    before = _goal_of(task)
-    observed = _random_step(task)[0]["obs"]
-    assert (_goal_of(task) != before).any(dim=-1).all()
-    torch.testing.assert_close(observed[:, -5:], task.goal.observe(None), rtol=0.0, atol=ATOL)
-
-
 # --- rewards ----------------------------------------------------------------------------------
 
 

@@ -136,20 +136,6 @@ def test_after_a_time_out_nobody_goes_on(make) -> None:
     assert torch.allclose(_heights(task), torch.tensor(NORMAL_HEIGHT_M))
 
 
-def test_the_first_episodes_may_go_on_from_the_fall(make) -> None:
-    # The flags of falls are up from the beginning.
-    task = make(4, recover=1.0)
-    before = _state(task)
-    task.reset_done()
-    assert torch.equal(_state(task), before)
-    assert _heights(task).max() < LYING_M
-    # Nothing was seen before: they have been lying still.
-    start = _features(task)
-    history = _random_step(task)[-1]["amp_obs"].view(4, 10, 125)
-    for slot in range(1, 10):
-        torch.testing.assert_close(history[:, slot], start, rtol=0.0, atol=ATOL)
-
-
 # --- time to get up ---------------------------------------------------------------------------
 
 
@@ -218,10 +204,3 @@ def test_the_reward_is_how_far_the_character_is_up(make) -> None:
     _all_start_anew(standing)
     _, rewards, _, _ = standing.step(torch.zeros(2, standing.num_actions))
     assert rewards.min() > 0.95
-
-
-def test_a_goal_has_its_own_reward(make) -> None:
-    task = make(2, fall=1.0, goal="heading")
-    task.reset_done()
-    _, rewards, _, _ = task.step(torch.zeros(2, task.num_actions))
-    torch.testing.assert_close(rewards, task.goal.reward(), atol=ATOL, rtol=0)

@@ -75,17 +75,6 @@ def test_boxes_are_thrown_in_their_order_and_time(make, throws_of) -> None:
     assert times == [*expected, (489 + 60, [0]), (489 + 188, [LARGE])]
 
 
-def test_the_first_throw_of_an_episode(make, throws_of) -> None:
-    task = make(1, sim={"substeps": 1})
-    task.reset()
-    thrown = throws_of(task)
-    for _ in range(60):
-        task.step(task.zero_actions())
-    assert thrown == []
-    task.step(task.zero_actions())
-    assert [(progress, boxes) for progress, boxes, _ in thrown] == [(60, [0])]
-
-
 # --- from where and how fast ------------------------------------------------------------------
 
 

@@ -145,19 +145,6 @@ def test_root_height_obs_hides_the_height_everywhere(make_ase) -> None:
 # --- the AMP observation ----------------------------------------------------------------------
 
 
-def test_an_elbow_is_seen_as_a_rotation(make_ase) -> None:
-    task = make_ase(1, stateInit="Default")
-    task.reset()
-    dof_pos = torch.zeros(1, 28)
-    dof_pos[0, 9] = -0.7
-    sim = task.simulation
-    sim.write_state(torch.tensor([0]), sim.root_states.clone(), dof_pos, torch.zeros(1, 28))
-    # Joint 3 of those from 13 on; the specification's number has six decimals.
-    elbow = task.current_amp_features()[0, 13 + 3 * 6 : 13 + 4 * 6]
-    expected = torch.tensor([0.764842, 0.0, 0.644218, -0.644218, 0.0, 0.764842])
-    torch.testing.assert_close(elbow, expected, rtol=0.0, atol=1.5e-6)
-
-
 @both_bodies
 def test_history_of_a_start_in_the_clip_is_the_clip_s(
     make_ase, walk_clip: Path, armed_walk_clip: Path, armed: bool

@@ -479,24 +479,6 @@ def test_a_picture_is_drawn_of_the_present_state(make_cart: MakeCart) -> None:
     assert (cart.render() != first).any()
 
 
-def test_who_watches_is_told_to_show_and_a_window_is_no_picture(make_cart: MakeCart) -> None:
-    class Shown:
-        shows = 0
-
-        def render(self) -> None:
-            self.shows += 1
-
-        def close(self) -> None: ...
-
-    cart, shown = make_cart(), Shown()
-    cart.headless = False
-    cart.listeners.append(shown)
-    assert (cart.render(), cart.render(mode="human")) == (None, None)
-    assert shown.shows == 2
-    with pytest.raises(ConfigError, match=r"unknown mode of render 'rgb'.*human, rgb_array"):
-        cart.render("rgb")
-
-
 def _close(actual: Tensor, expected: float | list[float]) -> None:
     wanted = torch.as_tensor(expected).expand_as(actual)
     torch.testing.assert_close(actual, wanted, rtol=1e-5, atol=1e-8)
