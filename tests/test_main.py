@@ -87,10 +87,3 @@ def test_a_wrong_word_is_a_mistake_in_one_line(capsys):
     assert main(["dmo"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: unknown command 'dmo' (did you mean 'demo'?)")
-
-
-def test_the_version(capsys):
-    assert main(["--version"]) == 0
-    name, version = capsys.readouterr().out.split()
-    assert name == "isaacgymenvs_lite"
-    assert version[0].isdigit()

@@ -136,33 +136,25 @@ def test_users_mistake_found_by_the_runner_is_one_line_too(call: Call, runner, c
     assert capsys.readouterr().err.splitlines()[-1] == "error: walk.npy: truncated"
 
 
-@pytest.mark.parametrize("error", [ValueError("a bug"), RuntimeError("a bug"), KeyError("x")])
-def test_bugs_keep_their_traceback(call: Call, runner, error):
-    runner.error = error
-    with pytest.raises(type(error)) as raised:
-        call()
-    assert raised.value is error
+def test_bugs_keep_their_traceback(call: Call, runner):
+    for error in [ValueError("a bug"), RuntimeError("a bug"), KeyError("x")]:
+        runner.error = error
+        with pytest.raises(type(error)) as raised:
+            call()
+        assert raised.value is error
 
 
-@pytest.mark.parametrize(
-    ("error", "status"),
-    [
+def test_interrupt_ends_without_a_traceback(call: Call, runner, capsys):
+    for error, status in [
         (KeyboardInterrupt(), 130),
         (StoppedAtOnceError(signal.SIGINT), 130),
         (StoppedAtOnceError(signal.SIGTERM), 143),
-    ],
-)
-def test_interrupt_ends_without_a_traceback(error, status, call: Call, runner, capsys):
-    runner.error = error
-    assert call() == status
-    shown = capsys.readouterr().err
-    assert shown.splitlines()[-1] == f"warning: ended by the user: exit status {status}"
-    assert "Traceback" not in shown
-
-
-def test_runs_of_a_sweep_follow_one_another(call: Call, runner):
-    assert call("--multirun", "num_envs=2,3", "seed=1") == 0
-    assert [cfg.num_envs for cfg in runner.runs] == [2, 3]
+    ]:
+        runner.error = error
+        assert call() == status
+        shown = capsys.readouterr().err
+        assert shown.splitlines()[-1] == f"warning: ended by the user: exit status {status}"
+        assert "Traceback" not in shown
 
 
 def test_config_can_be_shown_without_running(call: Call, runner, capsys):

@@ -11,7 +11,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from benchmarks.experiments import Experiment
-from benchmarks.runs import ROOT, Run, start_now
+from benchmarks.runs import Run, start_now
 from benchmarks.training import Plan, Training, log_file, plan, train_all
 from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.config.compose import compose
@@ -167,17 +167,6 @@ def test_a_process_ends_before_its_time_when_it_is_over(start, run):
     wait_for(lambda: training.poll(stop=False) is not None)
     assert training.poll(stop=False) == 0
     assert log_file(run).read_text().splitlines()[-1] == "saved"
-
-
-RANKS = Experiment("walk", (*WALK.settings, "multi_gpu=True"))
-
-
-def test_ranks_are_started_by_torchrun_with_a_thread_each(run):
-    words = plan(RANKS, run, 5.0, resume=False).command([4, 7])
-    end = words.index(str(ROOT / "train.py"))
-    assert words[1:end] == ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    cfg = compose(words[end + 1 :])
-    assert (cfg.multi_gpu, cfg.num_threads, cfg.train.params.torch_threads) == (True, 1, 1)
 
 
 # --- several processes ------------------------------------------------------------------------

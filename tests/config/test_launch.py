@@ -103,10 +103,6 @@ def test_devices_of_a_machine_without_a_gpu(no_gpu):
         check_config(compose(["rl_device=cuda"]))
 
 
-def test_the_physics_is_asked_onto_a_gpu_on_any_machine(no_gpu):
-    assert check_config(compose(["sim_device=cuda:0", "pipeline=gpu"])).sim_device == "cuda:0"
-
-
 def test_default_rl_device_is_the_gpu_if_there_is_one(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
@@ -119,18 +115,3 @@ def test_wandb_must_be_installed(no_gpu, monkeypatch):
     assert 'pip install "isaacgymenvs-lite[wandb]"' in message("wandb_activate=True")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
     assert check_config(compose(["wandb_activate=True"])).wandb_activate
-
-
-def test_users_file_without_a_name(no_gpu, config_dir):
-    (config_dir / "task" / "Nameless.yaml").write_text("nmae: HumanoidAMP\nenv: {numEnvs: 4}\n")
-    text = message("task=Nameless", "train=Published", config_dir=config_dir)
-    assert "'task.name' is missing (is 'nmae' meant for it?)" in text
-
-
-def test_every_error_is_a_config_or_device_error(no_gpu):
-    with pytest.raises(ConfigError):
-        check_config(compose(["num_envs=0"]))
-
-
-def test_a_choice_that_is_nothing_has_its_quotes(no_gpu):
-    assert message("viewer=webb").endswith("got 'webb', expected one of '', web")

@@ -74,32 +74,12 @@ def test_a_task_file_is_taken_from_its_path(tmp_path: Path) -> None:
     assert (cfg.task.name, cfg.task.env.episodeLength) == ("Ant", 77)
 
 
-def test_both_at_once_and_overrides_win(published: Path, tmp_path: Path) -> None:
-    task = tmp_path / "Mine.yaml"
-    task.write_text("defaults: [Ant, _self_]\n")
-    cfg = compose([f"task={task}", f"train={published}", "train.params.config.learning_rate=1"])
-    assert cfg.train.params.config.learning_rate == 1
-    assert cfg.train.params.config.name == "Mine"
-
-
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     for group in ["task", "train"]:
         with pytest.raises(
             ConfigError, match=rf"{group}={tmp_path}/Lost.yaml: no file .*Lost.yaml"
         ):
             compose(["task=Ant", f"{group}={tmp_path}/Lost.yaml"])
-
-
-def test_a_broken_file_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "Broken.yaml"
-    file.write_text("params: [1, 2\n")
-    with pytest.raises(ConfigError, match=r"Broken.yaml is not valid YAML"):
-        compose(["task=Ant", f"train={file}"])
-
-
-def test_an_unknown_key_of_such_a_tree_lists_the_keys(published: Path) -> None:
-    with pytest.raises(ConfigError, match=r"unknown key 'train.params.config.lerning_rate'"):
-        compose(["task=Ant", f"train={published}", "train.params.config.lerning_rate=1"])
 
 
 def _fork(tmp_path: Path, **train: str) -> Path:

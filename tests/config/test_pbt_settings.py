@@ -90,21 +90,6 @@ def test_a_published_file_with_mutations_of_its_own(tmp_path):
     }
 
 
-def test_nested_mutations_are_the_same():
-    tree = plain(compose([*ON]))
-    tree["pbt"]["mutation"] = {"task": {"env": {"upWeight": "mutate_float"}}}
-    settings = read_pbt_settings(tree)
-    assert settings is not None and mutable_values(tree, settings) == {"task.env.upWeight": 0.1}
-
-
-def test_null_is_left_out():
-    words = [*ON, "train.params.config.bounds_loss_coef=null"]
-    tree = plain(compose(words))
-    settings = read_pbt_settings(tree)
-    assert settings is not None
-    assert "train.params.config.bounds_loss_coef" not in mutable_values(tree, settings)
-
-
 def test_our_files_name_settings_of_ant():
     for name in ["default_mutation", "ant_mutation"]:
         tree = plain(compose([*ON, f"pbt/mutation={name}"]))

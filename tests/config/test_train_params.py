@@ -49,35 +49,12 @@ def test_result_is_plain_and_complete(prepare):
     assert config["player"]["deterministic"] is True
 
 
-def test_without_a_run_name_rl_games_adds_its_time_stamp(prepare):
-    assert config_of(prepare())["full_experiment_name"] is None
-
-
 def test_ase_file_is_completed(prepare):
     params = prepare(train="Ase", num_envs=8, seed=3)
     assert (params["seed"], params["config"]["num_actors"], params["config"]["name"]) == (
         *(3, 8),
         "Humanoid",
     )
-
-
-def test_device_of_the_caller_wins(prepare):
-    config = config_of(prepare(rl_device="cuda:1"))
-    assert (config["device"], config["device_name"]) == ("cuda:1", "cuda:1")
-
-
-def test_players_own_settings_win(prepare):
-    player = config_of(prepare("+train.params.config.player={deterministic: False}"))["player"]
-    assert player["deterministic"] is False
-
-
-def test_missing_reward_shaper_shapes_nothing(prepare):
-    assert config_of(prepare("~train.params.config.reward_shaper"))["reward_shaper"] == {}
-
-
-def test_text_becomes_a_number(prepare):
-    config = config_of(prepare("train.params.config.learning_rate='2e-5'"))
-    assert config["learning_rate"] == 2e-5
 
 
 def test_frames_limit_under_its_former_name(prepare):
@@ -126,16 +103,6 @@ def test_an_epoch_that_no_memory_holds_is_refused(prepare):
         prepare("train.params.config.horizon_length=100000000000")
 
 
-def test_sequences_must_fit_into_the_horizon(prepare):
-    with pytest.raises(ConfigError, match="seq_length 5 does not divide horizon_length 16"):
-        prepare(RNN, "train.params.config.seq_len=5")
-
-
-def test_units_are_scaled(prepare):
-    params = prepare("+train.params.network.mlp.model_size_multiplier=2")
-    assert params["network"]["mlp"]["units"] == [64, 32]
-
-
 def test_minibatches_are_fitted_with_a_line_for_each(prepare, caplog):
     with caplog.at_level(logging.INFO):
         config = config_of(prepare(num_envs=64))
@@ -144,13 +111,6 @@ def test_minibatches_are_fitted_with_a_line_for_each(prepare, caplog):
         "minibatch_size 32768 does not divide 1024 samples (64 envs x 16 steps): using 1024",
         "amp_minibatch_size 4096 exceeds the minibatch: using 1024",
     ]
-
-
-def test_minibatches_that_fit_are_left_alone_in_silence(prepare, caplog):
-    with caplog.at_level(logging.INFO):
-        config = config_of(prepare(num_envs=4096))  # 65,536 samples, as published
-    assert (config["minibatch_size"], config["amp_minibatch_size"]) == (32768, 4096)
-    assert not caplog.records
 
 
 def test_minibatch_size_for_each_environment(prepare, caplog):
@@ -162,13 +122,6 @@ def test_minibatch_size_for_each_environment(prepare, caplog):
         assert config_of(prepare(overrides[0], overrides[1] + "8"))["minibatch_size"] == 512
     # 6 x 64 = 384: 512/384 = 1.33 is nearer than 384/256 = 1.5
     assert config_of(prepare(overrides[0], overrides[1] + "6"))["minibatch_size"] == 512
-
-
-def test_agents_share_environments(prepare, caplog):
-    with caplog.at_level(logging.INFO):
-        config = config_of(prepare(num_envs=8, num_agents=2))
-    assert config["minibatch_size"] == 256
-    assert "256 samples (8 envs x 16 steps x 2 agents)" in caplog.text
 
 
 def test_minibatch_of_a_recurrent_network_holds_whole_sequences(prepare, caplog):
@@ -230,10 +183,6 @@ def test_wrong_files(prepare):
         assert "\n" not in str(error.value)
 
 
-def test_without_registered_names_any_name_passes(prepare):
-    prepare("train.params.algo.name=mine", names=None)
-
-
 def test_keys_that_nothing_reads_are_named(prepare, caplog):
     prepare("+train.params.config.unheard_of=1")
     assert "nothing reads train.params.config.unheard_of" in caplog.text
@@ -259,12 +208,6 @@ def test_mistakes_in_keys_of_soft_actor_critic_are_named(caplog):
             continue
         with pytest.raises(ConfigError, match=said):
             prepare_train_params(cfg, num_envs=64, seed=1)
-
-
-def test_tree_is_left_as_it_was(config_dir):
-    cfg = compose(["train=Published", "rl_device=cpu"], config_dir)
-    prepare_train_params(cfg, num_envs=64, seed=1)
-    assert cfg == compose(["train=Published", "rl_device=cpu"], config_dir)
 
 
 def test_max_iterations_and_experiment_count_in_files_without_interpolations():

@@ -101,14 +101,6 @@ def test_a_task_that_resets_within_the_step_observes_the_end_too(make_task):
     assert any(name.startswith("episode/rew_") for name in step.scalars)
 
 
-def test_asymmetric_states_have_ends_too(make_cartpole):
-    env = AutoresetTask(make_cartpole("task.env.asymmetric_observations=True"), "a test")
-    assert env.reset()["states"].shape == (6, 4)
-    step = let_time_run_out(env)
-    assert step.final_observations["states"].shape == (6, 4)
-    assert not torch.equal(step.final_observations["states"], step.observations["states"])
-
-
 def test_returns_and_lengths_are_those_of_the_steps(make_cartpole):
     env = AutoresetTask(make_cartpole(), "a test")
     env.reset()

@@ -69,12 +69,6 @@ def make_env(monkeypatch):
     return make
 
 
-def test_the_registered_creator_makes_the_task(make_env):
-    env = make_env(seed=3)
-    assert isinstance(env.env, StubTask)
-    assert env.env.kwargs == {"seed": 3}
-
-
 def test_calls_pass_through_unchanged(make_env):
     env = make_env()
     actions = torch.ones(2, 3)
