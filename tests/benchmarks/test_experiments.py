@@ -20,6 +20,7 @@ def compose_experiment(name: str, clip: Path) -> DictConfig:
     return cfg
 
 
+@pytest.mark.slow
 def test_every_experiment_composes(walk_clip):
     for name in EXPERIMENTS:
         cfg = compose_experiment(name, walk_clip)

@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
 from isaacgymenvs_lite.viewers.video_writer import VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
-# Base files that are not meant to run.
-TASKS = sorted(
-    {path.stem for path in (cfg_dir() / "task").glob("*.yaml")}
-    - {"Classic", "HumanoidRandomization", "RobotRandomization"}  # what other files share
-)
+# One task of each kind: a fixed base, rough ground, loose objects, a humanoid, a robot.
+TASKS = ["Cartpole", "AnymalTerrain", "BallBalance", "HumanoidStrike", "RobotAMPVelocity"]
 
 
 def play(env, capture: VideoCapture, num_steps: int) -> None:
@@ -36,8 +32,8 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.usefixtures("gl", "small_pictures")
 @pytest.mark.parametrize("task", TASKS)
-def test_every_task_can_be_recorded(task, make_env, tmp_path):
-    env = make_env(f"task={task}", *(["train=" + task] if "SAC" in task else []), "num_envs=2")
+def test_a_task_is_recorded(task, make_env, tmp_path):
+    env = make_env(f"task={task}", "num_envs=2")
     capture = VideoCapture(env, VideoWriter(), tmp_path, every=100, length=12)
     play(env, capture, 12)
     (path,) = tmp_path.iterdir()

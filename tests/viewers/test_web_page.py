@@ -159,6 +159,7 @@ def test_the_task_does_not_wait_for_a_page_that_hangs(env, page):
     assert has_ended(page.process.pid)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 def test_a_browser_shows_the_character_and_sends_keys(env, page, tmp_path):
     env.pressed = []

@@ -19,6 +19,7 @@ from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper, process_sb3_cfg
 
 
+@pytest.mark.slow
 def test_a_script_trains(gl, tmp_path):
     script = Path(__file__).with_name("isaac_lab_script.py")
     command = [sys.executable, str(script), "Cartpole", str(tmp_path)]
