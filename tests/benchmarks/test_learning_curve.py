@@ -1,9 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.learning_curve import read_learning_curve
@@ -75,25 +71,3 @@ def test_first_reach():
             [100, 200, 300, 400, 500], [0.5, 1.5, 2.5, 3.5, 4.5], [7, 279.9, 280, 275, 285]
         )
         assert curve.first_reach(at_least) == expected
-
-
-def test_minutes_of_a_checkpoint(write_events, tmp_path):
-    write_events(tmp_path, [1.0, 2.0, 3.0])
-    curve = read_learning_curve(tmp_path)
-    # a checkpoint of 200 frames is written after the epoch whose values stand at 100
-    assert [curve.minutes_at(frames) for frames in (0, 100, 200, 300, 999)] == [0, 1, 2, 3, 3]
-
-
-def test_the_environments_of_a_run_are_read_in_a_fresh_process(tmp_path):
-    """As `benchmarks.learning --resume` does, before anything else has read a config.yaml."""
-    (tmp_path / "summaries").mkdir()
-    text = "task: {env: {numEnvs: '${if:${is_cpu},2,3}'}}\nis_cpu: '${eq:a,b}'\n"
-    (tmp_path / "config.yaml").write_text(text)
-    code = (
-        "import sys, pathlib\nfrom benchmarks.learning_curve import read_learning_curve\n"
-        "print(read_learning_curve(pathlib.Path(sys.argv[1])).num_envs)"
-    )
-    words = [sys.executable, "-c", code, str(tmp_path / "summaries")]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "3", done.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -66,18 +65,6 @@ def test_the_protocol_sets_the_episodes_whatever_the_run_had(trained):
     assert outcome.clip_speed_m_s == pytest.approx(1.0, abs=1e-4)
     # it falls out of a walk of 1 m/s
     assert 0.1 < outcome.speed_m_s < 3.0
-
-
-def test_a_run_of_several_processes_is_measured_by_one(trained, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(trained.folder, folder)
-    config = folder / "config.yaml"
-    text = config.read_text()
-    assert "multi_gpu: false" in text
-    config.write_text(text.replace("multi_gpu: false", "multi_gpu: true"))
-    checkpoint = folder / "nn" / checkpoint_of(trained).name
-    of_one = evaluate_checkpoint(checkpoint_of(trained)).imitation
-    assert evaluate_checkpoint(checkpoint).imitation.pose_error_m == of_one.pose_error_m
 
 
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(trained):

@@ -29,17 +29,6 @@ def test_shares_of_ranges_and_back() -> None:
     assert published.tensor_clamp(outside, LOWER, UPPER).tolist() == [[-1.0, 10.0]]
 
 
-def test_random_numbers() -> None:
-    torch.manual_seed(0)
-    drawn = published.torch_rand_float(-2.0, 4.0, (1000, 3), "cpu")
-    assert drawn.shape == (1000, 3)
-    assert -2.0 <= drawn.min() < -1.9
-    assert 3.9 < drawn.max() <= 4.0
-    directions = published.torch_random_dir_2((1000, 1), "cpu")
-    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(1000))
-    assert directions.mean(0).abs().max() < 0.1  # three deviations of the mean: 0.067
-
-
 def test_axes_of_a_rotation_are_the_columns_of_its_matrix() -> None:
     rotations = Rotation.random(5, random_state=1)
     q = torch.from_numpy(rotations.as_quat())
@@ -90,14 +79,6 @@ def test_matrices_of_quaternions_with_the_real_part_first_and_back() -> None:
     assert (back.gather(-1, largest) > 0).all()
     sign = (back * real_first).sum(-1, keepdim=True).sign()
     torch.testing.assert_close(back, sign * real_first)
-
-
-def test_half_turns_are_read_from_matrices() -> None:
-    half_turns = torch.diag_embed(torch.tensor([[1.0, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
-    expected = torch.eye(4)[1:]  # about x, y, z, real part first
-    torch.testing.assert_close(published.matrix_to_quaternion(half_turns), expected)
-    with pytest.raises(ValueError, match=r"\(2, 4\), expected \(\.\.\., 3, 3\)"):
-        published.matrix_to_quaternion(torch.zeros(2, 4))
 
 
 def test_transforms_are_those_of_homogeneous_matrices() -> None:

@@ -84,9 +84,9 @@ def test_charts_have_the_scalars_that_the_run_has(make_run) -> None:
     assert charts["Pose error, m"]["mean policy"].values.tolist() == [0.25, 0.125, 0.0625]
 
 
-def test_a_damaged_configuration_is_shown_as_it_is(make_run) -> None:
-    for config in ["task: [", "just text", "[" * 5000, "task: {name: !!x 1}"]:
-        assert Page(write_report(make_run(AMP, config=config))).config == config
+@pytest.mark.parametrize("config", ["task: [", "just text", "[" * 5000, "task: {name: !!x 1}"])
+def test_a_damaged_configuration_is_shown_as_it_is(config, make_run) -> None:
+    assert Page(write_report(make_run(AMP, config=config))).config == config
 
 
 def add_video(run: Path, name: str, content: bytes, mtime: int) -> None:
@@ -122,29 +122,29 @@ def test_names_and_texts_of_files_are_no_html(make_run) -> None:
     assert not re.search(r"<!--|<img src=x|<script>", text)
 
 
-def test_files_outside_of_the_run_are_not_on_its_page(make_run, tmp_path) -> None:
+@pytest.mark.parametrize("kind", ["link", "linked folder", "pipe", "folder"])
+def test_files_outside_of_the_run_are_not_on_its_page(kind, make_run, tmp_path) -> None:
     """A run of somebody else may have a link to a file of the user, who then shows the page."""
-    for kind in ["link", "linked folder", "pipe", "folder"]:
-        (tmp_path / "secret").mkdir()
-        secret = tmp_path / "secret" / "secret.mp4"
-        secret.write_text("secret of the user")
-        run = make_run(AMP, config="")
-        videos = run / "videos"
-        if kind == "linked folder":
-            videos.symlink_to(secret.parent)
-            files = []
+    (tmp_path / "secret").mkdir()
+    secret = tmp_path / "secret" / "secret.mp4"
+    secret.write_text("secret of the user")
+    run = make_run(AMP, config="")
+    videos = run / "videos"
+    if kind == "linked folder":
+        videos.symlink_to(secret.parent)
+        files = []
+    else:
+        videos.mkdir()
+        files = [run / "videos/a.mp4", run / "config.yaml"]
+    for file in files:
+        if kind == "pipe":
+            os.mkfifo(file)
+        elif kind == "folder":
+            file.mkdir()
         else:
-            videos.mkdir()
-            files = [run / "videos/a.mp4", run / "config.yaml"]
-        for file in files:
-            if kind == "pipe":
-                os.mkfifo(file)
-            elif kind == "folder":
-                file.mkdir()
-            else:
-                file.symlink_to(secret)
-        page = Page(write_report(run))
-        assert (page.videos, page.config) == ([], "")
+            file.symlink_to(secret)
+    page = Page(write_report(run))
+    assert (page.videos, page.config) == ([], "")
 
 
 def test_the_command(make_run, tmp_path, caplog) -> None:
@@ -156,16 +156,16 @@ def test_the_command(make_run, tmp_path, caplog) -> None:
 
 
 def test_a_mistake_is_one_line(make_run, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    make_run(AMP).rename("run")
+    make_run({"info/some": [1.0]}).rename("early")
+    Path("taken").touch()
     for words, message in [
         (["absent"], "absent: no event files in its folder summaries; expected the folder of a"),
         (["early"], "early: no epoch has ended yet"),
         (["run", "out=taken/page.html"], "out=taken/page.html: cannot be written"),
         (["run", "output=x"], "unknown key 'output' (did you mean 'out'?)"),
     ]:
-        monkeypatch.chdir(tmp_path)
-        make_run(AMP).rename("run")
-        make_run({"info/some": [1.0]}).rename("early")
-        Path("taken").touch()
         with pytest.raises(SystemExit) as caught:
             main(words)
         assert caught.value.code == 2

@@ -215,17 +215,3 @@ def test_what_cannot_be_used_is_named(make_task) -> None:
             overrides.append("~task.env.learn.torqueRewardScale")
         with pytest.raises(ConfigError, match=message):
             make_task("task=Anymal", *overrides)
-
-
-def test_what_is_randomised_is_what_humanoid_has(make_task) -> None:
-    """Identical by the specification, but for the name of the actor."""
-    del make_task
-    from isaacgymenvs_lite.config.compose import compose
-
-    anymal, humanoid = (
-        compose([f"task={name}"]).task.task.randomization_params for name in ("Anymal", "Humanoid")
-    )
-    assert anymal.actor_params.anymal == humanoid.actor_params.humanoid
-    assert anymal.sim_params == humanoid.sim_params
-    assert anymal.observations == humanoid.observations
-    assert anymal.actions == humanoid.actions

@@ -14,14 +14,6 @@ from tests.tasks.anymal_terrain.conftest import DEFAULT_ANGLES, EXACT
 # --- drives and time ------------------------------------------------------------------------
 
 
-def test_a_control_step_is_four_simulator_calls_of_5_ms(make) -> None:
-    task = make()
-    assert task.simulation.substeps == 4
-    assert task.simulation.model.opt.timestep == pytest.approx(0.005)
-    assert task.dt == pytest.approx(0.02)
-    assert task.max_episode_length == 1000
-
-
 def test_torques_are_those_of_the_pd_formula(make) -> None:
     task = make("task.env.control.decimation=1", *EXACT, num_envs=16)
     task.reset()

@@ -79,11 +79,6 @@ def test_a_plane_has_no_heights_and_no_levels(make) -> None:
     assert infos["episode"]["terrain_level"] == 0.0
 
 
-def test_friction_of_the_ground(make) -> None:
-    task = make("task.env.terrain.dynamicFriction=0.7")
-    assert (task.simulation.model.geom_friction[:, 0] == 0.7).all()
-
-
 def test_robots_differ_in_friction_which_is_averaged_with_the_grounds(make) -> None:
     task = make("task.env.learn.frictionRange=[0.5,1.25]", num_envs=150)
     model = task.simulation.model

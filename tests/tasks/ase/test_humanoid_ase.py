@@ -81,18 +81,6 @@ def test_sizes_with_a_goal(make_ase) -> None:
         assert untold.reset()["obs"].shape == (1, 223)
 
 
-def test_the_armed_body(make_ase) -> None:
-    task = make_ase(1, armed=True)
-    assert len(task.simulation.body_names) == 17
-    assert task.simulation.body_names[5:11] == (
-        *("right_hand", "sword", "left_upper_arm", "left_lower_arm", "shield", "left_hand"),
-    )
-    assert task.simulation.dof_names[9:14] == (
-        *("right_elbow", "right_hand_x", "right_hand_y", "right_hand_z", "left_shoulder_x"),
-    )
-    assert task.key_body_ids.tolist() == [5, 10, 13, 16, 6, 9]
-
-
 # --- drives -----------------------------------------------------------------------------------
 
 
@@ -117,12 +105,6 @@ def test_armatures_are_ase_s(make_ase, armed: bool) -> None:
     assert not model.dof_armature[:6].any()
     assert not model.jnt_stiffness.any()
     assert not model.dof_damping.any()
-
-
-def test_effort_limits_are_ase_s(make_ase) -> None:
-    task = make_ase(1, enforceEffortLimits=True)
-    assert task.simulation.model.actuator_forcelimited.all()
-    torch.testing.assert_close(task.motor_efforts, _per_dof(False, 4))
 
 
 # --- actions ----------------------------------------------------------------------------------

@@ -76,13 +76,6 @@ def test_the_state_is_that_of_the_clip_whatever_the_actions(make) -> None:
         assert observations["obs"][:, 0].tolist() == pytest.approx([height] * 2, abs=1e-5)
 
 
-def test_each_environment_starts_with_its_clip(make, three_clips: Path) -> None:
-    task = make(5, motion_file=str(three_clips))
-    task.reset_done()
-    task.step(task.zero_actions())
-    _shows(task, [0, 1, 2, 0, 1], [STEP_S] * 5)
-
-
 def test_a_clip_is_followed_by_the_one_after_those_of_the_others(make, three_clips: Path) -> None:
     # Two environments: 0, 2, 1, 0 and 1, 0, 2.
     task = make(2, motion_file=str(three_clips))
@@ -100,18 +93,6 @@ def test_a_clip_is_followed_by_the_one_after_those_of_the_others(make, three_cli
     short, middle, long = STEPS
     assert ends[0] == [short, short + long, short + long + middle, 2 * short + long + middle]
     assert ends[1] == [middle, middle + short, middle + short + long]
-
-
-def test_the_next_clip_begins_at_once(make, three_clips: Path) -> None:
-    task = make(1, motion_file=str(three_clips))
-    task.reset_done()
-    for _ in range(STEPS[0]):
-        task.step(task.zero_actions())
-    observed = task.reset_done()[0]["obs"]
-    _shows(task, [1], [0.0])
-    assert float(observed[0, 0]) == pytest.approx(0.88, abs=1e-6)
-    task.step(task.zero_actions())
-    _shows(task, [1], [STEP_S])
 
 
 def test_nothing_but_the_end_of_the_clip_ends_an_episode(make) -> None:

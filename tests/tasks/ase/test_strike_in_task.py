@@ -100,14 +100,6 @@ def test_a_reset_puts_the_box_back_on_its_feet(make) -> None:
     assert torch.equal(states[1], kept)
 
 
-def test_a_lying_box_earns_everything(make) -> None:
-    task = make(2, stateInit="Default")
-    task.reset()
-    lying = [3.0, 0.0, 0.2, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5), *[0.0] * 6]
-    _place_box(task, lying)
-    assert task.step(task.zero_actions())[1].tolist() == [1.0, 1.0]
-
-
 # --- hits -------------------------------------------------------------------------------------
 
 

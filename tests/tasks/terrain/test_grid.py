@@ -74,13 +74,6 @@ def test_origins_are_the_middles_at_the_highest_sample_around(published: Terrain
     assert published.origins[9, 4, 2] == pytest.approx(-9 * 41 * 0.005)
 
 
-def test_shares_that_leave_something_leave_it_to_stepping_stones() -> None:
-    terrain = _make(numLevels=1, numTerrains=4, terrainProportions=[0.25, 0, 0, 0, 0.25])
-    assert _tile(terrain, 0, 0).min() == 0
-    assert _tile(terrain, 0, 1).min() >= -5
-    assert _tile(terrain, 0, 2).min() == _tile(terrain, 0, 3).min() == -2000
-
-
 def test_the_seed_decides() -> None:
     def samples(seed: int) -> bytes:
         return _make(seed, numLevels=1, numTerrains=5).samples.tobytes()

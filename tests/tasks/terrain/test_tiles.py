@@ -63,17 +63,6 @@ def test_obstacles_have_four_heights_and_leave_the_middle_free() -> None:
     assert (heights != 0).mean() > 0.2
 
 
-def test_a_single_obstacle_is_a_rectangle_on_the_grid() -> None:
-    for seed in range(20):
-        heights = discrete_obstacles(SIZE, _rng(seed), 0.1, (1.0, 2.0), 1, 0.0)
-        x, y = (np.flatnonzero((heights != 0).any(axis)) for axis in (1, 0))
-        if len(x) == 0:
-            continue
-        assert x[0] % 4 == y[0] % 4 == 0
-        assert {len(x), len(y)} <= {10, 14, 18}
-        assert len(np.unique(heights[x[0] : x[-1] + 1, y[0] : y[-1] + 1])) == 1
-
-
 def test_stepping_stones_have_holes_around_them_but_not_in_the_middle() -> None:
     heights = stepping_stones(SIZE, _rng(), 0.5, 0.1, 3.0)
     assert set(np.unique(heights)) == {0, -2000}
