@@ -252,11 +252,6 @@ def test_train_files_of_published_tasks_are_not_checked_with_another(tmp_path: P
         assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
 
 
-def test_a_published_name_without_a_file() -> None:
-    with pytest.raises(ConfigError, match=r"no such file; .*Trifinger is a published task"):
-        describe("TrifingerPPO")
-
-
 def test_task_files_of_published_tasks(tmp_path: Path) -> None:
     for text in [
         "name: FrankaCubeStack\nenv: {numEnvs: 3}\nsim: {}\n",
@@ -278,11 +273,6 @@ def test_train_files_of_a_forks_own_tasks(tmp_path: Path) -> None:
         ):
             describe(str(file))
         assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
-
-
-def test_train_files_of_our_tasks_under_other_names(tmp_path: Path) -> None:
-    for name, run in [("AntMine", ""), ("AntPPO_v2", "x"), ("walker", "")]:
-        assert "checked with task=Ant;" in describe(str(train_file(tmp_path, name, run)))[0]
 
 
 # As docs/own_task.md has it.

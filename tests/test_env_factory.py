@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from isaacgymenvs_lite import check
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
@@ -145,15 +144,6 @@ def test_nothing_outside_the_checkout_is_found(ige: Path, tmp_path: Path, monkey
     for name in ("../secret.npy", "../../../../secret.npy", "secret.npy"):
         with pytest.raises(MotionFileError, match="not found"):
             clip_of(tree(ige, f"task.env.motion_file={name}"))
-
-
-def test_check_finds_it_as_well(ige: Path, ase: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert check.main([str(ige), "num_envs=2"]) == 0
-    assert check.main([str(ase), "train=HumanoidASEPPO", "num_envs=2"]) == 0
-    text = capsys.readouterr().out
-    assert text.count("\nit can be used") + text.count("\nnothing is wrong with it") == 2
-    assert "taken for task=HumanoidASE" in text
 
 
 def test_a_model_of_the_fork(tmp_path: Path, monkeypatch) -> None:

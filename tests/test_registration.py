@@ -4,14 +4,11 @@ import warnings
 from typing import Any
 
 import pytest
-from rl_games.algos_torch.model_builder import ModelBuilder
 from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
-from isaacgymenvs_lite.learning.amp_models import ModelAMPContinuous
-from isaacgymenvs_lite.learning.amp_network_builder import AMPBuilder
 from isaacgymenvs_lite.registration import (
     build_runner,
     known_names,
@@ -68,31 +65,6 @@ def test_every_algorithm_has_a_player(runner):
         assert player.default_disc_reward == agent.default_disc_reward
         expected = "least_squares" if name == "amp_agent" else "logistic"
         assert agent.default_disc_reward == expected
-
-
-def test_models_and_networks_of_train_files(runner):
-    for name in MODELS:
-        params = {
-            "model": {"name": name},
-            "network": {
-                "name": "amp",
-                "separate": True,
-                "space": {
-                    "continuous": {
-                        "mu_activation": "None",
-                        "sigma_activation": "None",
-                        "mu_init": {"name": "default"},
-                        "sigma_init": {"name": "const_initializer", "val": -2.9},
-                        "fixed_sigma": True,
-                    }
-                },
-                "mlp": {"units": [4], "activation": "relu", "initializer": {"name": "default"}},
-                "disc": {"units": [4], "activation": "relu"},
-            },
-        }
-        model = ModelBuilder().load(params)
-        assert isinstance(model, ModelAMPContinuous)
-        assert isinstance(model.network_builder, AMPBuilder)
 
 
 def test_a_runner_that_the_caller_made():

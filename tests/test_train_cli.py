@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from isaacgymenvs_lite import train
 from isaacgymenvs_lite.__main__ import main
-from isaacgymenvs_lite.errors import MotionFileError, StoppedAtOnceError
+from isaacgymenvs_lite.errors import StoppedAtOnceError
 from isaacgymenvs_lite.typed_command import TypedCommand
 from tests.train_command import make_train_command
 
@@ -130,12 +130,6 @@ def test_a_working_folder_that_was_removed(call: Call, runner, capsys, tmp_path,
     assert runner.runs == []
 
 
-def test_users_mistake_found_by_the_runner_is_one_line_too(call: Call, runner, capsys):
-    runner.error = MotionFileError("walk.npy: truncated")
-    assert call() == train.EXIT_USER_ERROR
-    assert capsys.readouterr().err.splitlines()[-1] == "error: walk.npy: truncated"
-
-
 def test_bugs_keep_their_traceback(call: Call, runner):
     for error in [ValueError("a bug"), RuntimeError("a bug"), KeyError("x")]:
         runner.error = error
@@ -190,24 +184,6 @@ def test_a_shipped_policy_brings_its_settings_along(call: Call, runner, monkeypa
     monkeypatch.setattr(train, "complete_arguments", lambda words: ["seed=7", "num_envs=5", *words])
     assert call("num_envs=3") == 0
     assert (runner.runs[0].seed, runner.runs[0].num_envs) == (7, 3)
-
-
-def test_folder_of_a_user(call: Call, runner, tmp_path):
-    folder = tmp_path / "mine" / "train"
-    folder.mkdir(parents=True)
-    ours = (REPOSITORY / "cfg" / "train" / "HumanoidAMPPPO.yaml").read_text()
-    (folder / "Other.yaml").write_text(ours.replace("    gamma: 0.99\n", "    gamma: 0.5\n"))
-    assert call("--config-dir", "mine", "train=Other") == 0
-    assert runner.runs[0].train.params.config.gamma == 0.5
-
-
-def test_file_with_a_repeated_key(call: Call, runner, tmp_path):
-    folder = tmp_path / "mine" / "train"
-    folder.mkdir(parents=True)
-    ours = (REPOSITORY / "cfg" / "train" / "HumanoidAMPPPO.yaml").read_text()
-    (folder / "Twice.yaml").write_text(ours + "    ppo: False\n")
-    assert call("--config-dir", "mine", "train=Twice") == 0
-    assert runner.runs[0].train.params.config.ppo is False
 
 
 @pytest.mark.parametrize("command", [["train.py"], ["-m", "isaacgymenvs_lite.train"]])

@@ -21,12 +21,6 @@ def test_nearest_divisor_in_ratio():
         assert fit_minibatch(batch, wish) == expected
 
 
-def test_there_are_no_ties():
-    # If a and b divide the batch, so does the number half-way between them in ratio, sqrt(a b),
-    # whenever it is whole: 4 and 9 divide 36, and so does 6.
-    assert fit_minibatch(36, 6) == 6
-
-
 def test_multiples_of_the_sequence_length():
     assert fit_minibatch(1024, 300, multiple_of=4) == 256
     assert fit_minibatch(48, 6, multiple_of=8) == 8

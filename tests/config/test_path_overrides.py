@@ -117,13 +117,6 @@ def test_without_one_the_projects_of_that_name_is(tmp_path: Path) -> None:
     assert compose([f"task={task}"]).train.params.config.name == "Ant"
 
 
-def test_the_tree_keeps_the_checkout_of_its_task_file(tmp_path: Path) -> None:
-    task = _fork(tmp_path, WalkerPPO=_THEIRS)
-    assert compose([f"task={task}"]).task_checkout == str(tmp_path / "fork")
-    assert compose([f"task={task}", "task_checkout=/mine"]).task_checkout == "/mine"
-    assert compose().task_checkout == ""
-
-
 def test_a_task_file_of_ase_is_completed(tmp_path: Path) -> None:
     file = tmp_path / "ase/data/cfg/humanoid_sword_shield.yaml"
     file.parent.mkdir(parents=True)

@@ -87,15 +87,6 @@ def test_misspelt_section():
         check_network(network, "n")
 
 
-def test_named_inputs_are_said_to_have_no_effect(caplog):
-    check_network(changed("inputs", {"goal_pose": {}}), "train.params.network")
-    assert "train.params.network.inputs" in caplog.text
-
-
-def test_networks_of_others_need_no_mlp():
-    check_network({"name": "their_own", "hidden": 3}, "n")
-
-
 def test_units_are_scaled_once():
     for factor, units in [(1, [8, 4]), (2, [16, 8]), (0.5, [4, 2]), (0.1, [1, 1])]:
         network = changed("mlp.model_size_multiplier", factor)

@@ -44,15 +44,6 @@ def test_before_the_first_episode_has_ended_nothing_is_said_of_episodes(figures,
     assert set(agent.writer.scalars) == {"info/disc_acc"}
 
 
-def test_the_last_episodes_count_as_in_the_mean_length(figures, agent):
-    """Of three episodes that are tracked, two are newer."""
-    end(figures, [0, 1, 2], terminate=[1, 1, 1, 0])
-    end(figures, [0, 3], terminate=[0, 1, 1, 0])
-    figures.after_print_stats(16000, 1, 12.5)
-    assert figures.latest is not None
-    assert figures.latest.fall_rate == pytest.approx(1 / 3)
-
-
 def test_episodes_that_left_their_clip_are_no_falls(figures, agent):
     flags = {"terminate": [1, 1, 1, 0], "off_clip": [True, False, True, False]}
     end(figures, [0, 1, 3], **flags)

@@ -132,14 +132,3 @@ def test_a_terminal_gets_a_bar(progress, agent, clock, monkeypatch, caplog, caps
     assert re.findall(r"\d+/20", shown)[-1] == "13/20"
     assert "episode length=100" in shown
     assert "style reward=0.46, disc accuracy=80%, fps=1,000" in shown
-
-
-def test_a_short_training_ends_with_its_last_epoch(progress, clock, caplog):
-    with caplog.at_level(logging.INFO):
-        for epoch in range(18, 21):
-            end_epoch(progress, clock, epoch, 1.0)
-        assert [message.split(",")[0] for message in caplog.messages] == ["epoch 18/20"]
-        clock.now_s += 100.0  # what it takes to end does not count
-        progress.close()
-        progress.close()
-    assert caplog.messages[1:] == ["epoch 20/20, fps 1,000, style reward 0.46, disc accuracy 80%"]

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -33,25 +32,6 @@ def test_former_handlers_come_back():
         raise ValueError("inside")
     for number, handler in former.items():
         assert signal.getsignal(number) is handler
-
-
-def test_beside_the_main_thread_nothing_is_caught():
-    """Python takes signals in the main thread only; a run in a worker must work without."""
-    errors: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            with StopRequest() as stop:
-                assert stop.requested is False
-        except BaseException as error:
-            errors.append(error)
-
-    former = signal.getsignal(signal.SIGINT)
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert errors == []
-    assert signal.getsignal(signal.SIGINT) is former
 
 
 def test_a_hangup_after_ctrl_c_is_no_second_one():

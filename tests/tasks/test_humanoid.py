@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.paths import assets_dir
 from isaacgymenvs_lite.tasks.base.locomotion import TorsoState, compute_torso_state
 from isaacgymenvs_lite.tasks.base.vec_task import Done
@@ -132,17 +131,6 @@ def test_legs_collide_without_friction_and_joined_parts_do_not(model: mujoco.MjM
     shins = frozenset(int(model.body(f"{side}_shin").id) for side in ("right", "left"))
     assert shins in bodies
     assert {c.dim for c in data.contact[: data.ncon]} == {1}
-
-
-def test_feet_meet_the_floor_with_friction(model: mujoco.MjModel) -> None:
-    data = mujoco.MjData(model)
-    data.qpos[2] -= 0.06
-    mujoco.mj_forward(model, data)
-    assert data.ncon > 0
-    floor = model.geom("floor").id
-    for contact in data.contact[: data.ncon]:
-        assert floor in contact.geom
-        assert (contact.dim, contact.friction[0]) == (3, 1.0)
 
 
 # --- actions --------------------------------------------------------------------------------
@@ -406,11 +394,3 @@ def test_starts_are_upright_at_rest_with_the_joints_near_zero(make_task) -> None
 
 
 # --- files ----------------------------------------------------------------------------------
-
-
-def test_the_alias_for_soft_actor_critic_has_64_environments() -> None:
-    cfg = compose(["task=HumanoidSAC", "train=HumanoidSAC"])
-    assert (cfg.task.name, cfg.task.env.numEnvs) == ("Humanoid", 64)
-    full = compose(["task=Humanoid"])
-    assert full.task.env.numEnvs == 4096
-    assert set(full.task.task.randomization_params.actor_params) == {"humanoid"}

@@ -37,15 +37,6 @@ def test_it_goes_beside_a_character_that_imitates_perfectly(env):
             assert np.abs(pose[7:] - qpos[7:]).max() < 0.05, (episode, step)
 
 
-def test_steps_may_be_left_out(env):
-    overlay, read = ReferenceOverlay(env, env.simulation.model), PoseReader(env)
-    for step in range(0, 40, 3):
-        env.progress_buf[:] = step + 1
-        put_into_clip(env, step * env.dt)
-        qpos = read(0)
-        assert np.abs(overlay.pose(qpos)[7:] - qpos[7:]).max() < 0.05
-
-
 def test_it_is_a_translucent_robot(env):
     model = env.simulation.model
     scene = mujoco.MjvScene(model, 100)

@@ -70,19 +70,6 @@ def test_the_end_of_an_episode_is_in_the_infos(make_envs):
         assert not np.allclose(last, observations[env_id])
 
 
-def test_states_and_infos_of_the_task_are_in_the_infos(make_envs):
-    envs = make_envs("Ant", overrides=["task.env.asymmetric_observations=True"])
-    _, infos = envs.reset(seed=1)
-    assert infos["states"].shape == (NUM_ENVS, 60)
-    observations, *_, infos = let_time_run_out(envs, slice(2, 4))
-    assert infos["true_objective"].shape == (NUM_ENVS,)
-    assert infos["_true_objective"].all()
-    assert np.array_equal(infos["states"], observations)
-    final = infos["final_info"]
-    assert final["_states"].tolist() == infos["_final_obs"].tolist()
-    assert np.array_equal(final["states"][2], infos["final_obs"][2])
-
-
 def test_some_environments_can_be_reset(make_envs):
     envs = make_envs()
     envs.reset(seed=1)

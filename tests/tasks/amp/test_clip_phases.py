@@ -83,13 +83,6 @@ def test_one_that_stays_behind_is_far() -> None:
         assert away_m.max() > 0.6
 
 
-def test_a_phase_that_stayed_behind_catches_up() -> None:
-    """After a quarter of the circle at once: a step ahead of the clip, then as fast as the clip."""
-    away_m = followed(clip(), body(times(STEPS, start_s=LENGTH_S / 4)))
-    assert away_m[0] > 0.2
-    assert away_m[5:].max() < 0.06
-
-
 def test_at_rest_it_goes_on_at_the_tempo_of_the_clip() -> None:
     """A clip that rests, then moves: noise does not move the phase of a body at rest."""
     torch.manual_seed(1)
@@ -183,12 +176,6 @@ def test_a_clip_that_repeats_goes_on_in_its_direction() -> None:
             assert num_phases < SECOND or torch.allclose(found[SECOND:], chord, atol=1e-5)
 
 
-def test_where_a_clip_that_does_not_repeat_comes_from_is_unknown() -> None:
-    found = travel_through(arc(80, 1.3), SECOND, repeats=False)
-    assert found[:SECOND].isnan().all()
-    torch.testing.assert_close(found[SECOND:], torch.tensor([[1.3, 0.0]]).expand(30, 2))
-
-
 def lags_behind(
     velocity_w: tuple[float, float],
     clip_speed: float = 1.0,
@@ -221,11 +208,6 @@ def test_a_second_may_get_less_far_by_a_share_of_the_clips_way() -> None:
         ((0.0, -1.0), True),
     ]:
         assert lags_behind(velocity_w) is expected
-
-
-def test_travel_is_compared_when_a_second_has_passed() -> None:
-    assert round(COMPARED_S / DT_S) == 25
-    assert not lags_behind((0.0, 0.0), steps=25)
 
 
 def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:

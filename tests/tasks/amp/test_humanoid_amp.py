@@ -112,20 +112,6 @@ def test_random_start(make_humanoid, walk_clip: Path) -> None:
     torch.testing.assert_close(observed, expected, rtol=0.0, atol=ATOL)
 
 
-def test_starts_as_published(make_humanoid, walk_clip: Path) -> None:
-    task = make_humanoid(300, clipInterpolation="published")
-    task.reset_done()
-    sim = task.simulation
-    times = _time_of(sim.root_states[:, 2])
-    library = MotionLib(walk_clip, 28, [5, 8, 11, 14], "cpu")
-    state = library.get_motion_state(torch.zeros(300, dtype=torch.long), times)
-    # Velocities jump at frames, and the time is read off a height: near a frame either is right.
-    same = (sim.dof_vel - state.dof_vel).abs().amax(dim=1) < 1e-4
-    assert same.float().mean() > 0.9
-    smooth = _library(walk_clip).get_motion_state(torch.zeros(300, dtype=torch.long), times)
-    assert ((sim.dof_vel - smooth.dof_vel).abs().amax(dim=1) > 1e-2).float().mean() > 0.7
-
-
 def test_what_touches_the_ground_in_the_clip_may_do_so(
     make_humanoid, tmp_path: Path, walk_clip: Path, caplog
 ) -> None:
@@ -313,20 +299,6 @@ def test_pairs_of_demonstrations_are_near_each_other_inside_the_clip(make_humano
     assert ((ends - DT).abs().minimum((ends - CLIP_S).abs()) < 1e-4).float().mean() > 0.9
 
 
-def test_demonstrations_are_drawn_by_weight(make_humanoid, walk_clip: Path) -> None:
-    dataset = walk_clip.with_name("weighted.yaml")
-    dataset.write_text(
-        "motions:\n  - file: walk.npz\n    weight: 1.0\n  - file: walk.npz\n    weight: 3.0\n"
-    )
-    torch.manual_seed(0)
-    task = make_humanoid(1, motion_file=str(dataset))
-    assert task.motion_lib.num_motions() == 2
-    ids = task.motion_lib.sample_motions(1000)
-    # standard deviation of the share: sqrt(0.25 * 0.75 / 1000) = 0.014
-    assert abs(float((ids == 1).float().mean()) - 0.75) < 0.07
-    assert task.fetch_amp_obs_demo(3).shape == (3, 210)
-
-
 # --- bad input --------------------------------------------------------------------------------
 
 
@@ -370,10 +342,3 @@ def test_the_shown_actions_follow_the_clip(make_task) -> None:
     torch.testing.assert_close(task.compute_obs(), obs, atol=2e-3, rtol=0)
     # The newest step of the AMP observation is of the same moment.
     torch.testing.assert_close(demo.amp_obs[:, : obs.shape[1]], obs)
-
-
-def test_the_shown_observations_have_the_command_that_the_clip_follows(make_task) -> None:
-    words = ("task=RobotAMPVelocity", "task.env.motion_file=g1_walk")
-    obs = make_task(*words).fetch_tracking_demo(50).obs
-    assert float(obs[:, -3].mean()) == pytest.approx(0.97, abs=0.1)  # m/s, the clip's speed
-    assert float(obs[:, -2:].mean(dim=0).abs().max()) < 0.1

@@ -8,7 +8,6 @@ import mujoco
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import HumanoidAMPBase
 from isaacgymenvs_lite.tasks.base.humanoid_observations import compute_humanoid_observations
 from isaacgymenvs_lite.tasks.base.vec_task import Done
@@ -49,11 +48,6 @@ def test_sizes_and_times(make) -> None:
     assert isinstance(task.simulation.model, mujoco.MjModel)
     assert task.simulation.device == task.device == torch.device("cpu")
     assert (task.cfg["env"]["numObservations"], task.cfg["env"]["numActions"]) == (105, 28)
-
-
-def test_an_unknown_contact_body_lists_the_choices(make) -> None:
-    with pytest.raises(ConfigError, match=r"contactBodies.*'right_foott' \(did you mean 'right_f"):
-        make(1, contactBodies=["right_foott"])
 
 
 # --- actions ----------------------------------------------------------------------------------
@@ -158,27 +152,6 @@ def test_a_fall_ends_the_episode_but_not_in_its_first_step(make) -> None:
     task.reset_done()
     assert float(task.obs_buf[1, 0]) == pytest.approx(0.89)
     assert task.done_buf.tolist() == [Done.RUNNING] * 3
-
-
-def test_early_termination_can_be_switched_off(make) -> None:
-    task = make(1, enableEarlyTermination=False, episodeLength=6)
-    task.reset()
-    _lay_down(task, [0])
-    flags = [
-        (int(dones[0]), int(infos["terminate"][0]))
-        for *_, dones, infos in (task.step(torch.zeros(1, 28)) for _ in range(5))
-    ]
-    assert flags == [(0, 0)] * 4 + [(1, 0)]
-
-
-def test_contact_bodies_may_touch_the_floor(make) -> None:
-    every_body = list(make(1).simulation.body_names)
-    task = make(1, contactBodies=every_body)
-    task.reset()
-    _lay_down(task, [0])
-    for _ in range(3):
-        *_, dones, _ = task.step(torch.zeros(1, 28))
-        assert dones.tolist() == [0]
 
 
 def test_a_diverged_simulation_cuts_its_episode_off(make, caplog: pytest.LogCaptureFixture) -> None:

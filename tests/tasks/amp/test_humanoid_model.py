@@ -258,13 +258,6 @@ def test_a_missing_asset_lists_what_is_shipped(tmp_path: Path) -> None:
         _build({"asset": {"assetFileName": "nothing.xml", "assetRoot": str(tmp_path)}})
 
 
-def test_the_assets_folder_of_a_published_file_is_ours(caplog) -> None:
-    caplog.set_level("INFO")
-    model = _build({"asset": {"assetRoot": "ase/data/assets"}})
-    assert model.nu == 28
-    assert "task.env.asset.assetRoot=ase/data/assets does not exist" in caplog.text
-
-
 def test_a_broken_asset_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "broken.xml").write_text("<mujoco>\n<worldbody>\n<body></mujoco>")
     with pytest.raises(ConfigError, match=r"broken\.xml: is no XML") as error:

@@ -143,21 +143,6 @@ def test_an_episode_ends_with_a_clip_that_does_not_return(
     assert steps.max() == most - 1
 
 
-def test_it_goes_on_where_no_clip_ends_it(make_humanoid, rising_clip: str) -> None:
-    for env in [
-        {"endWithClip": False},
-        {"clipDeviation": 0.0},
-        {"clipDeviation": 1.0},  # so that its end is near enough
-        {"motion_file": "walk"},
-        {"motion_file": "locomotion"},
-        {"stateInit": "Hybrid"},
-    ]:
-        defaults = {"motion_file": rising_clip, "clipDeviation": 0.34, "endWithClip": True}
-        task = make_humanoid(1, **{**defaults, **env})
-        assert task.clip_starts_s is None
-        assert task.max_episode_length == 300
-
-
 def test_what_is_left_of_a_clip_is_measured(make_humanoid, rising_clip: str) -> None:
     """Characters that stay below show less of it; those put where it is show all."""
     keys = {"clipDeviation": 0.34, "endWithClip": True, "enableEarlyTermination": False}

@@ -122,18 +122,3 @@ def test_knees_end_an_episode_only_if_they_must_not_touch(make) -> None:
                 break
         assert collided
         assert dones.tolist() == [int(not allowed)]
-
-
-def test_time_in_the_air(make) -> None:
-    for published, counted in [(False, 0.02), (True, 0.005)]:
-        task = make(*EXACT, f"task.env.learn.airTimeAsPublished={published}")
-        task.reset()
-        for _ in range(3):
-            task.step(task.zero_actions())
-        assert task.air_time_s.flatten().tolist() == pytest.approx([3 * counted] * 16)
-        task.commands[:, :2] = 1.0
-        for _ in range(30):
-            task.step(task.zero_actions())
-            if task.reward_terms["air_time"].any():
-                break
-        assert task.reward_terms["air_time"].min() < -0.02 * 0.3

@@ -68,17 +68,6 @@ def test_observed_heights_are_those_of_the_ground(make) -> None:
     assert heights.unique().numel() > 20
 
 
-def test_a_plane_has_no_heights_and_no_levels(make) -> None:
-    task = make("task.env.terrain.terrainType=plane", *EXACT)
-    observed = task.reset()["obs"]
-    assert task.simulation.model.nhfield == 0
-    assert torch.allclose(observed[:, 36:176], torch.tensor(0.6), atol=1e-5)
-    assert not task.curriculum.origins(all_ids(task)).any()
-    task.progress_buf[:] = 998
-    *_, infos = task.step(task.zero_actions())
-    assert infos["episode"]["terrain_level"] == 0.0
-
-
 def test_robots_differ_in_friction_which_is_averaged_with_the_grounds(make) -> None:
     task = make("task.env.learn.frictionRange=[0.5,1.25]", num_envs=150)
     model = task.simulation.model

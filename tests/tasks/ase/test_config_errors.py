@@ -8,12 +8,6 @@ from pathlib import Path
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
-from isaacgymenvs_lite.tasks.ase.humanoid_ase import (
-    HumanoidHeading,
-    HumanoidLocation,
-    HumanoidReach,
-    HumanoidStrike,
-)
 from isaacgymenvs_lite.tasks.ase.humanoid_ase_getup import HumanoidASEGetup
 
 
@@ -37,21 +31,6 @@ def test_a_goal_that_does_not_exist(message) -> None:
     assert message(goal="dance") == (
         "task.env.goal: got 'dance', expected one of heading, location, reach, strike, none"
     )
-
-
-def test_a_task_with_a_fixed_goal_takes_no_other(message, make_ase) -> None:
-    for cls, own, other in [
-        (HumanoidHeading, "heading", "location"),
-        (HumanoidLocation, "location", "none"),
-        (HumanoidReach, "reach", "strike"),
-        (HumanoidStrike, "strike", "heading"),
-    ]:
-        assert message(cls=cls, goal=other) == (
-            f"task.env.goal={other}: {cls.__name__} has the goal '{own}'; "
-            "task=HumanoidASE takes any"
-        )
-        # Its own may be repeated, as its task file does.
-        assert type(make_ase(1, cls=cls, goal=own).goal) is type(make_ase(1, cls=cls).goal)
 
 
 def test_empty_ranges(message) -> None:

@@ -121,29 +121,6 @@ def test_a_throw_is_aimed_at_the_torso(make, throws_of) -> None:
     assert missed.max() < 0.6
 
 
-def test_a_thrown_box_hits_the_character(make, hold_pose) -> None:
-    torch.manual_seed(0)
-    task = make(8)
-    task.reset()
-    actions = hold_pose(task)
-
-    def fastest_torso() -> torch.Tensor:
-        """Largest speed of the torsos (N,) m/s in 0.2 s."""
-        speeds = torch.zeros(8)
-        for _ in range(6):
-            task.step(actions)
-            speed = task.simulation.body_lin_vel[:, 1].norm(dim=-1)
-            speeds = torch.maximum(speeds, speed)
-        return speeds
-
-    swaying = fastest_torso()
-    task.reset()
-    # Five metres at 30 m/s are five control steps. 1.6 kg at 30 m/s have the momentum of the whole
-    # character at 1 m/s; some boxes are aimed past the torso.
-    task.throw(0)
-    assert (fastest_torso() > swaying.max() + 0.3).sum() >= 6
-
-
 # --- ends of episodes -------------------------------------------------------------------------
 
 

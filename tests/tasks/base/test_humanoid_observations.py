@@ -254,11 +254,6 @@ def test_force_that_counts_as_contact() -> None:
         assert _reset((TORSO,), (TORSO,), force=force) == (expected, expected)
 
 
-def test_height_that_counts_as_low() -> None:
-    for height_m, expected in [(0.499, 1), (0.5, 0), (-0.1, 1)]:
-        assert _reset((TORSO,), (TORSO,), low_height_m=height_m) == (expected, expected)
-
-
 def test_the_time_limit_resets_without_terminating() -> None:
     for early in [True, False]:
         for progress, expected in [(298, 0), (299, 1), (300, 1)]:

@@ -101,15 +101,6 @@ def test_commands_are_drawn_from_the_ranges_and_some_are_to_stand(make):
     assert (high <= torch.tensor([1.2, -0.1, 0.5])).all()
 
 
-def test_a_share_of_the_starts_follows_the_clip(make):
-    words = ["task.env.motion_file=g1_walk", "task.env.standingShare=1"]
-    task = make(*words, "task.env.clipCommandShare=0.25", num_envs=400)
-    task.reset()
-    follow = (task.goal.commands[:, 0] > 0.5).float().mean()
-    # 0.25 of 400 draws; five standard deviations
-    assert float(follow) == pytest.approx(0.25, abs=5 * (0.25 * 0.75 / 400) ** 0.5)
-
-
 def test_a_robot_that_does_not_go_as_commanded_stalls():
     for command, velocity, stalls in [
         ([0.8, 0.0, 0.0], [0.1, 0.0], True),

@@ -161,18 +161,6 @@ def test_noise_on_actions_reaches_the_motors(make_task, controls_of) -> None:
     assert (controls[0] / 400.0).std().item() == pytest.approx(0.1, rel=0.15)
 
 
-def test_what_has_no_counterpart_is_named_once(ant, caplog) -> None:
-    caplog.set_level(logging.WARNING)
-    ant(
-        f"actor_params.ant.rigid_shape_properties={{restitution: {_entry(0, 0.7)}}}",
-        f"actor_params.ant.dof_properties={{velocity: {_entry(0.5, 1.5)}}}",
-    )
-    said = [record.message for record in caplog.records if "no counterpart" in record.message]
-    assert len(said) == 1
-    assert "rigid_shape_properties.restitution" in said[0]
-    assert "dof_properties.velocity" in said[0]
-
-
 def test_the_published_settings_of_the_imitating_humanoids(make_task, walk_clip, caplog) -> None:
     """What their file says, without its schedule: all of the humanoid differs, drives included."""
     for name in ["HumanoidAMP", "HumanoidASE", "HumanoidAMPHands"]:
