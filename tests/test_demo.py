@@ -22,7 +22,6 @@ from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats import deepmimic_package
-from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 
@@ -45,14 +44,6 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def policies(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shipped, "assets_dir", lambda: assets)
-
-
-@pytest.fixture
-def gl() -> None:
-    try:
-        ensure_gl()
-    except RenderingError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture

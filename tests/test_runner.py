@@ -108,12 +108,6 @@ def trained_run(walk_clip, tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def in_tmp(tmp_path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def checkpoint(trained_run) -> str:
     return str(trained_run / "nn" / "HumanoidAMP.pth")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig
@@ -29,12 +28,6 @@ HRL = (
 )
 
 pytestmark = pytest.mark.usefixtures("gl", "small_pictures")
-
-
-@pytest.fixture
-def in_tmp(tmp_path: Path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture
