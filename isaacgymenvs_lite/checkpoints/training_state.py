@@ -40,7 +40,7 @@ KEY = "training_state"
 FOLDER = "resume"
 """Folder of the states in a run folder."""
 
-_VERSION = 1
+_VERSION = 2
 _STATE = re.compile(r"\d+\.pth")
 _FILE_OF_STATE = re.compile(r"(\d+)(_rank\d+)?(_buffers)?\.pth")
 
@@ -70,7 +70,7 @@ def new_token() -> str:
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
 ) -> list[Path]:
-    """Write a state into a run folder, in addition to the former ones; return its files.
+    """Write a state into a run folder; the former state stays.
 
     Args:
         run: the run folder.
@@ -79,14 +79,19 @@ def write_training_state(
         token: see `new_token`.
         rank: of this process.
 
+    Returns:
+        The files that were written.
+
     Raises:
         OSError: the folder cannot be written or is full; the former state is left.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     file, buffers = _files_of(folder / f"{epoch}.pth", rank)
+    files = [file]
     if state.buffers is not None:
         write_atomically(buffers, {"token": token, "buffers": state.buffers})
+        files.append(buffers)
     entry = {
         "version": _VERSION,
         "token": token,
@@ -95,7 +100,7 @@ def write_training_state(
     }
     checkpoint = plain_numbers(state.checkpoint) if rank == 0 else {}
     write_atomically(file, {**checkpoint, KEY: entry})
-    return [file] if state.buffers is None else [file, buffers]
+    return files
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
@@ -191,8 +196,9 @@ def _read_archive(file: Path, hint: str) -> Any:
         return read_archive(file)
     except OSError as error:
         raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
-    except ArchiveError as error:
-        raise CheckpointError(f"resume={file}: {error}; {hint}") from error
+    except Exception as error:  # a damaged file may raise anything in the reader
+        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
+        raise CheckpointError(f"resume={file}: damaged{reason}; {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:

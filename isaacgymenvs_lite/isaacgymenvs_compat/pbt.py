@@ -40,8 +40,6 @@ class PbtAlgoObserver(AlgoObserver):
         cfg: the composed tree.
     """
 
-    stored = ()
-
     def __init__(self, cfg: DictConfig) -> None:
         super().__init__()
         self._cfg = cfg

@@ -44,21 +44,19 @@ class AMPDataset(PublishedNames, PPODataset):
         self._row_limits = dict(row_limits or {})
         self._idx_buf = torch.randperm(self.batch_size, device=self.device)
 
-    def stored_state(self) -> dict[str, Any]:
-        """Return the order of the next rows, for `restore_state`."""
+    def state_dict(self) -> dict[str, Any]:
+        """Return the order of the next rows."""
         return {"order": self._idx_buf.cpu().clone()}
 
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `stored_state` of a set of the same size returned.
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the order of a set of the same size, or smaller where rows were left out.
 
         Raises:
-            ValueError: it is of a larger set.
+            ValueError: the set had more rows.
         """
-        order = state["order"]
-        is_order = torch.equal(order.sort().values, torch.arange(len(order)))
-        if not is_order or len(order) > self.batch_size:  # rows of an epoch may be left out
-            raise ValueError(f"an order of {len(order)} rows, expected {self.batch_size}")
-        self._idx_buf = order.to(self.device)
+        if len(state["order"]) > self.batch_size:
+            raise ValueError(f"an order of {len(state['order'])} rows, expected {self.batch_size}")
+        self._idx_buf = state["order"].to(self.device)
 
     def update_values_dict(self, values_dict: dict[str, Any]) -> None:
         """Set the rows of an epoch, `batch_size` each."""

@@ -78,7 +78,7 @@ from isaacgymenvs_lite.learning.published_names import (
     ExplainedNames,
     is_overridden,
 )
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, own_rates_kept
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
 from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -804,8 +804,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         Raises:
             CheckpointError: it holds a model without the state of its training, or does not fit.
         """
-        with own_rates_kept(self.optimizer):
-            super().set_full_state_weights(weights, set_epoch)
+        super().set_full_state_weights(weights, set_epoch)
         if self.linear_lr:  # else the next epoch would have the rate of the first one
             self._advance_schedule(kl=0.0)
             # `update_lr` would wait for the other processes, which may not restore anything.

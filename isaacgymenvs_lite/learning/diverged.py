@@ -19,6 +19,9 @@ from rl_games.algos_torch.torch_ext import AverageMeter
 from rl_games.common.experience import VectorizedReplayBuffer
 from torch import Tensor
 
+_COLUMNS = ("obses", "next_obses", "actions", "rewards", "dones")
+"""Columns of rl_games' replay buffer."""
+
 
 class RolloutMask:
     """Which steps of a rollout have an outcome.
@@ -120,3 +123,22 @@ class KeptTransitions(VectorizedReplayBuffer):
             rows = tuple(each[kept] for each in rows)
         if len(rows[0]) > 0:
             super().add(*rows)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the stored rows and the place of the next row."""
+        n = self.capacity if self.full else self.idx
+        # A file would hold all of a tensor of which it gets a part: a part is copied.
+        rows = {name: getattr(self, name)[:n].cpu() for name in _COLUMNS}
+        rows = rows if self.full else {name: row.clone() for name, row in rows.items()}
+        return {"rows": rows, "idx": self.idx, "full": self.full}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the rows of a buffer of the same size.
+
+        Raises:
+            RuntimeError: the buffer had another size.
+        """
+        n = self.capacity if state["full"] else state["idx"]
+        for name in _COLUMNS:
+            getattr(self, name)[:n].copy_(state["rows"][name])
+        self.idx, self.full = int(state["idx"]), bool(state["full"])

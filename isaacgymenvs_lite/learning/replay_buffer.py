@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -115,39 +114,29 @@ class ReplayBuffer(PublishedNames):
             self._reset_sample_idx()
         return {name: stored.index_select(0, rows) for name, stored in self._data_buf.items()}
 
-    def stored_state(self) -> dict[str, Any]:
-        """Return the stored rows and the place of the next ones, for `restore_state`."""
-        # A part of a ring would be written to a file with the whole ring.
+    def state_dict(self) -> dict[str, Any]:
+        """Return the stored rows, and the places of the next rows to store and to sample."""
+        # A file would hold the whole ring of which it gets a part: a part is copied.
         is_full = self._total_count >= self._buffer_size
         rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
         counts = [self._head, self._total_count, self._sample_head]
         return {"rows": rows, "counts": counts, "order": self._sample_idx.cpu().clone()}
 
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `stored_state` of a buffer of the same size returned.
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the rows of a buffer of the same size.
 
         Raises:
-            ValueError: it is of a buffer of another size.
+            ValueError: the buffer had another size.
+            RuntimeError: its rows had another shape.
         """
         rows, order = state["rows"], state["order"]
-        head, total, sample_head = state["counts"]
-        n, size = min(total, self._buffer_size), self._buffer_size
-        if (
-            any(len(values) != n for values in rows.values())
-            or not 0 <= head < size
-            or not 0 <= sample_head < size
-            or not torch.equal(order.sort().values, torch.arange(size))
-        ):
-            raise ValueError(f"a replay buffer of {len(order)} rows, expected {size}")
-        for name, values in rows.items():
-            own = self._data_buf.get(name)
-            if own is not None and (own.shape[1:], own.dtype) != (values.shape[1:], values.dtype):
-                raise ValueError(f"rows {name} of another shape in the replay buffer")
+        if len(order) != self._buffer_size:
+            raise ValueError(f"a replay buffer of {len(order)} rows, expected {self._buffer_size}")
         if not self._data_buf:
             self._init_data_buf(rows)
         for name, values in rows.items():
-            self._data_buf[name][:n] = values
-        self._head, self._total_count, self._sample_head = head, total, sample_head
+            self._data_buf[name][: len(values)] = values
+        self._head, self._total_count, self._sample_head = state["counts"]
         self._sample_idx = order.to(self._device)
 
     def _reset_sample_idx(self) -> None:

@@ -1,8 +1,8 @@
-"""Mixin of all agents: a training that was stopped goes on as if it had not been.
+"""Mixin of all agents: a resumed training is the training that was never stopped, bit for bit.
 
-At every periodic checkpoint and at the end, the agent writes a training state: what the agent, its
-task, the observers and the generators remember. A resumed training loads it before its first epoch,
-after the environments were reset in the usual way.
+At every periodic checkpoint and at the end, the agent writes a training state: the state of the
+agent, its task, the observers and the random generators. A resumed training loads it before its
+first epoch, after the usual reset of the environments.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,7 +27,7 @@ from isaacgymenvs_lite.checkpoints.training_state import (
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import CheckpointError, one_line
 from isaacgymenvs_lite.run.event_writer import continue_log
-from isaacgymenvs_lite.utils.object_state import (
+from isaacgymenvs_lite.utils.state import (
     read_generators,
     read_state,
     write_generators,
@@ -38,24 +37,26 @@ from isaacgymenvs_lite.utils.object_state import (
 log = logging.getLogger(__name__)
 _FEW_EPOCHS = 20
 _LARGE_BYTES = 2**25
+_RATES = ("learning_rate", "actor_lr", "critic_lr", "alpha_lr")
 
 
 class Resuming(BaseAlgorithm):
-    """Writes training states, and goes on from one.
+    """Writes training states, and continues from a training state.
 
     Config keys: `save_frequency` (epochs between two states), `save_buffers` (True or False stores
     the replay buffers or leaves them out; without the key large ones are left out in the first 20
-    epochs), and `resume`, which the runner sets: the file to go on from.
+    epochs), and `resume`, which the runner sets: the file to continue from.
 
     Attributes:
-        stored: names of attributes to store beside the checkpoint, of this class; those of its
-            bases count too. A dot leads to an attribute of an attribute.
-        stored_episodes: likewise, what belongs to the running episodes.
+        stored: names of attributes to store in addition to the checkpoint; the names in base
+            classes count too. A dot leads to an attribute of an attribute.
+        stored_episodes: likewise, the state of the running episodes.
         stored_buffers: likewise, the replay buffers.
     """
 
     stored: ClassVar[tuple[str, ...]] = (
-        *("game_rewards", "game_lengths", "last_mean_rewards", "_stored_observer"),
+        *("game_rewards.mean", "game_rewards.current_size", "last_mean_rewards"),
+        *("game_lengths.mean", "game_lengths.current_size", "algo_observer"),
     )
     stored_episodes: ClassVar[tuple[str, ...]] = (
         *("obs", "dones", "current_rewards", "current_lengths"),
@@ -98,80 +99,54 @@ class Resuming(BaseAlgorithm):
     def store_training_state(self) -> None:
         """Write the state after this epoch, unless it is written already.
 
-        A failure is logged, and the training goes on: the former state is left. Of several
-        processes the main one writes last: its file is what `resume=` looks for, and the others'
-        files are complete by then, whenever a process is killed.
+        A failure is logged, and the training continues: the former state stays. The main process
+        writes last: `resume=` looks for its file, and the files of the other processes are complete
+        by then.
         """
         if self._stored_epoch == self.epoch_num:
             return
-        start = time.monotonic()
-        weights: Any = self.get_full_state_weights()
-        buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
-        is_large = num_bytes(buffers) > _LARGE_BYTES
-        if is_large and self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config:
-            buffers = {}  # a run this short is quickly repeated
         group = current_group()
-        state = TrainingState(weights, self._memory(), buffers or None, group.size)
-        token, written = group.from_main(new_token()), None
+        token = group.from_main(new_token())
         for is_turn in (not group.is_main, group.is_main):
-            if is_turn:
-                written = self._write_state(state, token)
-            if group.any(is_turn and written is None):
+            if group.any(is_turn and not self._write_state(token)):
                 return
         if group.is_main:
             remove_other_states(Path(self.experiment_dir), self.epoch_num)
         self._stored_epoch = self.epoch_num
-        if written is not None:
-            self._report_size(written, time.monotonic() - start)
 
-    def _write_state(self, state: TrainingState, token: str) -> list[Path] | None:
-        """Return what `write_training_state` returns; None if it could not write."""
-        run, rank = Path(self.experiment_dir), current_group().rank
+    def _write_state(self, token: str) -> bool:
+        """Write this process' files, and return whether they are written."""
+        group, run = current_group(), Path(self.experiment_dir)
         try:
-            return write_training_state(run, state, self.epoch_num, token, rank)
-        except OSError as error:
+            buffers = self._read("stored_buffers") if self.config.get("save_buffers", True) else {}
+            is_short = self.epoch_num < _FEW_EPOCHS and "save_buffers" not in self.config
+            if is_short and num_bytes(buffers) > _LARGE_BYTES:
+                buffers = {}  # a run this short is quickly repeated
+            memory = {
+                "learning_rates": self._learning_rates(),
+                "task_settings": self._task_settings(),
+                "agent": self._read("stored"),
+                "episodes": self._read("stored_episodes"),
+                "task": self._task.state_dict() if self._task is not None else None,
+                "generators": read_generators(),
+            }
+            weights: Any = self.get_full_state_weights()
+            state = TrainingState(weights, memory, buffers or None, group.size)
+            files = write_training_state(run, state, self.epoch_num, token, group.rank)
+        except Exception as error:  # a full disk, or an attribute of a user's own task
             log.warning(
                 "cannot write the training state of epoch %d below %s (%s); training goes on",
                 self.epoch_num,
                 run,
-                error.strerror or error,
+                one_line(getattr(error, "strerror", None) or error),
             )
-            return None
-
-    def _report_size(self, files: list[Path], seconds: float) -> None:
-        if self._reported_size:
-            return
-        self._reported_size = True
-        sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
-        key = "; train.params.config.save_buffers=False leaves the replay buffers out"
-        hint = key if len(files) > 1 else ""
-        log.info("training state for resume= written in %.1f s: %s%s", seconds, sizes, hint)
-
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "learning_rates": self._learning_rates(),
-            "task_settings": self._task_settings(),
-            "agent": self._read("stored"),
-            "episodes": self._read("stored_episodes"),
-            "task": self._read_task(),
-            "generators": read_generators(),
-        }
-
-    def _read_task(self) -> Any:
-        """Return the task's state; None if it has none, or it is of a kind that fails."""
-        if self._task is None:
-            return None
-        try:
-            return read_state(self._task)
-        except Exception as error:  # an attribute of a user's own task may be anything
-            if self._stored_epoch < 0:
-                log.warning(
-                    "the state of %s cannot be stored (%s), so that resume= starts its episodes"
-                    " again; name the attribute in its `not_stored`",
-                    type(self._task).__name__,
-                    one_line(error),
-                )
-            return None
+            return False
+        if not self._reported_size:
+            self._reported_size = True
+            sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
+            key = "; +train.params.config.save_buffers=False leaves the replay buffers out"
+            log.info("training state for resume=: %s%s", sizes, key if len(files) > 1 else "")
+        return True
 
     def _read(self, kind: str) -> dict[str, Any]:
         return {
@@ -180,7 +155,7 @@ class Resuming(BaseAlgorithm):
         }
 
     def _attributes(self, kind: str) -> Iterator[tuple[str, Any, str]]:
-        """Yield what the agent has of a kind: the listed name, the object, its attribute."""
+        """Yield the listed name, the object and the attribute's name of all stored attributes."""
         listed = (name for base in type(self).__mro__ for name in base.__dict__.get(kind, ()))
         for name in dict.fromkeys(listed):
             holder: Any = self
@@ -192,20 +167,13 @@ class Resuming(BaseAlgorithm):
 
     def _learning_rates(self) -> list[float]:
         """Return the learning rates of the configuration; a schedule may have changed them."""
-        keys = ("learning_rate", "actor_lr", "critic_lr", "alpha_lr")
-        return [float(self.config[key]) for key in keys if key in self.config]
+        return [float(self.config[key]) for key in _RATES if key in self.config]
 
     @property
     def _task(self) -> Any:
-        """The task, if its state can be stored; not so rl_games' own environments."""
+        """The task, if it has a state; rl_games' own environments have none."""
         task = getattr(self.vec_env, "env", None)
-        return task if hasattr(type(task), "not_stored") else None
-
-    @property
-    def _stored_observer(self) -> Any:
-        """The observer of the training, unless it is a stranger, whose attributes lead anywhere."""
-        observer: Any = self.algo_observer
-        return observer if hasattr(type(observer), "stored") else None
+        return task if hasattr(task, "load_state_dict") else None
 
     def _task_settings(self) -> str:
         """Return a hash of the task's settings and of the sizes of a rollout."""
@@ -220,10 +188,10 @@ class Resuming(BaseAlgorithm):
     # --- going on ----------------------------------------------------------------------------
 
     def read_resumed(self, fn: str) -> dict[str, Any]:
-        """Return the checkpoint in a file to resume; the rest is kept for `go_on`.
+        """Return the checkpoint in a file to resume; `go_on` uses the rest.
 
         Raises:
-            CheckpointError: it cannot be used.
+            CheckpointError: the file cannot be used.
         """
         group = current_group()
         self._to_resume = read_training_state(Path(fn), group.rank, group.size)
@@ -231,23 +199,22 @@ class Resuming(BaseAlgorithm):
         return self._to_resume.checkpoint
 
     def go_on(self) -> None:
-        """Write what was stored into the agent and its task; once, before the first epoch.
+        """Restore the state of agent and task; once, before the first epoch.
 
         Raises:
-            CheckpointError: it does not fit. Nothing was trained.
+            CheckpointError: the state does not fit. Nothing was trained.
         """
         state, self._to_resume = self._to_resume, None
         if state is None:
             return
-        fresh: list[str] = []
         try:
-            self._write_memory(state, fresh)
-        except Exception as error:  # of another agent or version, or damaged on purpose
+            fresh = self._write_memory(state)
+        except Exception as error:  # the state of another agent, or damaged on purpose
             raise CheckpointError(
                 f"resume={self._resumed_from}: the training state does not fit ({one_line(error)});"
                 f" start a new run with its networks: checkpoint={self._resumed_from}"
             ) from error
-        if self.writer is not None:  # of several processes only the main one has one
+        if self.writer is not None:  # only the main process has a writer
             continue_log(self.writer, self.next_logged_frame)
         place = (self.epoch_num, self.frame, self._resumed_from)
         log.info("resumed after epoch %d, frame %d: %s", *place)
@@ -255,31 +222,27 @@ class Resuming(BaseAlgorithm):
             log.warning("not as if it had never stopped: %s", "; ".join(fresh))
         self._stored_epoch = self.epoch_num if state.memory is not None else -1
 
-    def _write_memory(self, state: TrainingState, fresh: list[str]) -> None:
-        """Write all that fits, and add to `fresh` what starts again, and why."""
+    def _write_memory(self, state: TrainingState) -> list[str]:
+        """Write all that fits, and return what starts again, and why."""
         memory = state.memory
         if memory is None:
-            fresh.append(
+            return [
                 "a checkpoint has no training state, so that episodes, learning rate, statistics,"
                 " replay buffers and random numbers start again"
-            )
-            return
-        rates = self._learning_rates()
-        if memory["learning_rates"] != rates:
+            ]
+        fresh: list[str] = []
+        if memory["learning_rates"] != self._learning_rates():
             fresh.append("learning rates start at the new setting")
             for name in [name for name in memory["agent"] if name.endswith("lr")]:
                 del memory["agent"][name]
-        others = state.num_processes != current_group().size
-        if others and not current_group().is_main:  # the main process has other observers
-            memory["agent"].pop("_stored_observer", None)
         self._write("stored", memory["agent"])
         self._rates_restored()
-        if others:
+        if state.num_processes != current_group().size:
             fresh.append(
                 f"{state.num_processes} process(es) trained it and {current_group().size} do now,"
                 " so that episodes, replay buffers and random numbers start again"
             )
-            return
+            return fresh
         if self.config.get("save_buffers", True) and any(self._attributes("stored_buffers")):
             if state.buffers is None:
                 fresh.append("without their file the replay buffers start empty")
@@ -289,13 +252,14 @@ class Resuming(BaseAlgorithm):
             fresh.append("the environment cannot be stored, so that episodes start again")
         elif memory["task_settings"] == self._task_settings():
             self._write("stored_episodes", memory["episodes"])
-            write_state(self._task, memory["task"], self._task.device)
+            self._task.load_state_dict(memory["task"])
         else:
             fresh.append(
                 "settings of the task, num_envs or horizon_length changed, so that episodes"
                 " start again"
             )
         write_generators(memory["generators"])
+        return fresh
 
     def _write(self, kind: str, stored: dict[str, Any]) -> None:
         for name, holder, attribute in self._attributes(kind):

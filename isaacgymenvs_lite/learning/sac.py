@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +16,12 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, KeptTransitions
 from isaacgymenvs_lite.learning.restoring import Parts, RestoringPlayer
-from isaacgymenvs_lite.learning.safeguards import Safeguards, own_rates_kept
+from isaacgymenvs_lite.learning.safeguards import Safeguards
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
+from isaacgymenvs_lite.utils.state import Stateful
 
 
-class _EndOfEpoch(AlgoObserver):
+class _EndOfEpoch(Stateful, AlgoObserver):
     """Checks and saves around the observer's report of an epoch; rl_games' loop has no hook there.
 
     Args:
@@ -109,7 +110,7 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
     """
 
     stored = ("_step", "update_counter", "_last_of_actor")
-    stored_buffers = ("_replayed",)
+    stored_buffers = ("replay_buffer",)
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
         config = params["config"]
@@ -160,13 +161,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         }
 
     def set_full_state_weights(self, weights: dict[str, Any], set_epoch: bool = True) -> None:
-        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature.
-
-        The learning rates of this run count, as for the other agents.
-        """
-        optimizers = (self.actor_optimizer, self.critic_optimizer, self.log_alpha_optimizer)
-        with own_rates_kept(*optimizers):
-            super().set_full_state_weights(weights, set_epoch=set_epoch)
+        """Load what `get_full_state_weights` returned; rl_games' files lack the temperature."""
+        super().set_full_state_weights(weights, set_epoch=set_epoch)
         if "log_alpha" in weights:
             with torch.no_grad():
                 self.log_alpha.copy_(weights["log_alpha"])
@@ -235,10 +231,6 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         """Frame under which the next epoch writes its scalars: the one at its end."""
         return self.frame + 1
 
-    @property
-    def _replayed(self) -> _StoredReplay:
-        return _StoredReplay(self.replay_buffer)
-
     def check_epoch(self) -> None:
         """Check networks and optimisers after an epoch.
 
@@ -271,45 +263,6 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         if updates_actor:
             self._last_of_actor = of_actor
         return self._last_of_actor, *of_critics
-
-
-class _StoredReplay:
-    """The rows of rl_games' replay buffer as a training state holds them.
-
-    Args:
-        buffer: the agent's.
-    """
-
-    _NAMES = ("obses", "next_obses", "actions", "rewards", "dones")
-
-    def __init__(self, buffer: Any) -> None:
-        self._buffer = buffer
-
-    def stored_state(self) -> dict[str, Any]:
-        """Return the rows and the place of the next ones."""
-        buffer = self._buffer
-        n = buffer.capacity if buffer.full else buffer.idx
-        rows = {name: getattr(buffer, name)[:n].cpu() for name in self._NAMES}
-        # A part of a tensor would be written to a file with the whole one.
-        rows = rows if buffer.full else {name: row.clone() for name, row in rows.items()}
-        return {"rows": rows, "idx": buffer.idx, "full": buffer.full}
-
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `stored_state` of a buffer of the same size returned.
-
-        Raises:
-            ValueError: it is of a buffer of another size.
-        """
-        buffer, n = self._buffer, len(state["rows"]["rewards"])
-        if (
-            n > buffer.capacity
-            or not 0 <= state["idx"] < buffer.capacity
-            or (n != (buffer.capacity if state["full"] else state["idx"]))
-        ):
-            raise ValueError(f"a replay buffer of {n} rows, expected up to {buffer.capacity}")
-        for name in self._NAMES:
-            getattr(buffer, name)[:n].copy_(state["rows"][name])
-        buffer.idx, buffer.full = state["idx"], bool(state["full"])
 
 
 def _played_parts(model: Any) -> Parts:

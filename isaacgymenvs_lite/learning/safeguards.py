@@ -112,7 +112,7 @@ class Safeguards(Resuming):
             key: {**optimizer.state_dict(), "state": {}}
             for key, optimizer in parts.optimizers.items()
         }
-        scalers = {key: scaler.state_dict() for key, scaler in parts.scalers.items()}
+        scalers = {key: scaler.state_dict() for key, scaler in parts.others.items()}
         return {**policy, **optimizers, **scalers, "epoch": 0, "frame": 0}
 
     def train(self) -> Any:
@@ -300,7 +300,8 @@ class PPOSafeguards(Safeguards, DataParallel):
     """
 
     stored = (
-        *("game_shaped_rewards", "mean_rewards", "last_lr", "entropy_coef"),
+        *("game_shaped_rewards.mean", "game_shaped_rewards.current_size"),
+        *("mean_rewards", "last_lr", "entropy_coef"),
         *("central_value_net.lr", "central_value_net.epoch_num", "central_value_net.frame"),
     )
     stored_episodes = ("current_shaped_rewards", "rnn_states", "central_value_net.rnn_states")
@@ -318,9 +319,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         if self.normalize_advantage and self.normalize_rms_advantage:
             modules["advantage_mean_std"] = self.advantage_mean_std
         scalers = {"scaler": self.scaler} if self.mixed_precision else {}
-        return Parts(
-            modules, optimizers, scalers=scalers, optional=frozenset(optional), counts=True
-        )
+        return Parts(modules, optimizers, others=scalers, optional=frozenset(optional), counts=True)
 
     def update_epoch(self) -> int:
         """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
@@ -455,16 +454,6 @@ class PPOSafeguards(Safeguards, DataParallel):
         broken = [name for name, values in stacked.items() if not bool(values.isfinite().all())]
         if broken:
             raise self._not_finite(f"{_first_few(broken)} not finite")
-
-
-@contextmanager
-def own_rates_kept(*optimizers: torch.optim.Optimizer) -> Iterator[None]:
-    """Restore the learning rates after a checkpoint was loaded: the settings of this run count."""
-    rates = [[group["lr"] for group in optimizer.param_groups] for optimizer in optimizers]
-    yield
-    for optimizer, own in zip(optimizers, rates, strict=True):
-        for group, rate in zip(optimizer.param_groups, own, strict=True):
-            group["lr"] = rate
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:

@@ -113,8 +113,6 @@ class PBTObserver(AlgoObserver):
         check_settings: raises if a training would refuse these numbers by key path.
     """
 
-    stored = ()
-
     def __init__(
         self,
         settings: PBTSettings,

@@ -93,8 +93,6 @@ class DiagnosticsObserver(AlgoObserver):
         clip_limits: as given.
     """
 
-    stored = ()
-
     def __init__(
         self,
         metrics: MetricsObserver,

@@ -15,6 +15,7 @@ from torch import Tensor
 from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
+from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +32,7 @@ _NOTABLE = 0.1
 """Relative loss of the last policy above which it is reported."""
 
 
-class MeasurementObserver(AlgoObserver):
+class MeasurementObserver(Stateful, AlgoObserver):
     """Plays the mean policy every so many epochs and writes `imitation/pose_error_m`.
 
     The errors of a task's goal are written beside it, `goal/velocity_error_m_s` for one. Without

@@ -12,6 +12,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import diverged_in
+from isaacgymenvs_lite.utils.state import Stateful
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class EpochMetrics:
         return 0.5 * (self.disc_agent_acc + self.disc_demo_acc)
 
 
-class MetricsObserver(AlgoObserver):
+class MetricsObserver(Stateful, AlgoObserver):
     """Stores the newest `EpochMetrics` and writes three of them, such as `info/fall_rate`.
 
     Falls are averaged over the same last episodes as rl_games' mean length and reward
@@ -79,13 +80,25 @@ class MetricsObserver(AlgoObserver):
 
     latest: EpochMetrics | None = None
     best_reward: float | None = None
-    stored = ("_falls", "_off_clip", "best_reward")
+    stored = ("best_reward",)
 
     def after_init(self, algo: Any) -> None:
         """Store the agent."""
         self._algo = algo
         self._falls = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
         self._off_clip = AverageMeter(1, algo.games_to_track).to(algo.ppo_device)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state, the counted episodes included."""
+        meters = [[each.mean.cpu(), each.current_size] for each in (self._falls, self._off_clip)]
+        return {**super().state_dict(), "meters": meters}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the state."""
+        super().load_state_dict({n: part for n, part in state.items() if n != "meters"})
+        for meter, (mean, size) in zip((self._falls, self._off_clip), state["meters"], strict=True):
+            meter.mean.copy_(mean)
+            meter.current_size = int(size)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
         """Count how the episodes of `done_indices` (n, 1) ended."""

@@ -19,18 +19,28 @@ from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
+from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
 
 
-class MultiObserver(AlgoObserver):
+class MultiObserver(Stateful, AlgoObserver):
     """Passes every call on to several observers, in order."""
-
-    stored = ("observers",)
 
     def __init__(self, observers: list[AlgoObserver]) -> None:
         super().__init__()
         self.observers = observers
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the states of the observers by the names of their classes."""
+        with_state = (each for each in self.observers if isinstance(each, Stateful))
+        return {type(each).__name__: each.state_dict() for each in with_state}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the observers; another process may have had other observers."""
+        for each in self.observers:
+            if isinstance(each, Stateful) and type(each).__name__ in state:
+                each.load_state_dict(state[type(each).__name__])
 
     def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
         """Before the agent builds anything."""

@@ -37,8 +37,6 @@ class ProgressObserver(AlgoObserver):
         line_interval_s: seconds between lines where the output is no terminal.
     """
 
-    stored = ()
-
     def __init__(
         self,
         stop: StopRequest,

@@ -9,9 +9,10 @@ from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import diverged_in, reports_divergence
+from isaacgymenvs_lite.utils.state import Stateful
 
 
-class TaskScalarsObserver(AlgoObserver):
+class TaskScalarsObserver(Stateful, AlgoObserver):
     """Writes a task's infos to TensorBoard, with the tags of IsaacGymEnvs' RLGPUAlgoObserver.
 
     `Episode/<key>`: means of infos["episode"]; `episode_cumulative/<key>` (and _min, _max): sums

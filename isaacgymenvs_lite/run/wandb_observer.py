@@ -29,8 +29,6 @@ class WandbObserver(AlgoObserver):
             file's name.
     """
 
-    stored = ()
-
     def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:
         super().__init__()
         self._tree = tree

@@ -214,12 +214,12 @@ class SimulationBackend(Protocol):
         """
         ...
 
-    def stored_state(self) -> dict[str, Any]:
-        """Return copies of all that the next steps depend on, for `restore_state`."""
+    def state_dict(self) -> dict[str, Any]:
+        """Return copies of all that the next steps depend on, for `load_state_dict`."""
         ...
 
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `stored_state` returned, bit by bit, in simulations of an equal model.
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned, bit by bit, in simulations of an equal model.
 
         Raises:
             KeyError, TypeError, ValueError, RuntimeError: the state is of other simulations.

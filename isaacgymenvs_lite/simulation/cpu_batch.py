@@ -328,14 +328,14 @@ class CpuBatchSimulation:
         self._warmstart_rows[rows] = 0.0
         self._buffers.replace_objects(rows, objects, self._converter.states_of_objects(qpos, qvel))
 
-    def stored_state(self) -> dict[str, Any]:
-        """See `SimulationBackend.stored_state`."""
+    def state_dict(self) -> dict[str, Any]:
+        """See `SimulationBackend.state_dict`."""
         memory = {name: torch.from_numpy(rows.copy()) for name, rows in self._memory().items()}
         bodies = [self._buffers.bodies_are_current, self._buffers.has_body_velocities]
         return {**memory, "num_failures": self.num_failures, "bodies": bodies}
 
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """See `SimulationBackend.restore_state`."""
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See `SimulationBackend.load_state_dict`."""
         if "forces.0" in state:
             _ = self.dof_forces  # binds them
         memory = self._memory()

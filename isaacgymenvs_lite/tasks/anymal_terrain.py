@@ -90,7 +90,6 @@ class AnymalTerrain(VelocityTrackingTask):
     num_actions = 12
     num_commands = 4
     reset_mode = ResetMode.SAME_STEP
-    not_stored = ("terrain", "_scan")
 
     # --- construction -----------------------------------------------------------------------
 

@@ -103,13 +103,6 @@ def of_moments(name: str, value: Callable[[torch.Tensor], Any]) -> Change:
     return change
 
 
-def of_groups(name: str, value: Any) -> Change:
-    def change(state: dict[str, Any]) -> None:
-        first_moment(state)[0]["param_groups"][0][name] = value
-
-    return change
-
-
 def of_networks(value: Callable[[torch.Tensor], Any]) -> Change:
     def change(state: dict[str, Any]) -> None:
         network = state["model"] if "model" in state else state["actor"]
@@ -144,16 +137,11 @@ WRONG: dict[str, tuple[Change, str]] = {
     "transposed": (of_moments("exp_avg", lambda t: torch.zeros(t.shape[::-1])), "expected .*x"),
     "text": (of_moments("exp_avg", lambda _: "x"), "exp_avg is a str, expected"),
     "steps": (of_moments("step", lambda _: torch.zeros(7)), "step is 7 float32, expected one"),
-    "negative steps": (of_moments("step", lambda _: -1.0), "step is -1"),
+    "negative steps": (of_moments("step", lambda _: -1.0), "step holds numbers below 0"),
     "nan": (of_moments("exp_avg", lambda t: t * math.nan), "exp_avg holds .* not finite"),
     "below 0": (of_moments("exp_avg_sq", lambda t: t - 1.0), "exp_avg_sq holds numbers below 0"),
-    "another number": (renumbered, "state.1000000 is of no parameter, expected 0 to"),
-    "no groups": (without_group, "no state of an optimiser"),
-    "rate": (of_groups("lr", "fast"), r"lr is fast, expected a number"),
-    "nan rate": (of_groups("lr", math.nan), r"lr is nan, expected a number"),
-    "betas": (of_groups("betas", (0.9, 1.0)), r"betas is a tuple, expected 2 numbers"),
-    "eps": (of_groups("eps", -1.0), r"eps is -1.0, expected a number of at least 0"),
-    "parameters": (of_groups("params", [0, 0]), "number their parameters 0, 1, 2"),
+    "another number": (renumbered, "optimizer is no state of this optimiser"),
+    "no groups": (without_group, "0 groups of parameters, expected|no state of this optimiser"),
     "weight": (of_networks(lambda t: t[:1]), "weight is .* expected .* another network"),
     "half": (of_networks(lambda t: t.half()), "float16, expected .* float32"),
     "broken": (of_networks(lambda t: t.fill_(math.inf)), "weight holds .* not finite"),
@@ -171,7 +159,7 @@ def test_an_agent_takes_nothing_over_of_a_checkpoint_that_does_not_fit(kind, mak
     agent.save(str(tmp_path / "real"))
     real = checkpoints.load_checkpoint(tmp_path / "real.pth")
     path = tmp_path / "wrong.pth"
-    names = WRONG if kind in ("ppo", "amp", "sac") else ("one number", "nan", "betas", "weight")
+    names = WRONG if kind in ("ppo", "amp", "sac") else ("one number", "nan", "no groups", "weight")
     for name in names:
         change, words = WRONG[name]
         state = copy.deepcopy(real)
@@ -210,7 +198,7 @@ def test_every_part_is_compared(kind, make, tmp_path):
         name = next(reversed(state[key]))
         state[key][name] = torch.zeros(3, 1, 4)
         torch.save(state, path)
-        with pytest.raises(CheckpointError, match=rf"{key}\.{name} is 3x1x4 float32, expected"):
+        with pytest.raises(CheckpointError, match=rf"{key}\.{name} is 3x1x4 float.., expected"):
             agent.restore(str(path))
         state[key] = {**real[key], "another": torch.zeros(2)}
         torch.save(state, path)

@@ -254,6 +254,15 @@ def test_a_state_that_does_not_fit_is_one_line(place, stopped):
         go_on("resume=last")
 
 
+def test_a_state_of_another_version_is_one_line(stopped):
+    file = stopped / "resume/2.pth"
+    content = read_archive(file)
+    content["training_state"]["version"] = 1
+    torch.save(content, file)
+    with pytest.raises(CheckpointError, match=r"is of another version.*: checkpoint=.*2\.pth"):
+        go_on("resume=last")
+
+
 LOOKED_ON = {"viewer": "web", "headless": False, "capture_video": True}
 SENT_AWAY = {"wandb_activate": True, "wandb_entity": "stranger", "wandb_logcode_dir": "/"}
 

@@ -24,11 +24,10 @@ def test_the_message_has_both_sizes_and_the_large_parts() -> None:
 def test_a_run_beyond_memory_makes_nothing(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for words in [
-        ["num_envs=16000000", "train.params.config.horizon_length=100"],
         ["train.params.config.horizon_length=4000000"],
         ["train.params.network.mlp.units=[1000000,1000000]"],
         ["train.params.network.mlp.units=[1000000,1000000]", "test=True"],
     ]:
-        with pytest.raises(ConfigError, match="not enough memory: this needs at least"):
+        with pytest.raises(ConfigError, match="^not enough memory"):
             run(compose(["task=Cartpole", "rl_device=cpu", *words]))
         assert list(tmp_path.iterdir()) == []

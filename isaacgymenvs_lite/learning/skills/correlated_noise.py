@@ -12,14 +12,18 @@ import math
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.utils.state import Stateful
 
-class CorrelatedNoise:
+
+class CorrelatedNoise(Stateful):
     """Makes the noise of a Gaussian policy a process in time; each sample stays standard normal.
 
     Args:
         correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
             probability of an action still assumes independent noise, as in the paper.
     """
+
+    stored = ("_last",)
 
     def __init__(self, correlation: float) -> None:
         self._correlation = correlation

@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.utils.state import Stateful
 
 
 def sample_latents(n: int, latent_dim: int, device: str | torch.device = "cpu") -> Tensor:
@@ -31,7 +32,7 @@ def latent_space(latent_dim: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (latent_dim,), np.float32)
 
 
-class LatentSchedule:
+class LatentSchedule(Stateful):
     """The latents of N environments, each kept for a random number of control steps.
 
     Args:
@@ -49,6 +50,8 @@ class LatentSchedule:
     Raises:
         ConfigError: steps_min is not below steps_max, or below 1.
     """
+
+    stored = ("latents", "change_at")
 
     def __init__(
         self,

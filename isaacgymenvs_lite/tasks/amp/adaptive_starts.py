@@ -11,12 +11,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from isaacgymenvs_lite.utils.state import Stateful
+
 _BIN_S = 0.1
 # Weight of an episode in the failure rate of its bin.
 _UPDATE = 0.02
 
 
-class AdaptiveStarts:
+class AdaptiveStarts(Stateful):
     """Draws moments of clips by how often episodes that start there fail soon.
 
     Clips are cut into bins of a tenth of a second. At first all moments are equal.
@@ -26,6 +28,8 @@ class AdaptiveStarts:
         weights: (M,) how often each clip is drawn, sum 1.
         soon_steps: control steps; a failure in them is one of the start.
     """
+
+    stored = ("failure_rate",)
 
     def __init__(self, lengths_s: Tensor, weights: Tensor, soon_steps: int) -> None:
         counts = (lengths_s / _BIN_S).ceil().long().clamp(min=1)

@@ -19,6 +19,7 @@ from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
 from isaacgymenvs_lite.tasks.amp.reference_motions import ReferenceMotions
 from isaacgymenvs_lite.tasks.base.humanoid_observations import heading_cos_sin
 from isaacgymenvs_lite.tasks.goals.planar import xy_in_heading_frame
+from isaacgymenvs_lite.utils.state import Stateful
 
 PHASES_PER_STEP = 2
 COMPARED_S = 1.0
@@ -97,7 +98,7 @@ def points_of(state: CharacterState) -> Tensor:
     return torch.cat((root_pos, state[3]), dim=1) - root_pos * root_pos.new_tensor([1, 1, 0])
 
 
-class ClipPhases:
+class ClipPhases(Stateful):
     """Stores at which moment of which clip each environment is.
 
     A clip whose end is near its start repeats; after the end of another one nothing is measured.

@@ -11,6 +11,7 @@ from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.tasks.amp.adaptive_starts import AdaptiveStarts
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_base import CharacterState
 from isaacgymenvs_lite.tasks.amp.humanoid_amp_config import HumanoidAMPConfig
+from isaacgymenvs_lite.utils.state import Stateful
 
 # Windows of clips computed at a time: many more leave the CPU's cache and take twice as long.
 _WINDOWS_AT_A_TIME = 256
@@ -35,8 +36,6 @@ class ReferenceMotions:
         motion_share: share of the windows that are drawn in proportion to the motion in the clip at
             each time, not evenly.
     """
-
-    not_stored = ("lib",)
 
     def __init__(
         self,
@@ -133,7 +132,7 @@ class ReferenceMotions:
         return roots.view(len(ahead_s), len(motion_ids), 13).transpose(0, 1)
 
 
-class ClipStarts:
+class ClipStarts(Stateful):
     """Draws moments of clips in which episodes start.
 
     Starts are drawn in blocks: for the few environments that a step resets the call itself is the
@@ -147,6 +146,8 @@ class ClipStarts:
         ahead_s: how far ahead, in s, the goal looks from a start.
         ends_with_clip: whether episodes end with their clip.
     """
+
+    stored = ("clips", "times_s", "_rows", "_left", "_adaptive")
 
     def __init__(
         self,

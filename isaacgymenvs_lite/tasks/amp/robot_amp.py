@@ -83,7 +83,6 @@ class RobotAMP(HumanoidAMP):
     default_asset = "mjcf/g1.xml"
     actor_name = "robot"
     num_dofs_of_assets = ()
-    not_stored = ("_robot", "_skeleton")
 
     def read_settings(self, env: dict[str, Any]) -> RobotAMPConfig:
         """As the base, and check the keys that depend on each other."""

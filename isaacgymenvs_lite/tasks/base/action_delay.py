@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.base.history import push_newest
+from isaacgymenvs_lite.utils.state import Stateful
 
 
-class ActionDelay:
+class ActionDelay(Stateful):
     """A delay of whole control steps for each of N environments, drawn for each episode.
 
     Args:

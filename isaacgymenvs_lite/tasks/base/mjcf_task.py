@@ -49,7 +49,6 @@ class MjcfTask(VecTask):
     default_asset: ClassVar[str]
     published_assets: ClassVar[tuple[str, ...]] = ()
     reset_mode = ResetMode.AFTER_PHYSICS
-    not_stored = ("_spec",)
     _spec: mujoco.MjSpec | None = None
 
     def __init__(self, cfg: dict[str, Any], *args: Any, **kwargs: Any) -> None:

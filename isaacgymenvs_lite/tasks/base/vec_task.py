@@ -40,6 +40,7 @@ from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms, total
 from isaacgymenvs_lite.tasks.base.task_config import EnvConfig, StepConfig
 from isaacgymenvs_lite.tasks.randomization.randomizer import DomainRandomizer
+from isaacgymenvs_lite.utils.state import Stateful
 from isaacgymenvs_lite.utils.threads import one_torch_thread, release_torch_threads
 
 log = logging.getLogger(__name__)
@@ -123,7 +124,7 @@ class RobotDescription(NamedTuple):
     frames: dict[str, str]
 
 
-class Env:
+class Env(Stateful):
     """Sizes, clip limits, devices and spaces of a task, from its configuration.
 
     Args:
@@ -267,8 +268,11 @@ class VecTask(Env):
     chosen for the last state of the one before. After `reset` or `reset_done` actions count."""
     is_training: bool = False
     keeps_final_observations: bool = False
-    not_stored: ClassVar[tuple[str, ...]] = ("cfg", "sim_params", "listeners", "_camera")
-    """Attributes that a resumed training makes again; all others are stored, see `object_state`."""
+    not_stored: ClassVar[tuple[str, ...]] = (
+        *("cfg", "sim_params", "listeners", "_camera", "headless", "graphics_device_id"),
+        *("force_render", "virtual_screen_capture"),
+    )
+    """Attributes that a resumed training makes again; see `Stateful`, which stores the others."""
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"]}
     """What video recorders read."""
 

@@ -15,6 +15,7 @@ from isaacgymenvs_lite.rendering.markers import Arrow, Colour, Marker, arrow_on_
 from isaacgymenvs_lite.schema import keys_of, read_section, setting
 from isaacgymenvs_lite.simulation.backend import SimulationBackend
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
+from isaacgymenvs_lite.utils.state import Stateful
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class GoalSettings:
     """Add the goal to the observation."""
 
 
-class Goal:
+class Goal(Stateful):
     """The goal `none`, and what the others have in common. One object serves N environments.
 
     Life: made from `task.env`; `add_to_model` before the model is compiled; `attach` when the
@@ -46,6 +47,7 @@ class Goal:
         ConfigError: a value that cannot be used.
     """
 
+    not_stored = ("simulation",)
     num_obs: ClassVar[int] = 0
     """Numbers in the goal's observation."""
     obs_name: ClassVar[str] = "goal"

@@ -20,11 +20,12 @@ from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.tasks.randomization.properties import Property, make_property
 from isaacgymenvs_lite.tasks.randomization.sampling import Noise, draw
 from isaacgymenvs_lite.tasks.randomization.settings import AttributeSettings, read_plan
+from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
 
 
-class DomainRandomizer:
+class DomainRandomizer(Stateful):
     """Draws noise and models; everything once when it is made.
 
     Args:
@@ -36,6 +37,8 @@ class DomainRandomizer:
     Raises:
         ConfigError: an unknown actor, property, attribute or value.
     """
+
+    stored = ("_last_draw", "_action_noise", "_observation_noise")
 
     def __init__(
         self,

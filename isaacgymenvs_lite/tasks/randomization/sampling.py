@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.randomization.settings import AttributeSettings, NoiseSettings
+from isaacgymenvs_lite.utils.state import Stateful
 
 
 def draw(settings: AttributeSettings, frame: int, shape: tuple[int, ...]) -> Tensor:
@@ -51,7 +52,7 @@ def bucketed(drawn: Tensor, settings: AttributeSettings) -> Tensor:
     return low + width * places
 
 
-class Noise:
+class Noise(Stateful):
     """Noise on rows of numbers: a part that is new at each call, and one that stays.
 
     Args:

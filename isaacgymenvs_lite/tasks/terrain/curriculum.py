@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.tasks.terrain.grid import Terrain, TerrainConfig
+from isaacgymenvs_lite.utils.state import Stateful
 
 # Robots that cover less than this share of the commanded distance go back.
 _DEMOTED_SHARE = 0.25
@@ -35,7 +36,7 @@ def next_levels(
     return (levels + up - down).clamp(min=0) % num_levels
 
 
-class Curriculum:
+class Curriculum(Stateful):
     """Levels and types of N robots.
 
     `demotionAsPublished`: IsaacGymEnvs compares each robot's distance with the norm of the commands
@@ -51,6 +52,8 @@ class Curriculum:
         levels: (N,) int64.
         types: (N,) int64.
     """
+
+    stored = ("levels", "types")
 
     def __init__(
         self, cfg: TerrainConfig, terrain: Terrain, num_envs: int, device: torch.device
