@@ -28,6 +28,6 @@ def test_a_run_beyond_memory_makes_nothing(tmp_path, monkeypatch) -> None:
         ["train.params.network.mlp.units=[1000000,1000000]"],
         ["train.params.network.mlp.units=[1000000,1000000]", "test=True"],
     ]:
-        with pytest.raises(ConfigError, match="^not enough memory"):
+        with pytest.raises(ConfigError, match=r"^not enough memory"):
             run(compose(["task=Cartpole", "rl_device=cpu", *words]))
         assert list(tmp_path.iterdir()) == []
