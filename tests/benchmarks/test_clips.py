@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks import clips, learning
 from benchmarks.records import write_records
-from benchmarks.runs import Run
 from isaacgymenvs_lite.errors import ConfigError
 from tests.benchmarks.test_learned import GOOD, curve_of, of
 
@@ -61,20 +60,3 @@ def test_table(tmp_path, monkeypatch, capsys):
     assert f"| run | 1.0 | 3 | {of_both}" in text
     assert "| jump | | | | 0.06 | | | | not trained yet |" in text
     assert "1 of 2 clips are learned, 1 not done." in text
-
-
-@pytest.mark.slow
-def test_clips_are_trained_one_after_the_other_and_those_that_are_done_are_left(
-    tmp_path, monkeypatch
-):
-    words = ["clips", "--clips", "walk", "stand", "num_envs=8", "rl_device=cpu"]
-    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
-    command = ["learning", *words, *folders, "--cores-per-run", "1", "--minutes", "0.8", "--resume"]
-    monkeypatch.setattr("sys.argv", command)
-    learning.main()
-    labels = ["walk", "stand"]
-    records = clips.newest_records(labels, tmp_path / "results" / "clips")
-    assert list(records) == labels
-    learning.main()
-    for label in labels:
-        assert len(Run.of(tmp_path / "runs" / "clips", label, 1).starts()) == 1

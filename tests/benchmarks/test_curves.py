@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import curves
 from benchmarks.curves import (
     draw,
     markdown_table,
@@ -40,12 +39,6 @@ def test_table(two_seeds):
     assert cells[5] == "3.5 (3.0 to 4.0)"  # minutes at the end
     assert cells[6] == "2"  # 100 frames a minute
     assert cells[8] == "0.075 (0.050 to 0.100)"
-
-
-def test_command_prints_the_table_of_all_seeds(two_seeds, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["curves", "walk", "--runs-dir", str(tmp_path)])
-    curves.main()
-    assert capsys.readouterr().out.strip() == markdown_table(two_seeds)
 
 
 @pytest.mark.parametrize("against", ["minutes", "frames"])

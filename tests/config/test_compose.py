@@ -132,21 +132,14 @@ def test_wrong_overrides():
         ("num_env=3", ["unknown key 'num_env' (did you mean 'num_envs'?)", "max_iterations"]),
         ("task.env.numEnv=3", ["(did you mean 'task.env.numEnvs'?)", "the keys of task.env are"]),
         ("motion_file=x", ["(did you mean 'task.env.motion_file'?)"]),
-        ("gamma=0.9", ["(did you mean 'train.params.config.gamma'?)"]),
         ("a.b.c=3", ["unknown key 'a.b.c'", "+a.b.c=... adds a new one"]),
         ("seed.x=3", ["'seed' holds a value, not keys of its own"]),
         ("num_envs", ["cannot read 'num_envs'", "write key=value"]),
         ("checkpoint=a=b.pth", ["cannot read 'checkpoint=a=b.pth'", "in quotes"]),
-        ("experiment=[a", ["cannot read 'experiment=[a'"]),
         ("num_envs=1,2", ["'num_envs=1,2' gives several values", "--multirun"]),
         ("+seed=3", ["'seed' exists", "leave out the +"]),
         ("task=3", ["'task=3' names no file"]),
-        ("task=", ["unknown task ''"]),
-        ("pbt=other", ["unknown pbt 'other'", "no_pbt, pbt_default"]),
         ("pbt=pbt_defualt", ["unknown pbt 'pbt_defualt' (did you mean 'pbt_default'?)"]),
-        ("~foo", ["foo"]),
-        ("task@x=HumanoidAMP", ["task@x"]),
-        ("hydra.searchpath=3", ["searchpath"]),
     ]:
         text = message([override])
         for part in parts:

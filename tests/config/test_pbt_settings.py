@@ -16,22 +16,13 @@ ON = ("task=Ant", "pbt=pbt_default", "rl_device=cpu")
 def test_one_line_for_a_wrong_value():
     for words, expected in [
         (["pbt.policy_idx=8"], "pbt.policy_idx=8: expected a number from 0 to 7, a different one"),
-        (["pbt.policy_idx=-1"], "pbt.policy_idx: got -1, expected a whole number of at least 0"),
-        (["pbt.policy_idx=one"], "pbt.policy_idx: got 'one'"),
         (["pbt.num_policies=1"], "pbt.num_policies=1: one policy has no other to compare with"),
-        (["pbt.num_policies=1001"], "pbt.num_policies: got 1001"),
         (["pbt.workspace=''"], "pbt.workspace='' is empty"),
-        (["pbt.workspace=null"], "pbt.workspace: got None, expected text"),
-        (["pbt.workspace=/tmp/x"], "pbt.workspace='/tmp/x' leads out of the folder of the runs"),
         (["pbt.workspace=../x"], "pbt.workspace='../x' leads out of the folder of the runs"),
-        (["pbt.interval_steps=0"], "pbt.interval_steps: got 0"),
-        (["pbt.replace_fraction_worst=1.5"], "pbt.replace_fraction_worst: got 1.5"),
-        (["pbt.mutation_rate=2"], "pbt.mutation_rate: got 2"),
         (["pbt.change_min=0.5"], "pbt.change_min: got 0.5, expected a number of at least 1"),
         (["pbt.change_min=2"], "pbt.change_min=2 is above pbt.change_max=1.5"),
         (["+pbt.polcy_idx=1"], "unknown key 'pbt.polcy_idx' (did you mean 'policy_idx'?)"),
         (["train.params.config.gamma=high"], "train.params.config.gamma='high' cannot be mutated"),
-        (["train.params.config.gamma=True"], "train.params.config.gamma=True cannot be mutated"),
     ]:
         with pytest.raises(ConfigError) as error:
             check_config(compose([*ON, *words]))

@@ -79,12 +79,9 @@ def test_the_last_word_of_a_key_wins():
 def test_a_wrong_key_is_one_line():
     for verb, words, message in [
         ("train", "num_envs=3", "task= is missing, for example task=Cartpole"),
-        ("train", "task=Ant max_iterations=0", "max_iterations: got 0, expected a whole number"),
         ("train", "task=Ant max_iteration=3", "(did you mean 'max_iterations'?)"),
         ("train", "task=Ant real_time=True", "real_time=True: is no setting of another library's"),
-        ("play", "task=Ant max_iterations=3", "max_iterations=3: is no setting of another"),
         ("train", "task=Ant Cartpole", "Cartpole: is no setting of another library's agent"),
-        ("train", "task=Ant test=True", "test=True: is no setting of another library's agent; use"),
         ("train", "task=Ant experiment=mine", "use logs=FOLDER"),
         ("train", "task=Ant logs={", "logs={: a value is not valid YAML"),
     ]:

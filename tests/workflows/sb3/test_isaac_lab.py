@@ -134,10 +134,7 @@ def test_what_a_flat_file_cannot_say_is_one_line(flat_file, run_train, fails):
         ("agent.rollout_buffer_class=a.B", "unknown key of agent.ppo 'rollout_buffer_class'"),
         ("agent.policy=CnnPolicy", "expected MlpPolicy"),
         ("agent.policy_kwargs.activation_fn=os.system", "such as nn.ELU"),
-        ("agent.policy_kwargs.activation_fn=nn.system", "such as nn.ELU"),
         ("agent.policy_kwargs.optimizer_class=torch.optim.SGD", "optimizer_class"),
-        ("agent.n_timesteps=many", "agent.n_timesteps: got 'many', expected"),
-        ("agent.seed=x", "agent.seed: got 'x', expected a whole number"),
         ("agent.learning_rate=lin_fast", "expected a number, or lin_"),
     ]:
         assert message in fails(run_train, SB3, *SMALL, "--agent", str(flat_file), word)
