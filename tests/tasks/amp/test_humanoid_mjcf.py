@@ -115,25 +115,16 @@ def test_a_ball_joint_ends_at_the_corner_of_the_box_of_its_limits() -> None:
 
 
 def test_the_bodies_and_their_parents(armed: mujoco.MjModel) -> None:
-    expected = [
-        ("pelvis", "world"),
-        ("torso", "pelvis"),
-        ("head", "torso"),
-        ("right_upper_arm", "torso"),
-        ("right_lower_arm", "right_upper_arm"),
-        ("right_hand", "right_lower_arm"),
-        ("sword", "right_hand"),
-        ("left_upper_arm", "torso"),
-        ("left_lower_arm", "left_upper_arm"),
-        ("shield", "left_lower_arm"),
-        ("left_hand", "left_lower_arm"),
-        ("right_thigh", "pelvis"),
-        ("right_shin", "right_thigh"),
-        ("right_foot", "right_shin"),
-        ("left_thigh", "pelvis"),
-        ("left_shin", "left_thigh"),
-        ("left_foot", "left_shin"),
-    ]
+    # Each body and its parent, in order.
+    tree = """
+        pelvis world, torso pelvis, head torso,
+        right_upper_arm torso, right_lower_arm right_upper_arm, right_hand right_lower_arm,
+        sword right_hand, left_upper_arm torso, left_lower_arm left_upper_arm,
+        shield left_lower_arm, left_hand left_lower_arm,
+        right_thigh pelvis, right_shin right_thigh, right_foot right_shin,
+        left_thigh pelvis, left_shin left_thigh, left_foot left_shin
+    """
+    expected = [tuple(pair.split()) for pair in tree.split(",")]
     bodies = [armed.body(i) for i in range(1, armed.nbody)]
     found = [(body.name, armed.body(int(body.parentid[0])).name) for body in bodies]
     assert found == expected

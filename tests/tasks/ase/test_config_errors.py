@@ -65,18 +65,6 @@ def test_a_body_that_does_not_exist(message) -> None:
 # --- keys and values --------------------------------------------------------------------------
 
 
-def test_misspelt_keys(message) -> None:
-    for given, meant in [
-        ("tarSpedMin", "tarSpeedMin"),
-        ("keyBodys", "keyBodies"),
-        ("fallInitPrb", "fallInitProb"),
-        ("strikeBodyName", "strikeBodyNames"),
-    ]:
-        assert message(**{given: 1}).startswith(
-            f"unknown key 'task.env.{given}' (did you mean '{meant}'?)"
-        )
-
-
 def test_values_out_of_range(message) -> None:
     for settings, expected in [
         ({"recoveryEpisodeProb": 1.5}, "a number of at least 0 and of at most 1"),

@@ -63,24 +63,6 @@ def test_sizes_of_the_published_characters():
     assert sizes == [223, 253]
 
 
-def test_place_and_heading_of_the_character_play_no_part(bodies):
-    pos, rot, lin, ang = bodies
-    turn = Rotation.from_euler("z", 1.234)
-    turned_rot = (turn * Rotation.from_quat(rot.reshape(-1, 4))).as_quat().reshape(N, B, 4)
-    moved = (
-        turn.apply(pos.reshape(-1, 3)).reshape(N, B, 3) + np.array([5.0, -3.0, 0.0]),
-        turned_rot,
-        turn.apply(lin.reshape(-1, 3)).reshape(N, B, 3),
-        turn.apply(ang.reshape(-1, 3)).reshape(N, B, 3),
-    )
-    np.testing.assert_allclose(observed(moved, False), observed(bodies, False), atol=5e-6)
-    # with the root's heading kept, only its own six numbers tell
-    differ = np.abs(observed(moved, True) - observed(bodies, True)).max(axis=0) > 1e-3
-    first = 1 + 3 * (B - 1)
-    assert differ.nonzero()[0].min() >= first
-    assert differ.nonzero()[0].max() < first + 6
-
-
 def test_the_example_of_a_rotation():
     """Heading 0.627 rad taken out of normalise(0.1, -0.2, 0.3, 0.9)."""
     rotation = np.array([0.1, -0.2, 0.3, 0.9]) / np.sqrt(0.95)
