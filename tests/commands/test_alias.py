@@ -60,13 +60,6 @@ def test_the_simulators_own_calls_say_what_to_do(tmp_path: Path) -> None:
     assert "docs/migration.md" in done.stderr
 
 
-def test_modules_that_do_not_exist_are_named(tmp_path: Path) -> None:
-    done = _run(tmp_path, "import isaacgymenvs.tasks.my_own\n")
-    assert done.returncode == 1
-    last = done.stderr.strip().splitlines()[-1]
-    assert "isaacgymenvs.tasks.my_own: isaacgymenvs_lite has no module of this name" in last
-
-
 def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", str(tmp_path / "lost.py")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -215,15 +208,6 @@ def test_a_fork_s_train_script_trains_and_plays_without_an_edit(task: str, fork:
     assert re.search(r"played \d+ episodes; reward", played.stderr)
 
 
-def test_a_fork_s_train_script_works_with_our_files(fork: Path) -> None:
-    shutil.rmtree(fork / "cfg")
-    shutil.copytree(cfg_dir(), fork / "cfg")
-    sizes = ["num_envs=8", "train.params.config.minibatch_size=64", "rl_device=cpu"]
-    done = _train(fork, "task=Cartpole", *sizes, "max_iterations=1")
-    assert done.returncode == 0, done.stderr
-    assert list(fork.glob("runs/Cartpole_*/nn/*.pth"))
-
-
 @pytest.mark.slow
 def test_a_fork_s_train_script_restarts_the_policy_of_a_population(fork: Path) -> None:
     """With its own observers and Runner: one that is replaced at every interval."""
@@ -239,17 +223,6 @@ def test_a_fork_s_train_script_restarts_the_policy_of_a_population(fork: Path) -
     (run,) = fork.glob("runs/Cartpole_pbt_00_*")
     assert len(list(run.glob("nn/last_Cartpole_ep_4_*.pth"))) == 1
     assert list(fork.glob("runs/pbt_workspace/000/000001.*"))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("gl")
-def test_a_fork_s_train_script_records_videos(fork: Path) -> None:
-    sizes = ["num_envs=8", "train.params.config.minibatch_size=64", "max_iterations=1"]
-    videos = ["capture_video=True", "capture_video_freq=50", "capture_video_len=3"]
-    # headless=False of the file: what is captured needs no display.
-    done = _train(fork, "task=Cartpole", *sizes, *videos)
-    assert done.returncode == 0, done.stderr
-    assert [path.name for path in fork.glob("videos/*/*")] == ["rl-video-step-0.mp4"]
 
 
 README = """\

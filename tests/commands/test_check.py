@@ -33,29 +33,17 @@ def test_a_train_file_in_words() -> None:
     ]
 
 
-def test_what_is_changed_to_fit_is_said() -> None:
-    lines = describe("AntPPO", ["num_envs=100"])
-    assert any(line.startswith("note: minibatch_size 32768 does not divide") for line in lines)
-
-
 def test_a_task_file_in_words() -> None:
     lines = describe("Cartpole")
     assert lines[0] == "Cartpole.yaml: a task file, of the task Cartpole"
     assert lines[1].startswith("task: 4 observations, 1 actions, 500 control steps")
 
 
-def test_a_task_with_shipped_clips_of_a_robot() -> None:
-    # 83 numbers of the G1 and a command; 300 steps of 4 calls of 8.3 ms.
-    assert describe("RobotAMPVelocity")[1].startswith("task: 86 observations, 29 actions, 300")
-
-
-@pytest.mark.parametrize(
-    ("task", "step_s"), [("Ant", "0.0332"), ("AnymalTerrain", "0.04"), ("HumanoidAMP", "0.0332")]
-)
-def test_the_time_of_a_control_step_is_what_is_simulated(task: str, step_s: str) -> None:
-    # AnymalTerrain's has 4 calls of 5 ms (its key `decimation`) before this key doubles it.
-    line = describe(task, ["task.env.controlFrequencyInv=2"])[1]
-    assert f"control steps of {step_s} s at most" in line
+def test_the_time_of_a_control_step_is_what_is_simulated() -> None:
+    for task, step_s in [("Ant", "0.0332"), ("AnymalTerrain", "0.04"), ("HumanoidAMP", "0.0332")]:
+        # AnymalTerrain's has 4 calls of 5 ms (its key `decimation`) before this key doubles it.
+        line = describe(task, ["task.env.controlFrequencyInv=2"])[1]
+        assert f"control steps of {step_s} s at most" in line
 
 
 def test_keys_that_nothing_reads_are_named(tmp_path: Path) -> None:
@@ -101,19 +89,13 @@ def test_keys_without_effect_are_all_named(tmp_path: Path) -> None:
     assert of_task[-1] == closing
 
 
-def test_a_task_file_of_sac_is_described_with_its_train_file() -> None:
-    sac = str(cfg_dir() / "task" / "HumanoidSAC.yaml")
-    assert "algorithm: sac, model soft_actor_critic" in describe(sac)
+def test_nothing_is_wrong_with_our_own_train_files() -> None:
+    for name in sorted(set(TRAIN_FILES) - BASES):
+        assert describe(name, ["num_envs=64"])[-1] == "nothing is wrong with it"
 
 
-@pytest.mark.parametrize("name", sorted(set(TRAIN_FILES) - BASES))
-def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
-    assert describe(name, ["num_envs=64"])[-1] == "nothing is wrong with it"
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_mistakes_are_one_line_and_exit_code_2(capsys) -> None:
+    for words, said in [
         (["AntPPO", "train.params.config.gamma=7"], "gamma: got 7, expected"),
         (["AntPPO", "train.params.algo.name=a2c_discrete"], "actions are continuous, not discrete"),
         (
@@ -126,16 +108,14 @@ def test_nothing_is_wrong_with_our_own_train_files(name: str) -> None:
         ),
         (["Lost"], "Lost: no such file, and no name"),
         ([str(Path(__file__).parent / "data.txt")], "no such file"),
-    ],
-)
-def test_mistakes_are_one_line_and_exit_code_2(words: list[str], said: str, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(words)
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
-    assert re.search(said, error), error
+    ]:
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: ")
+        assert error.count("\n") == 1
+        assert re.search(said, error), error
 
 
 def test_a_file_of_another_kind_is_named(tmp_path: Path, capsys) -> None:
@@ -257,70 +237,42 @@ def train_file(folder: Path, name: str, run: str = "") -> Path:
     return file
 
 
-@pytest.mark.parametrize(
-    ("name", "run", "task"),
-    [
+def test_train_files_of_published_tasks_are_not_checked_with_another(tmp_path: Path) -> None:
+    for name, run, task in [
         ("FrankaCabinetPPO", "FrankaCabinet", "FrankaCabinet"),
         ("FrankaCabinetPPO", "", "FrankaCabinet"),
         ("ShadowHandPPOAsymmLSTM", "ShadowHandAsymmLSTM", "ShadowHand"),
         ("mine", "IndustRealTaskPegsInsert", "IndustRealTaskPegsInsert"),
-    ],
-)
-def test_train_files_of_published_tasks_are_not_checked_with_another(
-    name: str, run: str, task: str, tmp_path: Path
-) -> None:
-    file = train_file(tmp_path, name, run)
-    said = f"{name}.yaml is not checked: {task} is a published task .* not here"
-    with pytest.raises(ConfigError, match=said):
-        describe(str(file))
-    # Whoever wants it checked with another says so.
-    assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
+    ]:
+        file = train_file(tmp_path, name, run)
+        said = f"{name}.yaml is not checked: {task} is a published task .* not here"
+        with pytest.raises(ConfigError, match=said):
+            describe(str(file))
+        # Whoever wants it checked with another says so.
+        assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
 
 
-def test_a_published_name_without_a_file() -> None:
-    with pytest.raises(ConfigError, match=r"no such file; .*Trifinger is a published task"):
-        describe("TrifingerPPO")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_task_files_of_published_tasks(tmp_path: Path) -> None:
+    for text in [
         "name: FrankaCubeStack\nenv: {numEnvs: 3}\nsim: {}\n",
         "defaults: [_self_, {env: reorientation}]\nname: AllegroKuka\nenv: {numEnvs: 3}\n",
         "name: Trifinger\nenv: {numEnvs: 3}\nsim: {dt: .nan}\n",
-    ],
-)
-def test_task_files_of_published_tasks(text: str, tmp_path: Path) -> None:
-    file = tmp_path / "any.yaml"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match=r"any.yaml is not checked: \w+ is a published task"):
-        describe(str(file))
+    ]:
+        file = tmp_path / "any.yaml"
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=r"any.yaml is not checked: \w+ is a published task"):
+            describe(str(file))
 
 
-@pytest.mark.parametrize(
-    ("name", "run"), [("MyRobotPPO", "MyRobot"), ("AntMazePPO", "AntMaze"), ("MyRobotSAC", "x")]
-)
-def test_train_files_of_a_forks_own_tasks(name: str, run: str, tmp_path: Path) -> None:
-    file = train_file(tmp_path, name, run)
-    with pytest.raises(
-        ConfigError,
-        match=f"{name}.yaml belongs to none of the tasks here; .* task=",
-    ):
-        describe(str(file))
-    assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
-
-
-@pytest.mark.parametrize(("name", "run"), [("AntMine", ""), ("AntPPO_v2", "x"), ("walker", "")])
-def test_train_files_of_our_tasks_under_other_names(name: str, run: str, tmp_path: Path) -> None:
-    assert "checked with task=Ant;" in describe(str(train_file(tmp_path, name, run)))[0]
-
-
-def test_ases_train_files_say_their_task_by_the_algorithm(tmp_path: Path, capsys) -> None:
-    file = tmp_path / "ase_humanoid.yaml"
-    config = "{config: {name: Humanoid, ppo: True, ppo: True}}"
-    file.write_text(f"defaults: [HumanoidASEPPO, _self_]\nparams: {config}\n")
-    lines = describe(str(file))
-    assert "checked with task=HumanoidASE;" in lines[0]
+def test_train_files_of_a_forks_own_tasks(tmp_path: Path) -> None:
+    for name, run in [("MyRobotPPO", "MyRobot"), ("AntMazePPO", "AntMaze"), ("MyRobotSAC", "x")]:
+        file = train_file(tmp_path, name, run)
+        with pytest.raises(
+            ConfigError,
+            match=f"{name}.yaml belongs to none of the tasks here; .* task=",
+        ):
+            describe(str(file))
+        assert describe(str(file), ["task=Ant"])[-1] == "nothing is wrong with it"
 
 
 # As docs/own_task.md has it.

@@ -22,7 +22,6 @@ from isaacgymenvs_lite.commands.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats import deepmimic_package
-from isaacgymenvs_lite.rendering.gl import RenderingError, ensure_gl
 from isaacgymenvs_lite.runner import run
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 
@@ -45,14 +44,6 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def policies(assets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shipped, "assets_dir", lambda: assets)
-
-
-@pytest.fixture
-def gl() -> None:
-    try:
-        ensure_gl()
-    except RenderingError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture
@@ -79,14 +70,6 @@ def test_every_shipped_policy_is_played_measured_and_filmed(tmp_path, monkeypatc
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.usefixtures("policies", "gl", "small_panels")
-def test_an_animation_shows_every_second_step(tmp_path):
-    settings = DemoSettings(policies=("tiny",), seconds=0.3, format="webp", out=str(tmp_path))
-    assert run_demo(settings) == [tmp_path / "tiny.webp"]
-    with PIL.Image.open(tmp_path / "tiny.webp") as image:
-        assert (image.n_frames, image.size) == (5, (96, 64))
-
-
 @pytest.mark.usefixtures("policies", "gl")
 def test_a_picture_shows_the_clip_above_the_policy(tmp_path):
     settings = DemoSettings(policies=("tiny",), seconds=0.3, format="png", out=str(tmp_path))
@@ -97,14 +80,6 @@ def test_a_picture_shows_the_clip_above_the_policy(tmp_path):
     # both begin in the same phase
     beginning = np.abs(pixels[:320, :200] - pixels[320:, :200])
     assert (beginning > 60).mean() < 0.1
-
-
-@pytest.mark.usefixtures("policies")
-def test_the_same_policy_performs_the_same_again():
-    first, second = (demo.perform("tiny", 0.2) for _ in range(2))
-    np.testing.assert_array_equal(first.tracks, second.tracks)
-    assert first.summary == second.summary
-    assert [track.shape for track in first.tracks] == [(6, 43)] * 2
 
 
 @pytest.fixture
@@ -144,12 +119,6 @@ def test_skills_are_shown_in_several_environments(pack_skills, tmp_path):
         assert image.size == (3 * 48, 64)
 
 
-def test_getting_up_is_shown_from_the_ground(pack_skills):
-    pack_skills("HumanoidASEGetup")
-    for track in demo.perform("skills", 0.1).tracks:
-        assert track[0, 2] < 0.6  # m; the root of who stands is at 0.89
-
-
 class Terminal(io.StringIO):
     """Standard input that a user types into."""
 
@@ -174,13 +143,6 @@ def test_a_terminal_is_asked_which_policies_to_show(answer, names, tmp_path, mon
     choice = capsys.readouterr().out.splitlines()
     assert choice[0].startswith("   1  small ") and choice[1].startswith("   2  tiny ")
     assert "HumanoidAMP of walk.npz" in choice[0]
-
-
-@pytest.mark.usefixtures("policies", "gl")
-def test_an_unknown_choice_is_refused(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", Terminal("tinny\n"))
-    with pytest.raises(ConfigError, match=r"unknown policy 'tinny' \(did you mean 'tiny'\?\)"):
-        run_demo(DemoSettings())
 
 
 @pytest.mark.usefixtures("gl", "small_panels")
