@@ -226,6 +226,7 @@ def test_hydra_and_omegaconf_are_used_through_their_public_interface():
 PUBLISHED_PRIVATE_NAMES = frozenset(
     (
         *("_disc_loss", "_calc_amp_rewards", "_combine_rewards"),
+        *("_amp_obs_demo_buffer", "_amp_replay_buffer"),
         *("_setup_action_space", "_build_llc", "_build_llc_agent_config"),
         *("_compute_llc_action", "_extract_llc_obs"),
         *("_asdict", "_replace", "_fields"),  # of Python's named tuples

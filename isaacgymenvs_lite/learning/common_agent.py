@@ -18,7 +18,7 @@ Agents override hooks, never the loops:
 | `_frozen_parameters` | what does not learn in an epoch | AMP |
 | `env_reset` | the first reset | GenAMP |
 | `_env_reset_done` | the reset of ended episodes | - |
-| `_after_reset`, `_before_step` | work where episodes start, and before policy steps | GenAMP |
+| `_after_reset` | work before a policy step, such as where episodes start | GenAMP |
 | `get_action_values` | exploration | AMP, HRL |
 | `_policy_inputs` | inputs of the networks beside the observation | GenAMP |
 | `preprocess_actions` | from the policy's actions to the environment's | HRL |
@@ -79,7 +79,7 @@ from isaacgymenvs_lite.learning.published_names import (
     is_overridden,
 )
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
-from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
+from isaacgymenvs_lite.learning.training_log import TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
@@ -240,14 +240,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         buffer = self.experience_buffer.tensor_dict
         buffer["next_values"] = torch.zeros_like(buffer["values"])
 
-    def init_current_rewards(self, batch_size: int, current_rewards_shape: Any) -> None:
-        """Start the statistics of episodes; rl_games calls this with its buffers."""
-        super().init_current_rewards(batch_size, current_rewards_shape)
-        self._episodes = EpisodeStatistics(
-            (self.current_rewards, self.current_shaped_rewards, self.current_lengths),
-            (self.game_rewards, self.game_shaped_rewards, self.game_lengths),
-        )
-
     def env_reset(self) -> Any:
         """Reset the environment at the start of training, and keep the restored best reward.
 
@@ -276,10 +268,15 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         for n in range(self.horizon_length):
             self.obs, reset_ids = self._env_reset_done()
             self._after_reset(reset_ids.to(self.ppo_device))
-            self._before_step()
-            result = self.get_action_values(self.obs)
-            if n > 0:
-                self._fill_next_values(n - 1, result["values"])
+            try:
+                result = self.get_action_values(self.obs)
+            except (RuntimeError, ValueError):
+                self.explain_failed_action(self.obs, n)
+                raise
+            if n > 0:  # V(s') of the last step, where its episode goes on
+                next_values = buffer.tensor_dict["next_values"][n - 1]
+                pending = self._pending.unsqueeze(-1)
+                torch.where(pending, result["values"], next_values, out=next_values)
             buffer.update_data("obses", n, self.obs["obs"])
             if self.has_central_value:
                 buffer.update_data("states", n, self.obs["states"])
@@ -307,16 +304,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _after_reset(self, env_ids: Tensor) -> None:
         """Called before each policy step with the environments (n,) whose episodes start there."""
 
-    def _before_step(self) -> None:
-        """Called before each policy step of a rollout."""
-
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised.
 
         The asymmetric critic gives the values, if there is one.
         """
-        with self._acting_in_rollout(obs):
-            result = self._evaluate_policy(obs, self._policy_inputs())
+        result = self._evaluate_policy(obs, self._policy_inputs())
         if self.has_central_value:
             result["values"] = self._central_values(obs["states"])
         return result
@@ -356,12 +349,25 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         finished = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
         diverged = diverged_in(infos, finished.device)
         counted = finished if diverged is None else finished[~diverged[finished.flatten()]]
-        self._episodes.add((rewards, shaped_rewards, 1.0), self.dones, counted)
+        going_on = 1.0 - self.dones.float()
+        for total, meter, value in (
+            (self.current_rewards, self.game_rewards, rewards),
+            (self.current_shaped_rewards, self.game_shaped_rewards, shaped_rewards),
+            (self.current_lengths, self.game_lengths, 1.0),
+        ):
+            total += value
+            meter.update(total[counted])
+            total *= going_on.view(-1, *(1,) * (total.ndim - 1))
         self.algo_observer.process_infos(infos, finished)
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
-        self._evaluate_bootstrap_queue()
         buffer = self.experience_buffer.tensor_dict
+        places, queued = zip(*self._bootstrap_queue, strict=True)
+        self._bootstrap_queue = []
+        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
+        if len(inputs["obs"]) > 0:
+            next_values = buffer["next_values"].flatten(0, 1)
+            next_values[torch.cat(places)] = self._eval_critic(inputs)
         rewards = self._total_rewards(buffer["rewards"])
         kept = self._mask.kept
         if kept is not None:
@@ -432,20 +438,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             inputs["states"] = self.obs["states"]
         queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
         self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
-
-    def _fill_next_values(self, n: int, values: Tensor) -> None:
-        """Set V(s') of step n where it is the value (N, values) of step n + 1."""
-        next_values = self.experience_buffer.tensor_dict["next_values"][n]
-        torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
-
-    def _evaluate_bootstrap_queue(self) -> None:
-        """Evaluate the rows of `_queue_bootstrap_values` of a whole rollout in one call."""
-        places, queued = zip(*self._bootstrap_queue, strict=True)
-        self._bootstrap_queue = []
-        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
-        if len(inputs["obs"]) > 0:
-            next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
-            next_values[torch.cat(places)] = self._eval_critic(inputs)
 
     def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
         """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
@@ -674,44 +666,42 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             **self._training_inputs(minibatch),
         }
         result = self.model(batch)
-        terms, values = self._ppo_terms(result, minibatch)
-        terms |= self._extra_losses(result, batch, minibatch)
+        neglogp, mu = result["prev_neglogp"], result["mus"]
+        actor = self._actor_loss(
+            minibatch["old_logp_actions"], neglogp, minibatch["advantages"], self.e_clip
+        )
+        critic = {"critic_loss": torch.zeros_like(minibatch["returns"])}
+        if self.has_value_loss:
+            values = (minibatch["old_values"], result["values"])
+            critic = self._critic_loss(*values, self.e_clip, minibatch["returns"], self.clip_value)
+        bound = self.bound_loss(mu)
+        terms = {
+            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], minibatch)),
+            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, minibatch)),
+            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], minibatch)),
+            **self._extra_losses(result, batch, minibatch),
+        }
         weighted = [weight * term for weight, term in terms.values() if weight != 0.0]
-        values |= {name: term for name, (_, term) in terms.items()}
-        return torch.stack(weighted).sum(), values
+
+        logged = {name: term for name, (_, term) in terms.items()}
+        with torch.no_grad():
+            logged["kl"] = torch_ext.policy_kl(
+                mu, result["sigmas"], minibatch["mu"], minibatch["sigma"]
+            )
+        logged["neglogp"] = neglogp
+        if "actor_clipped" in actor:
+            clipped = actor["actor_clipped"].float()
+            logged["actor_clip_frac"] = weighted_mean(clipped, minibatch)
+        # A subclass may add values, which are logged as numbers.
+        for name, value in {**actor, **critic}.items():
+            if name not in logged and name != "actor_clipped" and isinstance(value, Tensor):
+                logged[name] = value.detach().mean()
+        return torch.stack(weighted).sum(), logged
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return inputs of the model beside the observation."""
         return {}
-
-    def _ppo_terms(
-        self, result: dict[str, Tensor], rows: dict[str, Tensor]
-    ) -> tuple[LossTerms, dict[str, Tensor]]:
-        neglogp, mu = result["prev_neglogp"], result["mus"]
-        actor = self._actor_loss(rows["old_logp_actions"], neglogp, rows["advantages"], self.e_clip)
-        critic = {"critic_loss": torch.zeros_like(rows["returns"])}
-        if self.has_value_loss:
-            critic = self._critic_loss(
-                rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
-            )
-        with torch.no_grad():
-            kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
-        bound = self.bound_loss(mu)
-        terms = {
-            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
-            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
-            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
-            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
-        }
-        values = {"kl": kl, "neglogp": neglogp}
-        if "actor_clipped" in actor:
-            values["actor_clip_frac"] = weighted_mean(actor["actor_clipped"].float(), rows)
-        # What a subclass adds is logged as a number, as the published agents' `actor_clip_frac`.
-        own = {*terms, "actor_clipped"}
-        for name, value in {**actor, **critic}.items():
-            if name not in own and isinstance(value, Tensor):
-                values[name] = value.detach().mean()
-        return terms, values
 
     def _actor_loss(
         self,

@@ -11,7 +11,6 @@ import logging
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -228,21 +227,16 @@ class Safeguards(Resuming):
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
-    @contextmanager
-    def _acting_on(self, obs: Any, step: int) -> Iterator[None]:
-        """Replace torch's error when a policy that is not finite samples the actions of a step.
+    def explain_failed_action(self, obs: Any, step: int) -> None:
+        """Find the cause of torch's error when the policy cannot sample the actions of a step.
 
         Raises:
             NotFiniteError: observations or networks are not finite.
         """
-        try:
-            yield
-        except (RuntimeError, ValueError):
-            self._check_learned()
-            rows = obs["obs"] if isinstance(obs, dict) else obs
-            if isinstance(rows, Tensor):
-                self._check_rows({"obses": rows.unsqueeze(0)}, step)
-            raise
+        self._check_learned()
+        rows = obs["obs"] if isinstance(obs, dict) else obs
+        if isinstance(rows, Tensor):
+            self._check_rows({"obses": rows.unsqueeze(0)}, step)
 
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
         """Check the rollout, rows (steps, N, ...) by the names of rl_games.
@@ -319,9 +313,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         if self.normalize_advantage and self.normalize_rms_advantage:
             modules["advantage_mean_std"] = self.advantage_mean_std
         scalers = {"scaler": self.scaler} if self.mixed_precision else {}
-        return Parts(
-            modules, optimizers, others=scalers, optional=frozenset(optional), counts=True
-        )
+        return Parts(modules, optimizers, others=scalers, optional=frozenset(optional), counts=True)
 
     def update_epoch(self) -> int:
         """Count the epoch; rl_games calls this before each. Store, or go on from, a state."""
@@ -402,14 +394,13 @@ class PPOSafeguards(Safeguards, DataParallel):
         Raises:
             NotFiniteError: observations or networks are not finite: no action can be sampled.
         """
-        with self._acting_in_rollout(obs):
-            return super().get_action_values(obs)
-
-    @contextmanager
-    def _acting_in_rollout(self, obs: Any) -> Iterator[None]:
-        with self._acting_on(obs, self._acted):
-            yield
+        try:
+            result = super().get_action_values(obs)
+        except (RuntimeError, ValueError):
+            self.explain_failed_action(obs, self._acted)
+            raise
         self._acted += 1
+        return result
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Make the training set of a rollout, once the rollout is found finite.

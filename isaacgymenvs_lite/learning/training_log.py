@@ -1,38 +1,12 @@
-"""What an agent measures while it trains: finished episodes, and the scalars of its updates."""
+"""The scalars of an agent's updates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rl_games.algos_torch import torch_ext
 from torch import Tensor
-
-
-class EpisodeStatistics:
-    """Adds up what running episodes earn, and passes finished ones to rl_games' meters.
-
-    Args:
-        sums: one tensor (N, ...) for each quantity, zero at the start of an episode.
-        meters: one for each; rl_games logs and saves by their means.
-    """
-
-    def __init__(self, sums: Sequence[Tensor], meters: Sequence[Any]) -> None:
-        self._sums, self._meters = sums, meters
-
-    def add(self, step: Sequence[Tensor | float], dones: Tensor, finished: Tensor) -> None:
-        """Count a step.
-
-        Args:
-            step: what it added to each quantity.
-            dones: (N,) 1 where the episode ended.
-            finished: (n, 1) rows of the episodes that ended.
-        """
-        going_on = 1.0 - dones.float()
-        for total, meter, value in zip(self._sums, self._meters, step, strict=True):
-            total += value
-            meter.update(total[finished])
-            total *= going_on.view(-1, *(1,) * (total.ndim - 1))
 
 
 class TrainingLog:
