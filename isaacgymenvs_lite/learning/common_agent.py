@@ -65,13 +65,9 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in, failures
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.central_value import (
-    fit_datasets,
-    make_central_value,
-    take_models,
-)
+from isaacgymenvs_lite.learning.central_value import make_central_value, take_models
 from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
-from isaacgymenvs_lite.learning.diverged import RolloutMask, take_rows
+from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_datasets, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
 from isaacgymenvs_lite.learning.published_names import (
     AGENT_NAMES,
@@ -159,6 +155,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._rollout_rewards: dict[str, Tensor] = {}
         self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._mask = RolloutMask(self.horizon_length)
+        # A policy call returns the model's values, not the values of a subclass' own critic.
+        self._has_own_critic = is_overridden(self, CommonAgent._eval_critic)
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -425,9 +423,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
         """Store the rows after step n that no later policy call evaluates; failures have V = 0."""
         rows = self._needs_next_value()
-        # A policy call returns the model's values, not the values of a subclass' own critic.
-        own_critic = is_overridden(self, CommonAgent._eval_critic)
-        if n == self.horizon_length - 1 or own_critic:
+        if n == self.horizon_length - 1 or self._has_own_critic:
             rows = torch.ones_like(rows)
         self._pending = ~rows
         terminate = failures(self.dones, infos).bool()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -133,25 +133,6 @@ def eval_discriminator(
 # --- reward ----------------------------------------------------------------------------------
 
 
-class DiscriminatorNetwork(Protocol):
-    """What `StyleDiscriminator` needs of a network with `DiscriminatorLayers`."""
-
-    def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return logits (n, 1) of normalised AMP observations (n, F).
-
-        A conditional discriminator takes latents (n, Z), too: the skills they should show.
-        """
-        ...
-
-    def get_disc_logit_weights(self) -> Tensor:
-        """Return the last layer's weights, flat."""
-        ...
-
-    def get_disc_weights(self) -> list[Tensor]:
-        """Return all weight matrices, flat."""
-        ...
-
-
 @dataclass(frozen=True)
 class AMPObsShape:
     """The shape of a task's AMP observations.
@@ -191,7 +172,7 @@ class StyleDiscriminator:
     """Rewards AMP observations that look like the reference motions.
 
     Args:
-        network: holds the discriminator's layers.
+        network: has the methods of `DiscriminatorLayers`.
         amp_obs_size: numbers that it sees of an AMP observation, the first; see `disc_obs_size`.
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
@@ -206,7 +187,7 @@ class StyleDiscriminator:
 
     def __init__(
         self,
-        network: DiscriminatorNetwork,
+        network: Any,
         amp_obs_size: int,
         params: AMPParams,
         disc_reward: str,
