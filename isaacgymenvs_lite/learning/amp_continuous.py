@@ -5,23 +5,7 @@ Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Cha
 
 In the order of an epoch: the rollout stores `amp_obs` of each step, the discriminator rewards them,
 demonstrations and replayed rows are drawn, each minibatch trains policy and discriminator together,
-and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops and its hooks.
-Hooks that this agent adds, for agents with other rewards or rows:
-
-| hook | what it is for | overridden by |
-|---|---|---|
-| `_fetch_tracking_demo`, `_tracking_latents` | what a warm start learns from | GenAMP |
-| `_store_demos` | which demonstrations enter the buffer | GenAMP |
-| `_fetch_amp_obs_demo` | AMP observations of the reference motions | - |
-| `_preproc_amp_obs` | from AMP observations to inputs of the discriminator | - |
-| `_calc_amp_rewards`, `_calc_disc_rewards`, `_eval_disc` | reward terms | - |
-| `_reward_latents` | inputs of the rewards beside `amp_obs` | GenAMP |
-| `_combine_rewards` | the sum of the reward terms | GenAMP |
-| `_demo_disc_batch`, `_agent_disc_batch` | real and fake rows for the discriminator | GenAMP |
-| `_replayed_disc_batch` | more fake rows, from earlier rollouts | GenAMP |
-| `_log_rewards` | scalars of the reward terms | GenAMP |
-| `_disc_loss`, `_disc_loss_neg`, `_disc_loss_pos` | the discriminator's loss | - |
-| `_compute_disc_acc` | its logged accuracies | - |
+and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops.
 """
 
 from __future__ import annotations

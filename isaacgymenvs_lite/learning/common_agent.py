@@ -2,50 +2,9 @@
 
 From top to bottom: constructor, rollout, bootstrap, update, loss, logging, checkpoint. rl_games'
 `train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are rl_games'.
-Agents override hooks, never the loops:
-
-| hook | what it is for | overridden by |
-|---|---|---|
-| `_complete_section` | which configurations the constructor takes | HRL |
-| `load_networks` | how the network is chosen | HRL |
-| `_load_config_params` | the agent's own keys | AMP, GenAMP, HRL |
-| `_setup_action_space` | number and limits of the actions | HRL |
-| `_build_net_config` | arguments of the networks | AMP, GenAMP |
-| `_build_modules` | what is built on the networks | AMP, GenAMP |
-| `_parameter_groups` | parameters with a learning rate of their own | AMP |
-| `init_tensors` | rollout buffers | AMP, GenAMP, HRL |
-| `_init_train` | work before the first epoch | AMP |
-| `_frozen_parameters` | what does not learn in an epoch | AMP |
-| `env_reset` | the first reset | GenAMP |
-| `_env_reset_done` | the reset of ended episodes | - |
-| `_after_reset` | work before a policy step, such as where episodes start | GenAMP |
-| `get_action_values` | exploration | AMP, HRL |
-| `_policy_inputs` | inputs of the networks beside the observation | GenAMP |
-| `preprocess_actions` | from the policy's actions to the environment's | HRL |
-| `env_step` | a step of the environment | HRL |
-| `_needs_next_value` | rows whose V(s') the next policy call does not give | GenAMP |
-| `_eval_critic` | the critic that V(s') comes from, an asymmetric one if there is any | - |
-| `_record_step` | what to keep of a step | AMP, GenAMP, HRL |
-| `_track_episodes` | what episodes earn, for logs and the best checkpoint | HRL |
-| `_total_rewards` | rewards beside the task's | AMP, HRL |
-| `mean_policy` | the policy for another task | HRL |
-| `_evaluation_inputs` | `_policy_inputs` for another task | GenAMP |
-| `_before_update` | work before the gradient steps | AMP, HRL |
-| `_after_update` | work after them | AMP |
-| `_calc_advs` | how advantages are normalised | AMP |
-| `_extra_dataset`, `_dataset_row_limits` | more rows in the training set | AMP, GenAMP |
-| `_normalizer_inputs` | rows that update the running statistics | AMP |
-| `_minibatch_extras` | rows that need the whole minibatch | AMP, GenAMP |
-| `_training_inputs` | inputs of the model beside the observation | AMP, GenAMP |
-| `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's loss terms | - |
-| `_extra_losses` | loss terms beside PPO's | AMP, GenAMP |
-| `_record_train_batch_info` | what to log of an epoch | AMP, GenAMP, HRL |
-| `_log_train_info` | how it is logged | - |
-| `_parts`, `get_stats_weights`, `set_stats_weights` | more modules in checkpoints | AMP |
-| `get_full_state_weights`, `set_full_state_weights` | other entries of checkpoints | HRL |
-
-A hook that the agents of IsaacGymEnvs or ASE have too has their name and arguments;
-`published_names` lists the others of theirs. N environments, horizon H, batch B = N * H.
+Agents override the methods that the loops call, never the loops. A method that the agents of
+IsaacGymEnvs or ASE have too has their name and arguments; `published_names` lists the others of
+theirs. N environments, horizon H, batch B = N * H.
 """
 
 from __future__ import annotations
