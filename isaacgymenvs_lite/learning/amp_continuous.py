@@ -132,7 +132,6 @@ class AMPAgent(StyleLosses, CommonAgent):
             self._amp,
             self.default_disc_reward,
             self.ppo_device,
-            preprocess=lambda amp_obs: self._preproc_amp_obs(amp_obs),
         )
         # A subclass' loss as published has three arguments and computes the gradient itself.
         self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)

@@ -34,14 +34,11 @@ from isaacgymenvs_lite.learning.published_names import (
     is_overridden,
 )
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
-from isaacgymenvs_lite.learning.training_log import TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
 """{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
 weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
-
-_UNSUPPORTED_KEYS = ("normalize_rms_advantage", "self_play_config", "use_action_masks")
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
@@ -69,7 +66,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     replaced: ClassVar[dict[str, str]] = AGENT_NAMES
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
-    unsupported_keys: ClassVar[tuple[str, ...]] = _UNSUPPORTED_KEYS
+    unsupported_keys: ClassVar[tuple[str, ...]] = (
+        *("normalize_rms_advantage", "self_play_config", "use_action_masks"),
+    )
     control_steps_per_action = 1
     has_restored = False
     stored_episodes = ("dataset",)
@@ -756,6 +755,40 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
+
+
+class TrainingLog:
+    """Collects scalars in an epoch and writes their means to TensorBoard.
+
+    Args:
+        tags: name of a scalar -> its name in TensorBoard; others are only collected.
+
+    Attributes:
+        values: one value for each minibatch or epoch, by name; of the current epoch.
+    """
+
+    def __init__(self, tags: Mapping[str, str]) -> None:
+        self._tags = tags
+        self.values: dict[str, list[Tensor]] = {}
+
+    def start_epoch(self) -> None:
+        """Drop what the last epoch collected."""
+        self.values = {}
+
+    def add(self, scalars: Mapping[str, Tensor]) -> None:
+        """Keep values of a minibatch or of an epoch."""
+        for name, value in scalars.items():
+            self.values.setdefault(name, []).append(value)
+
+    def means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {name: torch_ext.mean_list(values).item() for name, values in self.values.items()}
+
+    def write(self, writer: Any, train_info: Mapping[str, Any], frame: int) -> None:
+        """Write the means of the lists in `train_info` that have a tag."""
+        for name, tag in self._tags.items():
+            if name in train_info:
+                writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:

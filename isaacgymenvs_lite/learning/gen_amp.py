@@ -96,9 +96,11 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             fetch=lambda n: self._amp_obs_demo_buffer.sample(n)["amp_obs"],
             sample=lambda n: self._sample_latents(n),
         )
-        self.schedule = make_schedule(
-            self._amp,
+        self.schedule = LatentSchedule(
             self.num_actors,
+            self._amp.latent_dim,
+            self._amp.latent_steps_min,
+            self._amp.latent_steps_max,
             self.ppo_device,
             draw=lambda n: self._clip_latents.draw(n, self.ppo_device),
         )
@@ -402,34 +404,13 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         train_info["enc_rewards"] = batch_dict["enc_rewards"]
 
 
-def make_schedule(
-    params: GenAMPParams,
-    num_envs: int,
-    device: str | torch.device,
-    draw: Callable[[int], Tensor] | None = None,
-) -> LatentSchedule:
-    """Return the schedule that the keys describe; `draw` as in `LatentSchedule`.
-
-    Raises:
-        ConfigError: latent_steps_min is not below latent_steps_max.
-    """
-    steps = (params.latent_steps_min, params.latent_steps_max)
-    return LatentSchedule(num_envs, params.latent_dim, *steps, device, draw)
-
-
 def make_evaluation_schedule(
     params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
     """Return the schedule of a task that is played: latents as in training, of the task's clips.
 
-    Args:
-        params: the keys.
-        env: the task.
-        encoder: reads the latents.
-        device: of the latents.
-
     Raises:
-        ConfigError: as `make_schedule`.
+        ConfigError: latent_steps_min is not below latent_steps_max.
     """
     clip_latents = ClipLatents(
         params.clip_latents,
@@ -438,4 +419,5 @@ def make_evaluation_schedule(
         fetch=lambda n: env.fetch_amp_obs_demo(n).to(device),
     )
     draw = partial(clip_latents.draw, device=device)
-    return make_schedule(params, env.num_envs, device, draw)
+    steps = (params.latent_steps_min, params.latent_steps_max)
+    return LatentSchedule(env.num_envs, params.latent_dim, *steps, device, draw)

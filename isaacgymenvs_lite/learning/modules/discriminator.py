@@ -7,7 +7,7 @@ optimiser and one checkpoint hold everything; `StyleNetwork` has them for other 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -177,7 +177,6 @@ class StyleDiscriminator:
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
         device: of the normaliser's statistics.
-        preprocess: from raw AMP observations (n, F) to the network's inputs; None: `normalize`.
 
     Attributes:
         normalizer: running mean and variance (None if `normalize_amp_input` is False), not part of
@@ -192,14 +191,12 @@ class StyleDiscriminator:
         params: AMPParams,
         disc_reward: str,
         device: str | torch.device,
-        preprocess: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         self.network = network
         self.params = params
         self.grad_penalty = params.disc_grad_penalty
         self._size = amp_obs_size
         self._device = torch.device(device)
-        self._preprocess = preprocess or self.normalize
         self._reward_kind = params.disc_reward or disc_reward
         self.normalizer: RunningMeanStd | None = None
         if params.normalize_amp_input:
@@ -231,7 +228,7 @@ class StyleDiscriminator:
             latents: (..., Z) for a conditional discriminator, none for another.
         """
         return evaluate_in_chunks(
-            lambda rows, *given: self.network.eval_disc(self._preprocess(rows), *given),
+            lambda rows, *given: self.network.eval_disc(self.normalize(rows), *given),
             amp_obs,
             *latents,
         )
@@ -273,7 +270,13 @@ class StyleRewards:
 
     def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
-        return self.discriminator.logits(amp_obs, *latents)
+        return evaluate_in_chunks(
+            lambda rows, *given: self.discriminator.network.eval_disc(
+                self._preproc_amp_obs(rows), *given
+            ),
+            amp_obs,
+            *latents,
+        )
 
     def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
         """Return the inputs of discriminator and encoder: raw AMP observations (n, F), normalised.
