@@ -155,7 +155,7 @@ def _cpu_in_place_of_a_missing_gpu() -> Any:
     """Return a context in which a script's cuda devices are the CPU, if there is no GPU."""
     import torch
 
-    from isaacgymenvs_lite.config.devices import allow_cpu_fallback
+    from isaacgymenvs_lite.config.launch import allow_cpu_fallback
     from isaacgymenvs_lite.isaacgymenvs_compat.cuda import CudaIsCpu
 
     if torch.cuda.is_available():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+import re
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,13 +14,12 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from isaacgymenvs_lite.config.compose import explain_interpolation
-from isaacgymenvs_lite.config.devices import check_device, check_device_name
 from isaacgymenvs_lite.config.pbt_settings import mutable_values, read_pbt_settings
 from isaacgymenvs_lite.config.run_names import read_run_name, run_name_of
 from isaacgymenvs_lite.config.train_params import apply_wrapper_limits
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, DeviceError
 from isaacgymenvs_lite.schema import (
-    check_mapping,
+    as_mapping,
     missing_key,
     read_keys,
     read_section,
@@ -27,13 +28,22 @@ from isaacgymenvs_lite.schema import (
 )
 from isaacgymenvs_lite.utils.optional_packages import require
 
+log = logging.getLogger(__name__)
+
+_GROUPS = ("task", "train", "pbt")
 # Sections of a tree that are read before all of them are checked.
-_MAPPINGS = (
+_SECTIONS = (
     *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
 )
-# Sections below the root, which others read.
-_SECTIONS = ("task", "train", "pbt")
+# Sections and keys that a tree must have, and where they come from.
+_REQUIRED = {
+    "task.name": "a task file starts with name:",
+    "task.env": "a task file has the settings of the task below env:",
+    "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
+    "train.params": "a train file starts with params:",
+    "train.params.config": "a train file has the settings of the agent below config:",
+}
 _SEED_OF_DETERMINISTIC_RUNS = 42
 _RANDOM_SEEDS = 10_000
 _MAX_SEED = 2**32 - 1  # numpy's
@@ -154,19 +164,26 @@ def check_config(cfg: DictConfig) -> LaunchSettings:
 def read_config(cfg: DictConfig) -> CheckedConfig:
     """Check a composed tree before anything heavy is imported or made.
 
-    Types, limits and choices of the root's keys, features that this version lacks, devices, names
-    of runs, and that every interpolation of the tree resolves. torch is imported only if a device
-    may be a GPU, after everything that needs no torch.
+    Checked are the root's keys, devices, names of runs, and that every interpolation of the tree
+    resolves. torch is imported only if a device may be a GPU, after everything that needs no torch.
 
     Raises:
         ConfigError: a key is missing, unknown or has a wrong value, or needs a missing feature.
         DeviceError: a device is misspelt, or `rl_device` does not exist on this machine.
     """
-    _check_sections(OmegaConf.to_container(cfg, resolve=False))
+    written = OmegaConf.to_container(cfg, resolve=False)
+    for path, hint in _REQUIRED.items():
+        section, _, key = path.rpartition(".")
+        keys = as_mapping(select(written, section), section)
+        if key not in keys:
+            raise missing_key(key, keys, [key], section, hint)
+    for path in _SECTIONS:
+        if not str(section := select(written, path)).startswith("${"):
+            as_mapping(section, path)
     # ${default_rl_device:} imports torch: it comes last.
     postponed = {"rl_device"} if OmegaConf.is_interpolation(cfg, "rl_device") else set()
     try:
-        root = {str(key): cfg[key] for key in cfg if key not in (*_SECTIONS, *postponed)}
+        root = {str(key): cfg[key] for key in cfg if key not in (*_GROUPS, *postponed)}
         settings = read_section(LaunchSettings, root, where="", ignored=postponed, complete=True)
         _check_combinations(settings)
         # The physics runs on the CPU whatever sim_device is; the task logs that.
@@ -199,27 +216,8 @@ def resolve_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) ->
     return secrets.randbelow(_RANDOM_SEEDS)
 
 
-def _check_sections(tree: Any) -> None:
-    """Check that the sections of a tree, as written, are there and are mappings."""
-    hints = {
-        "task.name": "a task file starts with name:",
-        "task.env": "a task file has the settings of the task below env:",
-        "task.sim": "a task file has dt and gravity below sim:, 'defaults: [Classic]' brings them",
-        "train.params": "a train file starts with params:",
-        "train.params.config": "a train file has the settings of the agent below config:",
-    }
-    for path, hint in hints.items():
-        section, _, key = path.rpartition(".")
-        present = select(tree, section)
-        present = present if isinstance(present, dict) else {}
-        if key not in present:
-            raise missing_key(key, present, [key], section, hint)
-    for path in _MAPPINGS:
-        check_mapping(tree, path)
-
-
 def _check_combinations(settings: LaunchSettings) -> None:
-    """Refuse settings that do not go together, or need a package that is missing."""
+    """Refuse settings that contradict each other, or need a package that is missing."""
     if settings.multi_gpu and settings.test:
         raise ConfigError("multi_gpu=True trains in several processes; to play leave it out")
     if settings.wandb_activate:
@@ -234,3 +232,58 @@ def _check_combinations(settings: LaunchSettings) -> None:
             f"latent={settings.latent} chooses what a trained policy shows: add test=True and"
             " checkpoint=, or remove it (training draws latents at random)"
         )
+
+
+# --- devices ------------------------------------------------------------------------------------
+
+_DEVICE = re.compile(r"cpu|cuda(?::(?P<index>\d+))?")
+# Settings for which the log has said so; None: a missing GPU is an error.
+_fallback_keys: set[str] | None = None
+
+
+def allow_cpu_fallback(allowed: bool = True) -> None:
+    """Use the CPU, from now on and in this process, in place of a GPU that does not exist.
+
+    This is for scripts that name a GPU and are not edited. The log has one line for each setting.
+    """
+    global _fallback_keys
+    _fallback_keys = (_fallback_keys or set()) if allowed else None
+
+
+def check_device_name(name: str, key: str) -> int | None:
+    """Return the index of the GPU that `name`, the value of the setting `key`, means; None: cpu.
+
+    Raises:
+        DeviceError: it is misspelt.
+    """
+    match = _DEVICE.fullmatch(str(name))
+    if match is None:
+        raise DeviceError(f"{key}={name}: expected cpu, cuda or cuda:N, for example cuda:0")
+    return None if name == "cpu" else int(match["index"] or 0)
+
+
+def check_device(name: str, key: str) -> str:
+    """Return the device of this machine that `name`, the value of the setting `key`, means.
+
+    It is `name`, or the CPU after `allow_cpu_fallback`.
+
+    Raises:
+        DeviceError: it is misspelt, or torch does not see such a GPU.
+    """
+    index = check_device_name(name, key)
+    if index is None:
+        return name
+    import torch  # imported late: it takes a second
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count == 0 and _fallback_keys is not None:
+        if key not in _fallback_keys:
+            _fallback_keys.add(key)
+            log.warning("%s=%s: torch sees no GPU on this machine; the CPU is used", key, name)
+        return "cpu"
+    if count == 0:
+        raise DeviceError(f"{key}={name}: torch sees no GPU on this machine; use {key}=cpu")
+    if index >= count:
+        names = ", ".join(f"cuda:{i}" for i in range(count))
+        raise DeviceError(f"{key}={name}: this machine has cpu, {names}; choose one of them")
+    return name

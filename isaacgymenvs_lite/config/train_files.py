@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from isaacgymenvs_lite.config.compose import compose, explain_interpolation
 from isaacgymenvs_lite.config.launch import resolve_seed
 from isaacgymenvs_lite.config.staging import read_yaml
-from isaacgymenvs_lite.config.train_params import fit_to_envs, set_device
+from isaacgymenvs_lite.config.train_params import complete_ppo
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
 
@@ -48,7 +48,7 @@ def load_train_file(
     config = params.get("config")
     if not isinstance(config, dict):
         return content
-    set_device(config, rl_device)
+    config["device"] = config["device_name"] = rl_device  # of agents and of players
     config.setdefault("reward_shaper", {})
     if params.get("seed") == -1:
         params["seed"] = resolve_seed(-1)
@@ -57,7 +57,8 @@ def load_train_file(
     config.setdefault("num_actors", 1)
     if num_envs is not None:
         config["num_actors"] = num_envs
-        fit_to_envs(params, num_envs)
+        if "horizon_length" in config:
+            complete_ppo(params, num_envs)
     return content
 
 
