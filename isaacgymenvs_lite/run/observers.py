@@ -3,25 +3,82 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
-from isaacgymenvs_lite.config.launch import LaunchSettings
+from isaacgymenvs_lite.config.launch import CheckedConfig
 from isaacgymenvs_lite.distributed.group import current_group
+from isaacgymenvs_lite.errors import SweepError
 from isaacgymenvs_lite.run.diagnostics import CLIP_LIMITS, DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.metrics import MetricsObserver
-from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The number that a run returns, by which sweeps compare runs.
+
+    Attributes:
+        name: for messages.
+        unit: of the number, with a blank before it; '' without one.
+        direction: `minimize` or `maximize`, in the words of Hydra's sweepers.
+    """
+
+    name: str
+    unit: str
+    direction: str
+
+    def check_direction(self, direction: str, task: str) -> None:
+        """Check before a training that a study optimises this number in the right direction.
+
+        A study whose jobs pass does not mix metres with rewards.
+
+        Args:
+            direction: `hydra.sweeper.direction`; '' outside of a study.
+            task: name of the task.
+
+        Raises:
+            SweepError: it is the other one.
+        """
+        if direction and direction != self.direction:
+            raise SweepError(
+                f"hydra.sweeper.direction={direction}: this run of {task} returns its {self.name};"
+                f" set hydra.sweeper.direction={self.direction}"
+            )
+
+    def describe(self, value: float) -> str:
+        """Return a value for users."""
+        return f"{self.name} {value:.4g}{self.unit}"
+
+
+POSE_ERROR = Objective("best pose error", " m", "minimize")
+MEAN_REWARD = Objective("best mean reward", "", "maximize")
+
+
+def objective_of(config: Mapping[str, Any], has_pose_error: bool) -> Objective:
+    """Return what runs are compared by.
+
+    The pose error counts where it is measured and the task's reward does not: `task_reward_w: 0`,
+    as AMP has it. All other trainings learn from the task's reward: PPO, SAC, a hierarchy on a
+    goal.
+
+    Args:
+        config: `train.params.config`.
+        has_pose_error: whether the run measures it.
+    """
+    learns_task = config.get("task_reward_w", 1.0) != 0
+    return POSE_ERROR if has_pose_error and not learns_task else MEAN_REWARD
 
 
 class MultiObserver(Stateful, AlgoObserver):
@@ -78,8 +135,7 @@ class TrainingObservers(MultiObserver):
     """All observers of a training: what it shows, and what it writes besides checkpoints.
 
     Args:
-        tree: the resolved tree.
-        settings: its root.
+        config: the checked configuration.
         run_name: name of the run folder.
         measurement: plays the mean policy now and then; None: never.
         max_episode_steps: the task's time limit in control steps.
@@ -93,8 +149,7 @@ class TrainingObservers(MultiObserver):
 
     def __init__(
         self,
-        tree: dict[str, Any],
-        settings: LaunchSettings,
+        config: CheckedConfig,
         run_name: str,
         measurement: MeasurementObserver | None,
         max_episode_steps: int,
@@ -106,17 +161,18 @@ class TrainingObservers(MultiObserver):
         self.agent: Any = None
         self.begin: Callable[[], None] | None = None
         self._stop = stop
-        self._progress = ProgressObserver(stop, metrics, measurement, settings.progress_interval)
+        interval_s = config.settings.progress_interval
+        self._progress = ProgressObserver(stop, metrics, measurement, interval_s)
         self._wandb = None
         observers: list[AlgoObserver] = [TaskScalarsObserver()]
-        if settings.wandb_activate:
+        if config.settings.wandb_activate:
             from isaacgymenvs_lite.run.wandb_observer import WandbObserver
 
-            self._wandb = WandbObserver(tree, settings, run_name)
+            self._wandb = WandbObserver(config.tree, config.settings, run_name)
             observers.append(self._wandb)
         if measurement is not None:
             observers.append(measurement)
-        clip_limits = [key for key in CLIP_LIMITS if tree["task"]["env"].get(key)]
+        clip_limits = [key for key in CLIP_LIMITS if config.tree["task"]["env"].get(key)]
         diagnostics = DiagnosticsObserver(metrics, measurement, max_episode_steps, clip_limits)
         observers += [metrics, self._progress, diagnostics]
         if not current_group().is_main:  # what they show and write is about all processes
@@ -146,21 +202,17 @@ class TrainingObservers(MultiObserver):
                 log.warning("%s", worsened)
 
     def best(self, objective: Objective) -> float | None:
-        """Return the best number of the run; None if nothing could be measured."""
-        measured = self._measurement
+        """Log and return the best number of the run; None if nothing could be measured."""
+        measured, how = self._measurement, ""
+        best = self._metrics.best_reward
         if objective is POSE_ERROR:
-            return None if measured is None else measured.best_pose_error_m
-        if measured is not None and measured.chooses_best and measured.best_reward is not None:
-            return measured.best_reward
-        return self._metrics.best_reward
-
-    @property
-    def how_best_was_measured(self) -> str:
-        """How the best number was measured; '' if in training episodes."""
-        measured = self._measurement
-        if measured is None or not measured.chooses_best:
-            return ""
-        return f" after epoch {measured.best_epoch}, without exploration noise"
+            best = None if measured is None else measured.best_pose_error_m
+        elif measured is not None and measured.chooses_best and measured.best_reward is not None:
+            best = measured.best_reward
+            how = f" after epoch {measured.best_epoch}, without exploration noise"
+        if best is not None:
+            log.info("%s%s", objective.describe(best), how)
+        return best
 
     @property
     def chooses_best(self) -> bool:

@@ -17,8 +17,7 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, resolve_checkpoint, save_checkpoint
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
-from isaacgymenvs_lite.run.folder import RunFolder
-from isaacgymenvs_lite.run.lock import LOCK_FILE, FolderInUseError
+from isaacgymenvs_lite.run.folder import LOCK_FILE, FolderInUseError, RunFolder
 
 OpenRun = Callable[..., RunFolder]
 
