@@ -14,9 +14,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.files import LLC_KEY
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.paths import user_path
+from isaacgymenvs_lite.paths import shipped_policies, user_path
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +63,7 @@ def llc_checkpoint_for(llc_checkpoint: str | None, params: Mapping[str, Any]) ->
 
     Args:
         llc_checkpoint: the key; with None and '' the loaded checkpoint decides. Without an entry
-            there, None means the shipped one, and '' stays ''.
+            there, None means the shipped low level, and '' stays ''.
         params: the section `params` of the train file.
 
     Raises:

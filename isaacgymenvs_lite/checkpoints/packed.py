@@ -1,9 +1,8 @@
 """Packs policies: checkpoints without the state of a training, but with the settings to play them.
 
-A full checkpoint needs its run folder, because config.yaml there describes its networks and task,
-and most of it is the optimiser's state. A packed policy is one small file: the model with its
-normalisers (with the critic, so that it loads as any checkpoint does), the normaliser of AMP
-observations, and the `PolicyInfo` under the key `policy`.
+A full checkpoint needs the config.yaml of its run folder, and most of it is the optimiser's state.
+A packed policy is one small file: the model with critic and normalisers (it loads as any checkpoint
+does), the normaliser of AMP observations, and the `PolicyInfo` under the key `policy`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from isaacgymenvs_lite.checkpoints.run_config import (
     units_of_config,
     units_of_model,
 )
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats.deepmimic_package import (
     PREFIX,
@@ -38,6 +36,7 @@ from isaacgymenvs_lite.motion.loader import (
     shipped_robot_motions,
     shipped_robot_motions_dir,
 )
+from isaacgymenvs_lite.paths import shipped_policies, shipped_policies_dir
 from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
@@ -50,30 +49,20 @@ _CONFIG = "train.params.config"
 _CLIP = "task.env.motion_file"
 # Sections and keys that a policy must find as it was trained with.
 _NEEDED = (
-    "task.env",
-    "task.sim",
-    "train.params.algo",
-    "train.params.model",
-    "train.params.network",
+    *("task.env", "task.sim"),
+    *(f"train.params.{section}" for section in ("algo", "model", "network")),
     *(f"{_CONFIG}.normalize_{what}" for what in ("input", "value", "amp_input")),
-    f"{_CONFIG}.amp_obs_steps",
-    f"{_CONFIG}.disc_reward",
-    f"{_CONFIG}.disc_reward_scale",
-    f"{_CONFIG}.enc_reward_scale",
+    *(f"{_CONFIG}.{key}" for key in ("amp_obs_steps", "disc_reward", "disc_reward_scale")),
+    *(f"{_CONFIG}.{key}" for key in ("enc_reward_scale", "clip_latents")),
     *(f"{_CONFIG}.latent_{what}" for what in ("dim", "steps_min", "steps_max")),
-    f"{_CONFIG}.clip_latents",
     # A shipped low level holds its settings, so llc_config is not needed.
     f"{_CONFIG}.llc_steps",
 )
 # Keys of those sections that only a training reads, or that have no effect.
 _NOT_NEEDED = (
-    "task.env.numEnvs",
-    "task.env.episodeLength",
-    "task.env.envSpacing",
-    "task.env.cameraFollow",
-    "task.env.enableDebugVis",
-    "task.sim.use_gpu_pipeline",
-    "task.sim.physx",
+    *("task.env.numEnvs", "task.env.episodeLength", "task.env.envSpacing"),
+    *("task.env.cameraFollow", "task.env.enableDebugVis"),
+    *("task.sim.use_gpu_pipeline", "task.sim.physx"),
 )
 # Settings of the training that have no meaning elsewhere.
 _NOT_RECORDED = ("name", "full_experiment_name", "train_dir", "print_stats", "multi_gpu")
@@ -197,8 +186,26 @@ def pack_policy(
         )
     checkpoint = Path(checkpoint)
     state = load_checkpoint(checkpoint)
-    tree = _run_config(checkpoint, state["model"])
-    settings = _needed_settings(tree)
+    file, model = run_config_file(checkpoint), state["model"]
+    if not file.is_file():
+        raise ConfigError(
+            f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
+            " the folder nn of the run folder that train.py made"
+        )
+    tree = read_run_config(file, model, to_play=True)
+    units = units_of_config(tree)
+    if (found := units_of_model(model, units)) != units:
+        raise CheckpointError(
+            f"checkpoint={checkpoint}: its layers are {found}, those of {file} {units}; expected"
+            " the config.yaml of its own run"
+        )
+    settings = {
+        path: value
+        for section in _NEEDED
+        for path, value in leaves(select(tree, section), section)
+        if value is not None
+        and not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
+    }
     if _CLIP in settings:
         settings[_CLIP] = _shipped_clip(clip or settings[_CLIP])
     packed = {key: state[key] for key in _PLAYED if state.get(key) is not None}
@@ -207,11 +214,15 @@ def pack_policy(
     info = PolicyInfo(
         task=tree["task"]["name"],
         clip=settings.get(_CLIP, ""),
-        units=units_of_config(tree),
+        units=units,
         frames=int(state.get("frame", 0)),
         epochs=int(state.get("epoch", 0)),
         settings=settings,
-        training=_training_record(tree["train"]["params"]["config"]),
+        training={
+            key: value
+            for key, value in tree["train"]["params"]["config"].items()
+            if isinstance(value, str | int | float | bool) and key not in _NOT_RECORDED
+        },
     )
     packed[POLICY_KEY] = dataclasses.asdict(info)
     path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
@@ -222,36 +233,6 @@ def pack_policy(
         raise ConfigError(f"cannot write {path} ({error.strerror or error})") from error
     log.info("%s: %s, %.2f MiB", path, info, path.stat().st_size / 2**20)
     return path
-
-
-# --- the settings of the run --------------------------------------------------------------------
-
-
-def _run_config(checkpoint: Path, model: Mapping[str, Any]) -> dict[str, Any]:
-    file = run_config_file(checkpoint)
-    if not file.is_file():
-        raise ConfigError(
-            f"checkpoint={checkpoint}: no config.yaml in {file.parent}; expected a checkpoint in"
-            " the folder nn of the run folder that train.py made"
-        )
-    tree = read_run_config(file, model, to_play=True)
-    units = units_of_config(tree)
-    if units != units_of_model(model, units):
-        raise CheckpointError(
-            f"checkpoint={checkpoint}: its layers are {units_of_model(model, units)}, those of"
-            f" {file} {units}; expected the config.yaml of its own run"
-        )
-    return tree
-
-
-def _needed_settings(tree: dict[str, Any]) -> dict[str, Any]:
-    return {
-        path: value
-        for section in _NEEDED
-        for path, value in leaves(select(tree, section), section)
-        if value is not None
-        and not any(path == other or path.startswith(f"{other}.") for other in _NOT_NEEDED)
-    }
 
 
 def _shipped_clip(clip: str) -> str:
@@ -272,12 +253,3 @@ def _shipped_clip(clip: str) -> str:
             f" to show beside it with clip=NAME: {choices}"
         )
     return file.name
-
-
-def _training_record(config: dict[str, Any]) -> dict[str, Any]:
-    plain = (str, int, float, bool)
-    return {
-        key: value
-        for key, value in config.items()
-        if isinstance(value, plain) and key not in _NOT_RECORDED
-    }

@@ -1,13 +1,13 @@
 """The files from which a training goes on exactly: `<run>/resume/<epoch>.pth` and its buffers.
 
 A training state is a checkpoint with one more entry, `training_state`: what the agent and its
-task remember. The replay buffers, which can be large, are in a file of their own beside it. Only
-the newest state of a run is kept. Each file appears whole or not at all, and the one before is
-removed once both are written, so that a crash at any time leaves a state.
+task remember. The replay buffers, which can be large, are in a second file. Only the newest state
+of a run is kept. Each file appears whole or not at all, and the former state is removed once both
+are written, so that a crash at any time leaves a state.
 
-Of several processes each writes what it remembers, all but the main one to
-`<epoch>_rank<rank>.pth`. The networks are in the main one's file alone. A secret that all files of
-a state share shows that they belong together.
+Each of several processes writes what it remembers, all but the main process to
+`<epoch>_rank<rank>.pth`. The networks are in the main process' file alone. All files of a state
+share a secret, which shows that they belong together.
 """
 
 from __future__ import annotations
@@ -70,20 +70,12 @@ def new_token() -> str:
 def write_training_state(
     run: Path, state: TrainingState, epoch: int, token: str, rank: int = 0
 ) -> list[Path]:
-    """Write a state into a run folder; the former state stays.
+    """Write this process' part of a state into a run folder; return its files.
 
-    Args:
-        run: the run folder.
-        state: has `memory`.
-        epoch: of the state.
-        token: see `new_token`.
-        rank: of this process.
-
-    Returns:
-        The files that were written.
+    The former state stays. The token is that of `new_token`, the same for all processes.
 
     Raises:
-        OSError: the folder cannot be written or is full; the former state is left.
+        OSError: the folder cannot be written or is full.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,13 +99,6 @@ def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
     """Write the checkpoint that a run goes on from in another process, and remove its states.
 
     The states would lead `resume=` back to the networks before.
-
-    Args:
-        run: the run folder.
-        checkpoint: of these or other networks.
-
-    Returns:
-        The file.
 
     Raises:
         OSError: the folder cannot be written or is full; the former states are left.
@@ -205,7 +190,13 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
     """
     given = user_path(resume)
     if resume == "last":
-        run = _newest_run(train_dir, wanted)
+        run = newest_run(train_dir, wanted, ["nn/*.pth", f"{FOLDER}/*.pth"])
+        if run is None:
+            of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
+            raise CheckpointError(
+                f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on"
+                " from; start one without resume="
+            )
     elif given.is_dir():
         run = RunFolder.at(given.absolute(), train_dir)
     elif given.is_file():
@@ -239,7 +230,9 @@ def _newest_state(run: RunFolder) -> Path | None:
     state, checkpoint = newest(states), run.newest_checkpoint()
     if state is None or checkpoint is None:
         return state or checkpoint
-    epoch = _epoch_of(checkpoint)
+    epoch = -1
+    with contextlib.suppress(CheckpointError):
+        epoch = int(load_checkpoint(checkpoint).get("epoch", -1))
     if epoch <= int(state.stem):
         return state
     if not checkpoint.is_relative_to(run.path):
@@ -250,25 +243,6 @@ def _newest_state(run: RunFolder) -> Path | None:
         *(state.stem, checkpoint.name, epoch, checkpoint),
     )
     return state
-
-
-def _epoch_of(checkpoint: Path) -> int:
-    """Return the epoch of a checkpoint; -1 if it cannot be used."""
-    with contextlib.suppress(CheckpointError):
-        return int(load_checkpoint(checkpoint).get("epoch", -1))
-    return -1
-
-
-def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> RunFolder:
-    """Return the run, of those with the settings `wanted`, that was written last."""
-    run = newest_run(train_dir, wanted, ["nn/*.pth", f"{FOLDER}/*.pth"])
-    if run is None:
-        of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
-        raise CheckpointError(
-            f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on from;"
-            " start one without resume="
-        )
-    return run
 
 
 def run_of_file(file: Path) -> Path:

@@ -29,13 +29,13 @@ from omegaconf import DictConfig
 
 from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
+from isaacgymenvs_lite.paths import shipped_policies_dir
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +11,6 @@ from typing import Any
 from isaacgymenvs_lite.config.run_names import read_run_name
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.schema import leaves, nearest, read_section, select, setting
-
-log = logging.getLogger(__name__)
 
 MUTATIONS = (
     *("mutate_float", "mutate_float_min_1", "mutate_eps_clip", "mutate_mini_epochs"),
@@ -60,9 +57,6 @@ class PBTSettings:
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
     """Return the section `pbt` of a resolved tree; None if the training is of one policy alone.
 
-    Args:
-        tree: of dictionaries and lists.
-
     Raises:
         ConfigError: a value cannot be used.
     """
@@ -99,10 +93,6 @@ def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, 
     Published files name settings that not every train file has, or that are null: these are left
     out.
 
-    Args:
-        tree: as in `read_pbt_settings`.
-        settings: of the population.
-
     Raises:
         ConfigError: a value is no number, a path looks misspelt, or nothing is left.
     """
@@ -110,40 +100,29 @@ def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, 
     for path in settings.mutation:
         value = select(tree, path)
         if value is None:
-            _check_spelling(path, tree, settings)
+            section, _, key = path.rpartition(".")
+            below = select(tree, section)
+            siblings = below if isinstance(below, dict) else {}
+            others = [k for k in map(str, siblings) if f"{section}.{k}" not in settings.mutation]
+            near = nearest(key, others, _MISSPELT_RATIO) if key not in siblings else None
+            if near is not None:
+                raise ConfigError(
+                    f"pbt.mutation: unknown key '{path}' (did you mean '{near}'?); correct or"
+                    " remove it"
+                )
         else:
-            values[path] = _number(value, path)
+            try:
+                number = math.nan if isinstance(value, bool) else float(value)
+            except (TypeError, ValueError):
+                number = math.nan
+            if not math.isfinite(number):
+                raise ConfigError(
+                    f"pbt.mutation: {path}={value!r} cannot be mutated; expected a number"
+                )
+            values[path] = value if isinstance(value, int) else number
     if not values:
         raise ConfigError(
             "pbt.mutation names no setting of this task and train file, so that policies could not"
             " differ; expected for example train.params.config.gamma: mutate_discount"
         )
     return values
-
-
-def _number(value: Any, path: str) -> float:
-    """Return an int as it is, and text such as 3e-4 as a number.
-
-    Raises:
-        ConfigError: the value is none, or not finite.
-    """
-    try:
-        number = float(value)
-        usable = not isinstance(value, bool) and math.isfinite(number)
-    except (TypeError, ValueError):
-        usable = False
-    if not usable:
-        raise ConfigError(f"pbt.mutation: {path}={value!r} cannot be mutated; expected a number")
-    return value if isinstance(value, int) else number
-
-
-def _check_spelling(path: str, tree: Mapping[str, Any], settings: PBTSettings) -> None:
-    section, _, key = path.rpartition(".")
-    below = select(tree, section)
-    siblings = below if isinstance(below, dict) else {}
-    others = [str(other) for other in siblings if f"{section}.{other}" not in settings.mutation]
-    near = nearest(key, others, _MISSPELT_RATIO) if key not in siblings else None
-    if near is not None:
-        raise ConfigError(
-            f"pbt.mutation: unknown key '{path}' (did you mean '{near}'?); correct or remove it"
-        )

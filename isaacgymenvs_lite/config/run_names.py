@@ -52,14 +52,10 @@ def read_run_name(given: Any, key: str) -> PurePosixPath:
     path = PurePosixPath(text.strip())
     levels = [part.strip() for part in path.parts]
     problem = ""
-    if not levels:
-        problem = "is empty"
-    elif path.is_absolute() or ".." in levels or levels[0].startswith("~") or "\\" in text:
+    if path.is_absolute() or ".." in levels or text.strip().startswith("~") or "\\" in text:
         problem = "leads out of the folder of the runs"
-    elif not text.isprintable() or "" in levels:
-        problem = "holds characters that no name of a file should have"
-    elif len(levels) > MAX_LEVELS:
-        problem = f"has {len(levels)} levels of folders, at most {MAX_LEVELS} are possible"
+    elif not levels or "" in levels or not text.isprintable() or len(levels) > MAX_LEVELS:
+        problem = f"cannot be the name of a folder, or of folders up to {MAX_LEVELS} levels deep"
     elif max(len(part.encode(errors="replace")) for part in levels) > _MAX_BYTES:
         problem = f"is longer than {_MAX_BYTES} bytes"
     if problem:

@@ -73,8 +73,8 @@ class StagedFiles:
     Attributes:
         words: the overrides.
         folder: where Hydra begins to search.
-        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of such a
-            file names a file below `REFUSED`, which does not exist.
+        refused: what is wrong with a file of a folder, by its name in Hydra; the copy of the file
+            names a file below `REFUSED`, which does not exist.
     """
 
     words: list[str]
@@ -116,7 +116,14 @@ def staged(
         named = _stage_named_files(words, target)
         if trains and not any(word.lstrip("+").startswith(f"{TRAIN_DIR}=") for word in words):
             for file in target.glob("train/*.yaml"):
-                _check_train_dir(_read(file), file.name)
+                run_dir = select(_read(file), "params.config.train_dir")
+                path = PurePath(run_dir if isinstance(run_dir, str) else "..")
+                is_below = not (path.is_absolute() or ".." in path.parts or "$" in str(path))
+                if run_dir is not None and not is_below:
+                    raise ConfigError(
+                        f"{file.name}: {TRAIN_DIR} is {run_dir!r}, outside of the working folder;"
+                        f" if that is what you want, say so yourself: {TRAIN_DIR}={run_dir}"
+                    )
         yield StagedFiles(named, target, refused)
 
 
@@ -129,7 +136,11 @@ def read_yaml(path: Path) -> DictConfig:
     content = _read(path)
     if is_foreign(path):
         _check_content(content, path)
-    return _as_config(content, path)
+    try:  # OmegaConf reads 2e-5 as a number, PyYAML as text
+        config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
+        return config if content else OmegaConf.create()
+    except Exception as error:  # the grammar of interpolations, kinds of keys
+        raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
 
 
 def is_foreign(path: Path) -> bool:
@@ -147,8 +158,12 @@ def _stage_folder(source: Path, target: Path) -> dict[str, ConfigError]:
             f"the configuration folder '{source}' does not exist; expected a folder that holds"
             " task/ and train/"
         )
+    ours = _our_root()  # its settings of Hydra take the place of the files' own
+    logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
     for file in source.glob("*.yaml"):
-        _write(_with_our_hydra(_checked(file, group=""), file), target / file.name)
+        content = _checked(file, group="")
+        own = [entry for entry in content.get("defaults") or [] if not _is_about_logging(entry)]
+        _write(content | {"hydra": ours["hydra"], "defaults": [*own, *logs]}, target / file.name)
     refused = {}
     for group in GROUPS:
         for file in (source / group).rglob("*.yaml"):
@@ -239,14 +254,6 @@ def _our_root() -> dict[Any, Any]:
     return root
 
 
-def _with_our_hydra(content: dict[Any, Any], file: Path) -> dict[Any, Any]:
-    """Give a root file Hydra's settings of cfg/config.yaml in place of its own."""
-    ours = _our_root()
-    own = [entry for entry in content.get("defaults") or [] if not _is_about_logging(entry)]
-    logs = [entry for entry in ours["defaults"] if _is_about_logging(entry)]
-    return content | {"hydra": ours["hydra"], "defaults": [*own, *logs]}
-
-
 def _write(content: dict[Any, Any], file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
@@ -267,13 +274,25 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
             f"{file} has the header '# @package {package}', which puts it into another section;"
             f" expected '{own}' or none"
         )
-    if not own and _is_harmless(content.get("hydra", {}), _HARMLESS):
+    hydra = content.get("hydra", {})
+    is_dict = isinstance(hydra, dict)
+    if not own and is_dict and all((k, v) in _HARMLESS.items() for k, v in hydra.items()):
         content.pop("hydra", None)
     _check_content(content, file)
     defaults = content.get("defaults") or []
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, file, is_root=not own)
-    _complete(content, file, group)
+    # What published files leave to the command line or to the code of their project.
+    config = select(content, "params.config")
+    if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
+        config.setdefault("llc_checkpoint", "")
+    task = _task_of_ase_file(file) if group == "task" and "name" not in content else None
+    if task is not None:
+        log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
+        content.setdefault("defaults", [task, "_self_"])
+        env = content.get("env")
+        if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
+            env["numEnvs"] = f"${{resolve_default:{env['numEnvs']},${{...num_envs}}}}"
     return content
 
 
@@ -288,39 +307,14 @@ def _read(path: Path) -> dict[Any, Any]:
     return content
 
 
-def _as_config(content: dict[Any, Any], path: Path) -> DictConfig:
-    """Return OmegaConf's tree of a mapping; OmegaConf reads 2e-5 as a number, PyYAML as text."""
-    try:
-        config: Any = OmegaConf.create(yaml.safe_dump(content, sort_keys=False))
-        return config if content else OmegaConf.create()
-    except Exception as error:  # the grammar of interpolations, kinds of keys
-        raise ConfigError(f"{path} cannot be used: {one_line(error)}") from error
-
-
 def _check_content(content: dict[Any, Any], path: Path) -> None:
-    """Check what a file of somebody else holds.
-
-    Raises:
-        ConfigError: it sets something of Hydra, names something to be called, has an interpolation
-            that leads out of the configuration.
-    """
+    """Refuse settings of Hydra, names to be called, and interpolations that lead elsewhere."""
     if "hydra" in content:
         raise ConfigError(f"{path} sets 'hydra', which decides what is run; {_WHERE_TO}")
     try:
         _check_values(content, str(path))
     except RecursionError as error:
         raise ConfigError(f"{path} contains itself, or is nested too deep") from error
-
-
-def _check_train_dir(content: dict[Any, Any], name: str) -> None:
-    """Check that a train file lets its runs stay below the working folder."""
-    folder = select(content, "params.config.train_dir")
-    parts = PurePath(folder).parts if isinstance(folder, str) else ("..",)
-    if folder is not None and (".." in parts or "$" in folder or PurePath(folder).is_absolute()):
-        raise ConfigError(
-            f"{name}: {TRAIN_DIR} is {folder!r}, outside of the working folder; if that is"
-            f" what you want, say so yourself: {TRAIN_DIR}={folder}"
-        )
 
 
 def _check_values(value: Any, where: str) -> None:
@@ -365,36 +359,6 @@ def _is_about_logging(entry: Any) -> bool:
     """Return whether an entry switches a log of Hydra off, as IsaacGymEnvs' root file does."""
     key, value = next(iter(entry.items())) if isinstance(entry, dict) and entry else ("", "")
     return key in _LOGGING and value in ("none", "disabled")
-
-
-def _is_harmless(section: Any, allowed: dict[str, Any]) -> bool:
-    """Return whether a section has no other keys and values than `allowed`."""
-    if not isinstance(section, dict):
-        return False
-    return all(
-        key in allowed
-        and (
-            _is_harmless(value, allowed[key])
-            if isinstance(allowed[key], dict)
-            else value == allowed[key]
-        )
-        for key, value in section.items()
-    )
-
-
-def _complete(content: dict[Any, Any], file: Path, group: str) -> None:
-    """Add what published files leave to the command line or to the code of their project."""
-    config = select(content, "params.config")
-    if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
-        config.setdefault("llc_checkpoint", "")
-    task = _task_of_ase_file(file) if group == "task" else None
-    if task is None or "name" in content:
-        return
-    log.info("%s names no task, as ASE's files: taken for task=%s", file, task)
-    content.setdefault("defaults", [task, "_self_"])
-    env = content.get("env")
-    if isinstance(env, dict) and isinstance(env.get("numEnvs"), int):
-        env["numEnvs"] = f"${{resolve_default:{env['numEnvs']},${{...num_envs}}}}"
 
 
 # --- the checkout of a task file that is named by its path ------------------------------------

@@ -25,13 +25,12 @@ def load_train_file(
     """Read a train file for rl_games' Runner: `Runner.load` takes the result as it is.
 
     In addition to the interpolations (see `read_train_file`) it resolves what rl_games does not
-    know: `device` and `device_name` are `rl_device`, `seed: -1` is drawn, and
-    `mixed_precision: auto` is measured. With `num_envs` the minibatches are fitted to it, with a
-    line of the log.
+    know: `device`, `seed: -1`, which is drawn, and `mixed_precision: auto`, which is measured.
 
     Args:
         path: see `read_train_file`.
-        num_envs: value of `task.env.numEnvs`; None: 1, and minibatches stay as written.
+        num_envs: value of `task.env.numEnvs`, to which minibatches are fitted; None: 1, and
+            minibatches stay as written.
         rl_device: device of agent and player.
 
     Returns:
@@ -69,10 +68,10 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
     cfg/config.yaml, a task without asymmetric observations, and the given values.
 
     Args:
-        path: a file, relative to the working directory or to the project's, or the name of one in
-            cfg/train. `isaacgymenvs/cfg/train/<name>.yaml` of IsaacGymEnvs' files and
-            `ase/data/cfg/train/rlg/<name>.yaml` of ASE's mean the last. The config.yaml of a run
-            folder holds the train file of that run, overrides included.
+        path: a file, relative to the working directory or to the project's, or the name of a file
+            in cfg/train, which `isaacgymenvs/cfg/train/<name>.yaml` (IsaacGymEnvs) and
+            `ase/data/cfg/train/rlg/<name>.yaml` (ASE) mean, too. The config.yaml of a run folder
+            holds the train file of that run, overrides included.
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 

@@ -12,7 +12,6 @@ import re
 import shutil
 import socket
 import stat
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -23,10 +22,10 @@ from isaacgymenvs_lite.config.run_names import MAX_LEVELS
 from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 
-if sys.platform == "win32":
-    import msvcrt
-else:
+try:
     import fcntl
+except ImportError:  # Windows, where folders are not locked
+    fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +34,6 @@ _CONFIG_FILE = "config.yaml"
 # What a file system answers that has no locks, as some network mounts.
 _NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL))
 _MAX_HOLDER_BYTES = 200
-# Windows refuses to read locked bytes: a byte after the text is locked.
-_LOCKED_BYTE = 2**20
 
 
 class RunFolder:
@@ -47,12 +44,10 @@ class RunFolder:
 
     Args:
         train_dir: folder of all runs.
-        run_name: name of this one; rl_games gets the same name and writes into the same folder.
+        run_name: name of this run, final once the folder is reserved; rl_games gets the same name.
         is_exact: False adds a number to the name if such a folder exists.
 
     Attributes:
-        train_dir: folder of all runs.
-        name: of the run; final once the folder is reserved.
         save_failed: whether the last checkpoint could not be written anywhere.
     """
 
@@ -72,10 +67,7 @@ class RunFolder:
 
     @classmethod
     def at(cls, path: Path, train_dir: Path) -> RunFolder:
-        """Return the folder of a run that goes on, at a path, below `train_dir` or elsewhere.
-
-        The path of a rescued run means the run folder that could not be written.
-        """
+        """Return the folder of a run that goes on; a rescued run's path means the real folder."""
         root = train_dir.absolute()
         for rescued in _rescue_dirs(root):
             if path.is_relative_to(rescued):
@@ -158,13 +150,7 @@ class RunFolder:
     # --- making ----------------------------------------------------------------------------
 
     def create(self, cfg: DictConfig) -> None:
-        """Make the folders and config.yaml: the composed tree, its interpolations unresolved.
-
-        The config.yaml of a run that goes on stays until `begin`.
-
-        Raises:
-            ConfigError: the folder cannot be written.
-        """
+        """Make the folders, and config.yaml unless a run goes on: that stays until `begin`."""
         self._config = OmegaConf.to_yaml(cfg)
         with self._errors_explained():
             self.checkpoints.mkdir(exist_ok=True)
@@ -182,11 +168,7 @@ class RunFolder:
             log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
 
     def make_again(self) -> None:
-        """Make the folder once more if somebody removed it since `create`, config.yaml included.
-
-        Raises:
-            OSError: it cannot be made.
-        """
+        """Make the folder once more if somebody removed it since `create`, config.yaml included."""
         if self._lock is None:
             return  # a run of another program
         if not self.checkpoints.is_dir():
@@ -197,11 +179,7 @@ class RunFolder:
                 self._write_config()
 
     def make_rescue(self) -> Path:
-        """Make the folder that takes this one's place, with config.yaml; return its nn/.
-
-        Raises:
-            OSError: it cannot be made.
-        """
+        """Make the folder of the rescued run, with config.yaml; return its nn/."""
         folder = _rescue_dir(self._real_train_dir) / self.name
         checkpoints = folder / self.checkpoints.name
         checkpoints.mkdir(parents=True, exist_ok=True)
@@ -302,13 +280,10 @@ class FolderInUseError(ConfigError):
 
 
 class FolderLock:
-    """An exclusive lock on a folder, released by `release` or by any end of the process.
+    """An exclusive lock on an existing folder, released by `release` or any end of the process.
 
     The lock is on a file in the folder that holds process and host for messages; a kill may leave
     the file behind, never the lock. A file system without locks gets one warning.
-
-    Args:
-        folder: must exist.
 
     Raises:
         FolderInUseError: another run holds the lock.
@@ -345,7 +320,9 @@ class FolderLock:
         flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         fd = os.open(self._file, flags, 0o644)
         try:
-            _lock(fd)
+            if fcntl is None:
+                raise OSError(errno.ENOSYS, "no locks")
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if error.errno in _NO_LOCKS:
                 log.warning(
@@ -364,19 +341,6 @@ class FolderLock:
                 ) from error
             raise
         return fd
-
-
-if sys.platform == "win32":
-
-    def _lock(fd: int) -> None:
-        os.lseek(fd, _LOCKED_BYTE, os.SEEK_SET)
-        msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)
-        os.lseek(fd, 0, os.SEEK_SET)
-
-else:
-
-    def _lock(fd: int) -> None:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 # --- rescued runs -----------------------------------------------------------------------------

@@ -49,21 +49,15 @@ class EpochMetrics:
         return self.train_info.get("disc_reward_mean")
 
     @property
-    def disc_agent_acc(self) -> float | None:
-        """Share of the policy's samples that the discriminator classifies as the policy's."""
-        return self.train_info.get("disc_agent_acc")
-
-    @property
-    def disc_demo_acc(self) -> float | None:
-        """Share of the clips' samples that the discriminator classifies as the clips'."""
-        return self.train_info.get("disc_demo_acc")
-
-    @property
     def disc_accuracy(self) -> float | None:
-        """Mean of the two accuracies: 0.5 is guessing."""
-        if self.disc_agent_acc is None or self.disc_demo_acc is None:
+        """Share of samples of policy and clips that the discriminator tells right: 0.5 is guessing.
+
+        Both kinds count alike.
+        """
+        info = self.train_info
+        if "disc_agent_acc" not in info or "disc_demo_acc" not in info:
             return None
-        return 0.5 * (self.disc_agent_acc + self.disc_demo_acc)
+        return 0.5 * (info["disc_agent_acc"] + info["disc_demo_acc"])
 
 
 class MetricsObserver(Stateful, AlgoObserver):

@@ -42,14 +42,12 @@ class Objective:
     def check_direction(self, direction: str, task: str) -> None:
         """Check before a training that a study optimises this number in the right direction.
 
-        A study whose jobs pass does not mix metres with rewards.
-
         Args:
             direction: `hydra.sweeper.direction`; '' outside of a study.
             task: name of the task.
 
         Raises:
-            SweepError: it is the other one.
+            SweepError: it is the other direction.
         """
         if direction and direction != self.direction:
             raise SweepError(
@@ -99,36 +97,34 @@ class MultiObserver(Stateful, AlgoObserver):
             if isinstance(each, Stateful) and type(each).__name__ in state:
                 each.load_state_dict(state[type(each).__name__])
 
-    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
-        """Before the agent builds anything."""
+    def _call(self, name: str, *arguments: Any) -> None:
         for observer in self.observers:
-            observer.before_init(base_name, config, experiment_name)
+            # rl_games calls `after_clear_stats`, but its base class lacks it.
+            getattr(observer, name, lambda: None)(*arguments)
+
+    def before_init(self, base_name: str, config: dict[str, Any], experiment_name: str) -> None:
+        """Call the observers before the agent builds anything."""
+        self._call("before_init", base_name, config, experiment_name)
 
     def after_init(self, algo: Any) -> None:
-        """The agent is complete."""
-        for observer in self.observers:
-            observer.after_init(algo)
+        """Call the observers when the agent is complete."""
+        self._call("after_init", algo)
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """After each environment step."""
-        for observer in self.observers:
-            observer.process_infos(infos, done_indices)
+        """Call the observers after each environment step."""
+        self._call("process_infos", infos, done_indices)
 
     def after_steps(self) -> None:
-        """After each rollout."""
-        for observer in self.observers:
-            observer.after_steps()
+        """Call the observers after each rollout."""
+        self._call("after_steps")
 
     def after_clear_stats(self) -> None:
-        """The agent's meters were cleared."""
-        for observer in self.observers:
-            # rl_games calls it on the outermost observer, but its base class lacks it.
-            getattr(observer, "after_clear_stats", lambda: None)()
+        """Call the observers when the agent's meters were cleared."""
+        self._call("after_clear_stats")
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        """After each epoch."""
-        for observer in self.observers:
-            observer.after_print_stats(frame, epoch_num, total_time)
+        """Call the observers after each epoch."""
+        self._call("after_print_stats", frame, epoch_num, total_time)
 
 
 class TrainingObservers(MultiObserver):

@@ -53,9 +53,6 @@ class TaskScalarsObserver(Stateful, AlgoObserver):
         if "episode_cumulative" in infos:
             self._accumulate(infos["episode_cumulative"], done_indices.flatten(), diverged)
         self._scalars = dict(_flat_scalars(infos))
-        self._add_reward_terms()
-
-    def _add_reward_terms(self) -> None:
         task = getattr(getattr(self._algo, "vec_env", None), "env", None)
         terms = getattr(task, "reward_terms", {})
         if len(terms) > 1:  # one is the reward itself
