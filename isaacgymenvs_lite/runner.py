@@ -252,19 +252,12 @@ def _guarded(
 
 @torch_settings_kept()
 def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | None:
-    """Play the policy of a composed tree's checkpoint, and log what it reaches.
-
-    Args:
-        cfg: as in `run`.
-        direction: as in `run`.
+    """Play the policy of a composed tree's checkpoint, and log what it reaches; see `run`.
 
     Returns:
         The pose error in m or the mean reward of the episodes, whichever the training of such a
         policy returns. None if nothing was measured: the window was closed before, or the player
         is not this project's.
-
-    Raises:
-        UserError: a mistake that the user can correct.
     """
     launch = _read_launch(_checked(cfg))
     with (

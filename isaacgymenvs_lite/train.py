@@ -100,12 +100,7 @@ def main() -> None:
 
 
 def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
-    """Let Hydra compose the configuration and run the job, or the jobs of a sweep.
-
-    Raises:
-        ConfigError: the configuration cannot be composed.
-        JobError: a launcher has failed, such as a process that was killed.
-    """
+    """Let Hydra compose the configuration and run the job, or the jobs of a sweep."""
     check_words(words)
     Summary.num_failed = 0
     command = dataclasses.replace(command, words=(*inherited_settings(words), *command.words))
@@ -152,11 +147,7 @@ def _run_hydra(words: Sequence[str], command: TypedCommand) -> None:
 
 
 def split_options(words: Sequence[str]) -> tuple[dict[str, str | None], list[str]]:
-    """Return Hydra's options with their values, and the overrides, which Hydra reads after them.
-
-    Raises:
-        ConfigError: Hydra does not know an option with dashes, as `--task` of ASE's launcher.
-    """
+    """Return Hydra's options with their values, and the overrides, which Hydra reads after them."""
     options, overrides = dict[str, str | None](), list[str]()
     rest = iter(words)
     for word in rest:

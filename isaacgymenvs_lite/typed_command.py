@@ -42,10 +42,7 @@ class TypedCommand:
     def play(self, task: str, checkpoint: Path, *, is_newest: bool = True) -> str:
         """Return the command that plays a checkpoint of the run, for a shell.
 
-        Args:
-            task: name of the task, for a command line without `task=`.
-            checkpoint: the file.
-            is_newest: whether `checkpoint=last` finds it after this run.
+        `task` is for a command line without `task=`. The newest checkpoint is called `last`.
         """
         typed = {_key(word): word for word in self.words if _key(word) in ("task", "train")}
         files = [typed.get("task", f"task={task}")]
@@ -63,12 +60,7 @@ class TypedCommand:
         return shlex.join([*self.program, *files, *kept, *settings, *played])
 
     def resume(self, run: Path, num_processes: int = 1) -> str:
-        """Return the command that goes on with the training in a run folder, for a shell.
-
-        Args:
-            run: the folder.
-            num_processes: that train together, on this machine.
-        """
+        """Return the command that goes on with a run, in several processes that train together."""
         words = [*self.program, f"resume={run}"]
         if num_processes > 1:
             start = ["torchrun", "--standalone", f"--nproc-per-node={num_processes}"]

@@ -55,10 +55,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
 
     A run folder that was removed is made again. If it cannot be written (read-only, full), the
     failure is logged, the checkpoint is written to a private folder below the system's temporary
-    one, and the training goes on: losing the run would be worse than losing a file.
-
-    Returns:
-        The file that was written; None if none could be.
+    folder, and the training goes on. Returns the file; None if none could be written.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
@@ -90,12 +87,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
 
 
 def write_atomically(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint in one step, see `utils.files`.
-
-    Raises:
-        OSError: the folder cannot be written or is full; no partial file is left.
-        KeyboardInterrupt: the user interrupted it; no partial file is left either.
-    """
+    """Write a checkpoint in one step; after an error no partial file is left."""
     with atomic_write(path) as partial, partial.open("wb") as file:
         try:
             torch.save(state, file)
@@ -108,13 +100,9 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
 
 
 class Retention:
-    """Keeps the checkpoints of the last epochs in which periodic ones were written.
+    """Keeps the checkpoints of the last `keep` epochs in which periodic ones were written; 0: all.
 
-    Only files that were passed to `written` are ever removed: none of an earlier start or of
-    another program, and not the best checkpoint, which has one name for the whole run.
-
-    Args:
-        keep: epochs whose files stay; 0: all.
+    It removes only files that were passed to `written`.
     """
 
     def __init__(self, keep: int) -> None:
@@ -122,12 +110,7 @@ class Retention:
         self._files: dict[int, set[Path]] = {}
 
     def written(self, file: Path, epoch: int) -> None:
-        """Note a file that was written, and remove those that are too old.
-
-        Args:
-            file: the checkpoint, or where it was rescued to.
-            epoch: of the training, from 1.
-        """
+        """Note a checkpoint, or where it was rescued to, and remove those that are too old."""
         if self._keep == 0:
             return
         self._files.setdefault(epoch, set()).add(file)
@@ -156,13 +139,12 @@ def plain_numbers(value: Any) -> Any:
 def load_checkpoint(filename: str | Path) -> dict[str, Any]:
     """Load a checkpoint on the CPU without running code from it; see `archive`.
 
-    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are beside the
-    model), and strips the parameter prefix of compiled models. `learning.restoring` checks whether
-    it fits the networks.
+    Accepts files of rl_games 1.6.5, of IsaacGymEnvs and of ASE (whose normalisers are outside of
+    the model), and strips the parameter prefix of compiled models. `learning.restoring` checks
+    whether it fits the networks.
 
     Raises:
-        CheckpointError: the file is missing, damaged, holds anything but tensors and plain
-            containers, or is no checkpoint.
+        CheckpointError: the file is missing or damaged, or is no checkpoint.
     """
     path = Path(filename)
     if not path.is_file():
@@ -276,15 +258,9 @@ def fit_optimizer_state(
 
 
 def checkpoint_of_tree(tree: Mapping[str, Any], checkpoint: str, train_dir: str | Path) -> str:
-    """Return the path that `checkpoint` means to a resolved tree, to train, play or export.
+    """Return the path that `checkpoint` means to a resolved tree, see `resolve_checkpoint`.
 
-    Args:
-        tree: the tree; `last` is the newest checkpoint of its task and of its kind of network.
-        checkpoint: as `resolve_checkpoint`.
-        train_dir: folder of the run folders.
-
-    Raises:
-        CheckpointError: there is no such file.
+    `last` is the newest checkpoint of its task and of its kind of network.
     """
     network = select(tree, "train.params.network.name")
     return resolve_checkpoint(checkpoint, train_dir, tree["task"]["name"], str(network or ""))
@@ -297,7 +273,7 @@ def resolve_checkpoint(
 
     Args:
         checkpoint: '' (none), a path, `last`: the newest checkpoint of the task's runs, also a
-            rescued one, or the name of a shipped policy.
+            rescued checkpoint, or the name of a shipped policy.
         train_dir: folder of the run folders.
         task_name: task of the runs that `last` searches; '': all.
         network_name: name of their networks; '': all. Several levels of a hierarchy are trained on
@@ -344,12 +320,9 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
 def newest_run(
     train_dir: Path, wanted: Mapping[str, str], patterns: Sequence[str]
 ) -> RunFolder | None:
-    """Return the run with the file that was written last; None if no run has such a file.
+    """Return the run with the newest file of some patterns, rescued files included; None without.
 
-    Args:
-        train_dir: folder of the runs.
-        wanted: values that config.yaml of the run has, by their paths.
-        patterns: of the files, `nn/*.pth`; rescued ones count.
+    `wanted` are values that config.yaml of the run has, by their paths.
     """
     runs = {
         file: run

@@ -107,7 +107,7 @@ class PolicyInfo:
 
 
 def read_policy_info(path: Path) -> PolicyInfo:
-    """Read the `PolicyInfo` of a packed policy; no code of the file is run.
+    """Read the `PolicyInfo` of a packed policy.
 
     Raises:
         CheckpointError: it cannot be read or is no packed policy.
@@ -126,20 +126,14 @@ def read_policy_info(path: Path) -> PolicyInfo:
 
 
 def shipped_policy_infos() -> dict[str, PolicyInfo]:
-    """Return the policies that ship, in the order of their names.
-
-    Raises:
-        CheckpointError: a file is damaged.
-    """
+    """Return the policies that ship, in the order of their names."""
     return {name: read_policy_info(path) for name, path in shipped_policies().items()}
 
 
 def with_packed_settings(params: Mapping[str, Any], state: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section `params` of a train file as a packed policy was trained with it.
 
-    Args:
-        params: of a train file of the same algorithm.
-        state: of a checkpoint; if it is no packed policy, `params` is returned as it is.
+    For the `state` of any other checkpoint `params` is returned as it is.
 
     Raises:
         CheckpointError: its settings contradict each other.
@@ -236,11 +230,7 @@ def pack_policy(
 
 
 def _shipped_clip(clip: str) -> str:
-    """Return a clip by a name that is valid on any machine.
-
-    Raises:
-        ConfigError: it is a file of this machine.
-    """
+    """Return a clip by a name that is valid on any machine; refuse other files."""
     file = Path(clip)
     if is_package_name(clip):
         return clip

@@ -28,10 +28,6 @@ def playing_overrides(name: str) -> list[str]:
     """Return the overrides that a shipped policy needs to act, for `config.compose`.
 
     These are the settings that must be as in its training: no `checkpoint`, devices or sizes.
-
-    Raises:
-        KeyError: no such policy.
-        CheckpointError: its file is damaged.
     """
     # imports torch, which other command lines do without
     from isaacgymenvs_lite.checkpoints.packed import read_policy_info
@@ -46,11 +42,7 @@ def playing_overrides(name: str) -> list[str]:
 def complete_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command line with the settings of the shipped policy that it plays or trains on.
 
-    They are inserted before the typed words, which override them. A command line without a shipped
-    policy is returned as it is.
-
-    Raises:
-        CheckpointError: the policy's file is damaged.
+    They are inserted before the typed words, which override them.
     """
     arguments = list(arguments)
     typed = _settings(arguments)
@@ -71,9 +63,6 @@ def inherited_settings(arguments: Sequence[str]) -> list[str]:
     Such a run is played by the files of task and training and by the typed words. So these are the
     policy's settings that the files do not have, as overrides; all of its settings where the files
     come from a folder of the user's own.
-
-    Raises:
-        CheckpointError: the policy's file is damaged.
     """
     typed = _settings(arguments)
     name = typed.get("checkpoint", "")

@@ -64,9 +64,6 @@ def read_run_config(
         file: config.yaml of a run folder.
         model: parameters by name; empty if they are not known.
         to_play: with the values of a play (`test=True`), where those of a training differ.
-
-    Raises:
-        ConfigError: the file cannot be read, or is no configuration of a run.
     """
     register_resolvers()
     stored = read_yaml(file)
@@ -93,10 +90,6 @@ def resumed_tree(words: Sequence[str]) -> DictConfig:
 
     Returns:
         The tree; `resume` is the path of the file to go on from.
-
-    Raises:
-        CheckpointError: there is no such run.
-        ConfigError: a word cannot be used, or config.yaml of the run cannot.
     """
     given = {word.partition("=")[0].lstrip("+"): word for word in words}
     for word in words:

@@ -73,9 +73,6 @@ def write_training_state(
     """Write this process' part of a state into a run folder; return its files.
 
     The former state stays. The token is that of `new_token`, the same for all processes.
-
-    Raises:
-        OSError: the folder cannot be written or is full.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -96,12 +93,9 @@ def write_training_state(
 
 
 def write_start(run: Path, checkpoint: dict[str, Any]) -> Path:
-    """Write the checkpoint that a run goes on from in another process, and remove its states.
+    """Write the checkpoint that a run goes on from in another process; return its path.
 
-    The states would lead `resume=` back to the networks before.
-
-    Raises:
-        OSError: the folder cannot be written or is full; the former states are left.
+    The run's states are removed: they would lead `resume=` back to the networks before.
     """
     folder = run / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -131,7 +125,7 @@ def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> Tr
 
     Args:
         path: file of the main process.
-        rank: of this process, which reads its own files beside it.
+        rank: of this process, which reads its own files in the same folder.
         num_processes: that train now.
 
     Raises:
@@ -178,15 +172,12 @@ def _read_archive(file: Path, hint: str) -> dict[str, Any]:
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:
-    """Return the file that the key `resume` means.
+    """Return the file that the key `resume` means: `last`, a run folder, or a file in one.
 
     Args:
-        resume: `last`, a run folder, or a file in one.
+        resume: the key.
         train_dir: folder of the runs that `last` searches.
         wanted: what config.yaml of these runs has, values by path.
-
-    Raises:
-        CheckpointError: there is nothing to go on from.
     """
     given = user_path(resume)
     if resume == "last":

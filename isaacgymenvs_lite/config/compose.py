@@ -80,12 +80,8 @@ def compose_task(
 ) -> DictConfig:
     """Compose the tree of a task that a program or another library makes; see `compose`.
 
-    Not every task has a train file. The tree gets PPO's, which nothing reads.
-
-    Args:
-        task: name of a task file.
-        overrides: more words; `task=` and `train=` among them count instead.
-        config_dir: as `compose`.
+    Not every task has a train file. The tree gets PPO's, which nothing reads. `task=` and `train=`
+    among the overrides count instead.
     """
     words = [
         f"{group}={name}"
@@ -228,8 +224,7 @@ def _unknown_key(key: str, files: StagedFiles) -> ConfigError:
 def missing_task(name: str) -> str | None:
     """Return a message about a published task that is not here; None for any other name.
 
-    Args:
-        name: of a task, or a file of the task: `ShadowHandPPOAsymmLSTM`.
+    The name may be that of a train file, too: `ShadowHandPPOAsymmLSTM`.
     """
     family = next((known for known in _PUBLISHED_TASKS if name.startswith(known)), None)
     if family is None or (cfg_dir() / "task" / f"{name}.yaml").is_file():

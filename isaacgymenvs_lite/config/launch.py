@@ -135,13 +135,7 @@ class _EnvSize:
 
 @dataclass(frozen=True)
 class CheckedConfig:
-    """A composed tree that has been checked; it is resolved here, once.
-
-    Attributes:
-        settings: the root.
-        tree: the whole tree, resolved, as dictionaries and lists.
-        cfg: the tree as it was composed, for config.yaml of the run.
-    """
+    """A composed tree that has been checked: its root, resolved and as it was composed."""
 
     settings: LaunchSettings
     tree: dict[str, Any]
@@ -251,11 +245,7 @@ def allow_cpu_fallback(allowed: bool = True) -> None:
 
 
 def check_device_name(name: str, key: str) -> int | None:
-    """Return the index of the GPU that `name`, the value of the setting `key`, means; None: cpu.
-
-    Raises:
-        DeviceError: it is misspelt.
-    """
+    """Return the index of the GPU that a setting's value means, None for the CPU; or refuse it."""
     match = _DEVICE.fullmatch(str(name))
     if match is None:
         raise DeviceError(f"{key}={name}: expected cpu, cuda or cuda:N, for example cuda:0")
@@ -263,9 +253,7 @@ def check_device_name(name: str, key: str) -> int | None:
 
 
 def check_device(name: str, key: str) -> str:
-    """Return the device of this machine that `name`, the value of the setting `key`, means.
-
-    It is `name`, or the CPU after `allow_cpu_fallback`.
+    """Return the device that a setting's value means; the CPU after `allow_cpu_fallback`.
 
     Raises:
         DeviceError: it is misspelt, or torch does not see such a GPU.

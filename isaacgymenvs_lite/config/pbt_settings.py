@@ -55,11 +55,7 @@ class PBTSettings:
 
 
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:
-    """Return the section `pbt` of a resolved tree; None if the training is of one policy alone.
-
-    Raises:
-        ConfigError: a value cannot be used.
-    """
+    """Return the section `pbt` of a resolved tree; None if the training is of one policy alone."""
     settings = read_section(PBTSettings, tree.get("pbt"), "pbt", complete=True)
     if not settings.enabled:
         return None
@@ -92,9 +88,6 @@ def mutable_values(tree: Mapping[str, Any], settings: PBTSettings) -> dict[str, 
 
     Published files name settings that not every train file has, or that are null: these are left
     out.
-
-    Raises:
-        ConfigError: a value is no number, a path looks misspelt, or nothing is left.
     """
     values: dict[str, float] = {}
     for path in settings.mutation:

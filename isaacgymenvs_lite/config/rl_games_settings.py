@@ -323,12 +323,9 @@ _SECTIONS: dict[str, type[Any]] = {
 
 
 def check_network(network: dict[str, Any], where: str, *, is_critic: bool = False) -> None:
-    """Check names, units and keys of a network section; convert numbers in place.
+    """Check names, units and keys of a network section at a path; convert numbers in place.
 
-    Args:
-        network: the section.
-        where: its path, for messages.
-        is_critic: it is a critic alone, which has no actions.
+    A critic alone has no actions.
 
     Raises:
         ConfigError: a key is missing or misspelt, or a value is none of the choices.
@@ -381,11 +378,7 @@ def scale_units(network: dict[str, Any]) -> None:
 
 
 def check_central_value(section: dict[str, Any], where: str) -> None:
-    """Check the section of an asymmetric critic; convert numbers in place.
-
-    Raises:
-        ConfigError: a key is missing, or a value cannot be used.
-    """
+    """Check the section of an asymmetric critic; convert numbers in place."""
     network = convert_section(CentralValueSettings, section, where, None).network
     if "name" not in network:
         raise missing_key("name", network, (), f"{where}.network", "expected actor_critic")

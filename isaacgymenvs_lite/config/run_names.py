@@ -26,11 +26,7 @@ def train_dir_of(words: Sequence[str]) -> Path:
 
 
 def run_name_of(tree: dict[str, Any]) -> PurePosixPath:
-    """Return the name of the runs of a resolved tree: `experiment`, or the train file's name.
-
-    Raises:
-        ConfigError: the name cannot be the name of a folder.
-    """
+    """Return the name of the runs of a resolved tree: `experiment`, or the train file's name."""
     for key in ("experiment", _NAME_IN_FILE):
         given = select(tree, key)
         if given not in (None, ""):
@@ -43,10 +39,10 @@ def read_run_name(given: Any, key: str) -> PurePosixPath:
 
     Args:
         given: as on the command line or in a train file: `walk1`, `amp/walk1`.
-        key: setting that it is the value of, for messages.
+        key: the setting, for messages.
 
     Raises:
-        ConfigError: it is empty, leads out of the folder, or cannot be the name of a file.
+        ConfigError: it leads out of the folder, or cannot be the name of a folder.
     """
     text = str(given)
     path = PurePosixPath(text.strip())

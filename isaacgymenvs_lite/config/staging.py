@@ -128,11 +128,7 @@ def staged(
 
 
 def read_yaml(path: Path) -> DictConfig:
-    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time.
-
-    Raises:
-        ConfigError: the file is missing, is no YAML, or holds no mapping or something forbidden.
-    """
+    """Read one YAML file, alone. Of equal keys the last one counts, as in ASE's time."""
     content = _read(path)
     if is_foreign(path):
         _check_content(content, path)
@@ -375,11 +371,7 @@ def _is_about_logging(entry: Any) -> bool:
 
 
 def checkout_of(task_file: Path) -> Path:
-    """Return the folder of the checkout that a task file belongs to.
-
-    Args:
-        task_file: absolute, without symbolic links.
-    """
+    """Return the folder of the checkout that a task file, an absolute path, belongs to."""
     folder = task_file.parent
     if _is_in_ase(task_file):
         return folder.parents[2]
@@ -420,10 +412,8 @@ def clip_folders(checkout: Path, name: str) -> list[Path]:
 def model_folders(checkout: Path, root: str) -> list[Path]:
     """Return the folders of a checkout in which a model may be.
 
-    Args:
-        checkout: its folder.
-        root: `assetRoot` of the task file, '' for none: relative to the tasks in IsaacGymEnvs
-            (`../../assets`), to the checkout in ASE (`ase/data/assets`).
+    `assetRoot` of the task file, '' for none, is relative to the tasks in IsaacGymEnvs
+    (`../../assets`), to the checkout in ASE (`ase/data/assets`).
     """
     parts = [part for part in Path(root).parts if part != ".."]
     named = [checkout.joinpath(*parts)] if parts and not Path(root).is_absolute() else []

@@ -33,12 +33,8 @@ def load_train_file(
             minibatches stay as written.
         rl_device: device of agent and player.
 
-    Returns:
-        The file's content with its one key, "params".
-
     Raises:
-        ConfigError: there is no such file, it cannot be read, it is no train file, or a value
-            cannot be used.
+        ConfigError: there is no such train file, or it cannot be used.
     """
     from isaacgymenvs_lite.utils.precision import resolve_mixed_precision  # torch
 
@@ -75,11 +71,8 @@ def read_train_file(path: Path | str, num_envs: int = 1, rl_device: str = "cpu")
         num_envs: value of `task.env.numEnvs`.
         rl_device: value of `rl_device`.
 
-    Returns:
-        The file's content with its one key, "params".
-
     Raises:
-        ConfigError: there is no such file, it cannot be read, or it is no train file.
+        ConfigError: there is no such train file.
     """
     file = _find(path)
     content = read_yaml(file)

@@ -222,9 +222,6 @@ def complete_ppo(
         num_envs: environments of the task.
         num_agents: agents in each environment.
         agent_keys: keys that are read elsewhere; None: all other keys.
-
-    Raises:
-        ConfigError: a PPO key is missing or has a wrong value, or the samples do not fit.
     """
     config = params["config"]
     critic = config.get("central_value_config") or {}
@@ -307,23 +304,14 @@ def _fit_minibatches(
 def fit_minibatch(batch_size: int, minibatch_size: int, multiple_of: int = 1) -> int:
     """Return the divisor of `batch_size` that is nearest to `minibatch_size` in ratio.
 
-    A minibatch larger than the batch becomes the batch.
+    A minibatch larger than the batch becomes the batch. The result is a multiple of `multiple_of`,
+    the sequence length of a recurrent network, which divides the batch.
 
     >>> fit_minibatch(1024, 32768)
     1024
     >>> fit_minibatch(1000, 300)  # 250 is 1.2 times smaller, 500 is 1.67 times larger
     250
-
-    Args:
-        batch_size: samples of an epoch, at least 1.
-        minibatch_size: the wish, at least 1.
-        multiple_of: the result is a multiple of this (sequence length of a recurrent network).
-
-    Raises:
-        ValueError: `multiple_of` does not divide `batch_size`.
     """
-    if batch_size % multiple_of:
-        raise ValueError(f"{multiple_of} does not divide the batch of {batch_size}")
     small = [each for each in range(1, math.isqrt(batch_size) + 1) if batch_size % each == 0]
     divisors = [*small, *(batch_size // each for each in small)]
     candidates = [divisor for divisor in divisors if divisor % multiple_of == 0]
@@ -337,9 +325,6 @@ def apply_wrapper_limits(tree: dict[str, Any]) -> None:
     """Copy the limits of `train.params.env` into the task section, in place.
 
     The limit of actions is also the range to which rl_games scales them, see `make_from_config`.
-
-    Raises:
-        ConfigError: a limit is not a positive number.
     """
     for key, task_key in _LIMITS.items():
         path = f"{_WHERE}.{_ISAAC_LAB_SECTION}.{key}"
@@ -356,9 +341,6 @@ def checkpoint_in_file(tree: Mapping[str, Any]) -> str:
 
     IsaacGymEnvs' files interpolate `checkpoint=`; others may have `load_checkpoint: True` and a
     path. rl_games 1.6.5 reads neither key, its first versions did.
-
-    Raises:
-        ConfigError: load_checkpoint is True and no path is given.
     """
     params = tree["train"]["params"]
     if not params.get("load_checkpoint") or tree.get("checkpoint"):
@@ -372,9 +354,6 @@ def check_env_name(params: Mapping[str, Any]) -> None:
     """Refuse environments of rl_games' own: a train file trains the task that `task=` names.
 
     One of them makes whatever Gymnasium can import by the name in `env_config`.
-
-    Raises:
-        ConfigError: the file names one.
     """
     name = params["config"].get("env_name", ENV_NAME)
     if name != ENV_NAME:

@@ -101,12 +101,6 @@ class DiagnosticsObserver(AlgoObserver):
         measurement: the measured pose error, if any.
         max_episode_steps: the task's time limit in control steps.
         clip_limits: the keys of `CLIP_LIMITS` that the task sets.
-
-    Attributes:
-        config: `train.params.config`, for the values that a warning proposes.
-        measurements: so far.
-        implausible: what is implausible in the clips, for users; '' if nothing is known.
-        clip_limits: as given.
     """
 
     def __init__(
@@ -152,9 +146,7 @@ class DiagnosticsObserver(AlgoObserver):
     def next_warning(self, epoch: EpochMetrics, now_s: float) -> str | None:
         """Return what is wrong after an epoch and what to do about it, or None.
 
-        Args:
-            epoch: metrics of the next epoch.
-            now_s: time of any clock; a warning is repeated after `REPEAT_S`.
+        A warning is repeated after `REPEAT_S` of any clock.
         """
         window = self._window
         window.append(epoch)

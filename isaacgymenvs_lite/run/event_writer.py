@@ -2,11 +2,7 @@
 
 tensorboardX passes events to a thread through a queue of ten. When the disk is full the thread
 dies, and then `add_scalar` waits for ever, and so does the end of the process. Here the caller
-writes the events, a failure is logged once, and the events are kept and written later.
-
-Records are framed here and not by tensorboardX's `RecordWriter`: it writes a record in four parts,
-so that a full disk would leave half a record, which ends the file for every reader, and it cannot
-repeat the record.
+writes whole records, a failure is logged once, and the events are kept and written later.
 """
 
 from __future__ import annotations
@@ -37,11 +33,7 @@ _HEADER_BYTES = 100
 
 
 class RetryingEventWriter:
-    """Replaces tensorboardX's `EventFileWriter`; see `install`.
-
-    Args:
-        logdir: folder of the event file; made again if somebody removes it.
-    """
+    """Replaces tensorboardX's `EventFileWriter`; makes its folder again if somebody removes it."""
 
     def __init__(self, logdir: str | os.PathLike[str]) -> None:
         self._logdir = Path(logdir)

@@ -89,12 +89,7 @@ class RunFolder:
     # --- reserving -------------------------------------------------------------------------
 
     def __enter__(self) -> RunFolder:
-        """Reserve the folder, and remove files that a killed run left half written.
-
-        Raises:
-            ConfigError: the folder cannot be written, is part of another run, has a link below
-                it, or another run writes into it.
-        """
+        """Reserve the folder, and remove files that a killed run left half written."""
         for folder in self.path.relative_to(self.train_dir).parents:
             if folder.parts and (self.train_dir / folder / _CONFIG_FILE).exists():
                 raise ConfigError(
@@ -351,11 +346,7 @@ class FolderLock:
 
 
 def _rescue_dir(train_dir: Path) -> Path:
-    """Return the folder to which runs below `train_dir` are rescued; make the private folder.
-
-    Raises:
-        OSError: the private folder cannot be made, or other users can write to it.
-    """
+    """Return the folder to which runs below `train_dir` are rescued; make the private folder."""
     root = _private_root()
     root.mkdir(mode=0o700, exist_ok=True)
     if not _is_private(root):

@@ -53,9 +53,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
     Attributes:
         last: the newest result, None before the first evaluation.
         last_frame: environment steps trained before it.
-        best_pose_error_m: lowest of all results, None before the first one that has a pose error.
-        best_reward: highest of all results, None before the first one.
-        best_epoch: epoch of `best_reward`.
+        best_pose_error_m: lowest of all results, in m; None before the first pose error.
         clip_spread_m: `clip_spread_m` of the task's clips, nan before the first evaluation.
         implausible: what is implausible in the clips, '' before the first evaluation.
     """

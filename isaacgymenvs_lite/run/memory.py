@@ -17,15 +17,12 @@ _COPIES_OF_SAMPLES = 2
 
 
 def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -> None:
-    """Refuse a training that cannot fit into memory.
+    """Refuse a training of `num_envs` that cannot fit into this machine's memory.
 
     Args:
         params: the checked section `params` of the train file.
         task: of any number of environments; its sizes count.
         num_envs: of the training.
-
-    Raises:
-        ConfigError: simulations, samples, replay buffers and networks exceed the machine's memory.
     """
     config, network = params["config"], params["network"]
     if str(config.get("device")).startswith("cuda"):

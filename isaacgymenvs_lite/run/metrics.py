@@ -65,11 +65,6 @@ class MetricsObserver(Stateful, AlgoObserver):
 
     Falls are averaged over the same last episodes as rl_games' mean length and reward
     (`games_to_track`). It must come before the observers that read `latest`.
-
-    Attributes:
-        latest: metrics of the newest epoch, None before the first one has ended.
-        best_reward: highest `episode_reward` of all epochs, None before the first episode has
-            ended.
     """
 
     latest: EpochMetrics | None = None

@@ -29,10 +29,7 @@ log = logging.getLogger(__name__)
 class Objective:
     """The number that a run returns, by which sweeps compare runs.
 
-    Attributes:
-        name: for messages.
-        unit: of the number, with a blank before it; '' without one.
-        direction: `minimize` or `maximize`, in the words of Hydra's sweepers.
+    `direction` is `minimize` or `maximize`, in the words of Hydra's sweepers.
     """
 
     name: str
@@ -42,12 +39,8 @@ class Objective:
     def check_direction(self, direction: str, task: str) -> None:
         """Check before a training that a study optimises this number in the right direction.
 
-        Args:
-            direction: `hydra.sweeper.direction`; '' outside of a study.
-            task: name of the task.
-
         Raises:
-            SweepError: it is the other direction.
+            SweepError: `hydra.sweeper.direction` is the other direction.
         """
         if direction and direction != self.direction:
             raise SweepError(
@@ -65,15 +58,11 @@ MEAN_REWARD = Objective("best mean reward", "", "maximize")
 
 
 def objective_of(config: Mapping[str, Any], has_pose_error: bool) -> Objective:
-    """Return what runs are compared by.
+    """Return what runs are compared by, given `train.params.config`.
 
     The pose error counts where it is measured and the task's reward does not: `task_reward_w: 0`,
     as AMP has it. All other trainings learn from the task's reward: PPO, SAC, a hierarchy on a
     goal.
-
-    Args:
-        config: `train.params.config`.
-        has_pose_error: whether the run measures it.
     """
     learns_task = config.get("task_reward_w", 1.0) != 0
     return POSE_ERROR if has_pose_error and not learns_task else MEAN_REWARD
@@ -129,14 +118,6 @@ class MultiObserver(Stateful, AlgoObserver):
 
 class TrainingObservers(MultiObserver):
     """All observers of a training: what it shows, and what it writes besides checkpoints.
-
-    Args:
-        config: the checked configuration.
-        run_name: name of the run folder.
-        measurement: plays the mean policy now and then; None: never.
-        max_episode_steps: the task's time limit in control steps.
-        stop: the user's request to end the training.
-        population: compares the policy with others, if there are any.
 
     Attributes:
         agent: the agent that rl_games' Runner makes and does not return; None before.

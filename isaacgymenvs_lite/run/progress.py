@@ -28,13 +28,8 @@ _BAR_FORMAT = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{remaining}{postfi
 class ProgressObserver(AlgoObserver):
     """Shows a progress bar on a terminal, a line every few seconds elsewhere; stops at Ctrl-C.
 
-    Without a terminal the first and the last epoch always get a line.
-
-    Args:
-        stop: the user's request; the epoch in which it arrives becomes the last one.
-        metrics: what is shown; it must come before this observer.
-        imitation: its newest pose error and tempo are shown, if there is one.
-        line_interval_s: seconds between lines where the output is no terminal.
+    Without a terminal the first and the last epoch always get a line. The epoch in which the user
+    requests the end becomes the last one.
     """
 
     def __init__(

@@ -31,11 +31,7 @@ _ended_here = False
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Refuse the words of a sweep whose jobs would get into each other's way.
-
-    Raises:
-        ConfigError: a word does that.
-    """
+    """Refuse the words of a sweep whose jobs would get into each other's way."""
     if not any(word in ("-m", "--multirun") or word.startswith("+study=") for word in words):
         return
     typed = {word.partition("=")[0].lstrip("+"): word.partition("=")[2] for word in words}
@@ -139,9 +135,6 @@ def waiting_for_jobs() -> Iterator[None]:
     """Let the first Ctrl-C wait for jobs in other processes, which end after their epochs.
 
     A terminal sends Ctrl-C to all processes. The second one ends all of them at once.
-
-    Raises:
-        KeyboardInterrupt: after the jobs, or at the second Ctrl-C.
     """
     pressed = False
 

@@ -37,13 +37,7 @@ class TaskScalarsObserver(Stateful, AlgoObserver):
         self._steps = 0
 
     def process_infos(self, infos: dict[str, Any], done_indices: Tensor) -> None:
-        """Collect the values of a step.
-
-        Raises:
-            TypeError: infos are no dictionary.
-        """
-        if not isinstance(infos, dict):
-            raise TypeError(f"infos must be a dictionary, got {type(infos).__name__}")
+        """Collect the values of a step."""
         diverged = diverged_in(infos, done_indices.device)
         if reports_divergence(infos.get("diverged")):
             found = 0 if diverged is None else int(diverged.sum())

@@ -20,13 +20,8 @@ _ATTEMPTS = 3
 class WandbObserver(AlgoObserver):
     """Opens a run before the agent makes its TensorBoard writer, which wandb then mirrors.
 
-    A failure (no network, no login) is logged, and the training goes on without wandb.
-
-    Args:
-        tree: the resolved tree, which is stored with the run.
-        settings: the keys wandb_project, _entity, _group, _name, _tags, _logcode_dir.
-        run_name: name of the run folder, and of the run unless `wandb_name` differs from the train
-            file's name.
+    A failure (no network, no login) is logged, and the training goes on without wandb. The run is
+    called as the run folder unless `wandb_name` differs from the train file's name.
     """
 
     def __init__(self, tree: dict[str, Any], settings: LaunchSettings, run_name: str) -> None:
