@@ -29,12 +29,7 @@ from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.checkpoints.training_state import run_of_file
-from isaacgymenvs_lite.config.launch import (
-    CheckedConfig,
-    LaunchSettings,
-    read_config,
-    resolve_seed,
-)
+from isaacgymenvs_lite.config.launch import CheckedConfig, read_config, resolve_seed
 from isaacgymenvs_lite.config.resolvers import forbidden_resolver
 from isaacgymenvs_lite.config.run_names import (
     DEFAULT_TRAIN_DIR,
@@ -168,7 +163,7 @@ def train(
             objective = objective_of(params["config"], has_clips and measurement is not None)
             objective.check_direction(direction, launch.task_name)
             observers = TrainingObservers(
-                launch.config, launch.folder.name, measurement, task.max_episode_length, stop, pbt
+                launch, launch.folder.name, measurement, task.max_episode_length, stop, pbt
             )
             if pbt is not None:
                 pbt.is_stopping = lambda: stop.requested
@@ -261,7 +256,7 @@ def play(cfg: DictConfig | CheckedConfig, *, direction: str = "") -> float | Non
     """
     launch = _read_launch(_checked(cfg))
     with (
-        _memory_errors_explained(launch.config),
+        _memory_errors_explained(launch),
         _open_tasks(launch) as make_task,
         Viewers(launch.settings) as viewers,
     ):
@@ -304,32 +299,20 @@ def load_player(cfg: DictConfig) -> Iterator[Any]:
 
 
 @dataclass(frozen=True)
-class _Launch:
-    """What a configuration says about a run, before anything is made.
+class _Launch(CheckedConfig):
+    """A configuration with what it means for a run.
 
     Attributes:
-        config: the checked configuration.
         seed: of the agent.
         name: of the checkpoints, the last part of the run's name.
         folder: of the run; only a training makes it.
         checkpoint: path of the file that the run starts from, '' for none.
     """
 
-    config: CheckedConfig
     seed: int
     name: str
     folder: RunFolder
     checkpoint: str
-
-    @property
-    def settings(self) -> LaunchSettings:
-        """The root of the tree."""
-        return self.config.settings
-
-    @property
-    def tree(self) -> dict[str, Any]:
-        """The resolved tree."""
-        return self.config.tree
 
     @property
     def task_name(self) -> str:
@@ -369,7 +352,7 @@ def _read_launch(config: CheckedConfig) -> _Launch:
                 " checkpoints.run_config.resumed_tree(['resume=...'])"
             )
         folder = RunFolder.at(run_of_file(Path(settings.resume)), train_dir)
-        return _Launch(config, seed, name.name, folder, settings.resume)
+        return _Launch(settings, tree, config.cfg, seed, name.name, folder, settings.resume)
     if exact := settings.full_experiment_name:
         folder = RunFolder(train_dir, str(read_run_name(exact, "full_experiment_name")))
     else:
@@ -379,7 +362,7 @@ def _read_launch(config: CheckedConfig) -> _Launch:
     checkpoint = checkpoints.checkpoint_of_tree(tree, given, train_dir)
     if checkpoint:
         log.info("checkpoint: %s", checkpoint)
-    return _Launch(config, seed, name.name, folder, checkpoint)
+    return _Launch(settings, tree, config.cfg, seed, name.name, folder, checkpoint)
 
 
 @contextmanager
@@ -418,7 +401,7 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
                 device = config.settings.rl_device
                 decided[_PRECISION] = resolve_mixed_precision(precision, device)
             if decided:
-                main = replace(main, config=config.changed(decided))
+                main = replace(main, **vars(config.changed(decided)))
             stack.enter_context(main.folder)
     decided = group.from_main(
         main
@@ -441,7 +424,7 @@ def _read_launch_together(config: CheckedConfig, group: ProcessGroup, stack: Exi
 
 def _check_settings(launch: _Launch, task: VecTask, settings: Mapping[str, float]) -> None:
     """Check changed settings, numbers by their key path, as a start would."""
-    changed = replace(launch, config=launch.config.changed(settings))
+    changed = replace(launch, **vars(launch.changed(settings)))
     with _quiet("isaacgymenvs_lite"), _open_tasks(changed) as make_task:
         make_task(1)
         _read_params(changed, task)
@@ -581,7 +564,7 @@ def _stored_config(launch: _Launch) -> DictConfig:
     Values that a command line takes from elsewhere (`${oc.env:X}`) are written out: a file that
     reads them could not be used again.
     """
-    cfg = launch.config.cfg.copy()
+    cfg = launch.cfg.copy()
     for path, text in leaves(OmegaConf.to_container(cfg, resolve=False)):
         if isinstance(text, str) and forbidden_resolver(text):
             OmegaConf.update(cfg, path, select(launch.tree, path))

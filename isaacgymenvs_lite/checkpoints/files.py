@@ -53,16 +53,15 @@ _MAX_SHOWN = 80
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
-    A run folder that was removed is made again. If it cannot be written (read-only, full), the
-    failure is logged, the checkpoint is written to a private folder below the system's temporary
-    folder, and the training goes on. Returns the file; None if none could be written.
+    If the run folder cannot be written (read-only, full, removed), the failure is logged, the
+    checkpoint is written to a private folder below the system's temporary folder, and the training
+    goes on. Returns the file; None if none could be written.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
     folder = folder_of_checkpoint(path)
     saved: Path | None = path
     try:
-        folder.make_again()
         write_atomically(path, state)
     except OSError as error:
         reason = error.strerror or error
@@ -306,11 +305,9 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     if run is None or file is None:
         task = f"task={task_name}" if task_name else "any task"
         command = package_command("train", f"task={task_name or 'HumanoidAMP'}")
-        others = _tasks_of_checkpoints(train_dir) - {task_name}
-        hint = f"; there are some of task={', task='.join(sorted(others))}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
-            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
+            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()};"
             f" train one first: {command}"
         )
     run.report_rescued(file, "checkpoint=last")
@@ -333,14 +330,6 @@ def newest_run(
     }
     file = newest(runs)
     return None if file is None else runs[file]
-
-
-def _tasks_of_checkpoints(train_dir: Path) -> set[str]:
-    runs = [run for run in runs_below(train_dir) if run.newest_checkpoint() is not None]
-    names = [
-        settings_of_run(f.parent, ["task.name"]) for run in runs for f in run.files("config.yaml")
-    ]
-    return {str(found["task.name"]) for found in names if found and found["task.name"]}
 
 
 def settings_of_run(run: Path, keys: Iterable[str]) -> dict[str, Any] | None:

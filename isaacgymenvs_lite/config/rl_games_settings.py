@@ -399,7 +399,9 @@ def _check_initializer(
         reason = " for a fixed sigma, which is a vector" if name in INITIALIZERS else ""
         raise ConfigError(f"{where}.name{reason}: {unknown('initializer', name, choices)}")
     arguments = INITIALIZERS[name]
-    for key in initializer.keys() - {"name"} if arguments is not None else ():
+    if arguments is None:
+        return
+    for key in initializer.keys() - {"name"}:
         if key not in arguments:
             raise ConfigError(f"{where}: {unknown('key', str(key), arguments)}")
         if key not in ("mode", "nonlinearity"):

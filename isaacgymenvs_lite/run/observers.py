@@ -16,10 +16,9 @@ from isaacgymenvs_lite.errors import SweepError
 from isaacgymenvs_lite.run.diagnostics import CLIP_LIMITS, DiagnosticsObserver
 from isaacgymenvs_lite.run.event_writer import install
 from isaacgymenvs_lite.run.measurement import MeasurementObserver
-from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.metrics import MetricsObserver, TaskScalarsObserver
 from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
-from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 from isaacgymenvs_lite.utils.state import Stateful
 
 log = logging.getLogger(__name__)
