@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, write_atomically
 from isaacgymenvs_lite.checkpoints.llc_reference import LLC_KEY, shipped_reference
 from isaacgymenvs_lite.checkpoints.run_config import (
@@ -36,7 +37,7 @@ from isaacgymenvs_lite.motion.loader import (
     shipped_robot_motions,
     shipped_robot_motions_dir,
 )
-from isaacgymenvs_lite.paths import shipped_policies, shipped_policies_dir
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
@@ -219,7 +220,7 @@ def pack_policy(
         },
     )
     packed[POLICY_KEY] = dataclasses.asdict(info)
-    path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
+    path = Path(folder or paths.shipped_policies_dir()) / f"{name}.pth"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, packed)

@@ -27,6 +27,7 @@ import mujoco
 import numpy as np
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.command_line import run_command
@@ -35,7 +36,6 @@ from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.motion.strip import draw_poses, save_png
-from isaacgymenvs_lite.paths import shipped_policies_dir
 from isaacgymenvs_lite.rendering.gl import ensure_gl
 from isaacgymenvs_lite.rendering.markers import Marker
 from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
@@ -137,7 +137,7 @@ def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
     """
     if not infos:
         raise ConfigError(
-            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            f"there is no policy in {paths.shipped_policies_dir()}; pack one with python -m"
             " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     if not wanted and sys.stdin.isatty():

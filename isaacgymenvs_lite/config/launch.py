@@ -53,59 +53,40 @@ MAX_THREADS = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
-    """The checked root of the configuration tree; None replaces a '' that means "not given"."""
+    """The checked root of the configuration tree; cfg/config.yaml explains the keys.
+
+    None replaces a '' that means "not given".
+    """
 
     task_name: str = setting()
-    """Class of the task."""
     task_checkout: str = setting("")
-    """Folder of the project that a task file named by its path belongs to."""
     experiment: str = setting("")
-    """Name of the run; '' leaves the train file's."""
     test: bool = setting(False)
-    """Play instead of train."""
     checkpoint: str = setting("")
-    """File to restore, `last`, or ''."""
     resume: str = setting("")
-    """File of the run to go on with; a command line also gives `last` or a run folder."""
     sigma: float | None = setting(None, blank=True)
-    """Replaces the log standard deviation of a policy with fixed sigma."""
     latent: str = setting("")
-    """Skills that a played low-level controller shows: random, interpolate or a file."""
     num_envs: int | None = setting(None, minimum=1, blank=True)
     max_iterations: int | None = setting(None, minimum=1, blank=True)
-    """Epochs."""
     seed: int = setting(42, minimum=-1, maximum=_MAX_SEED)
-    """-1 draws one."""
     torch_deterministic: bool = setting(False)
 
     sim_device: str = setting("cpu")
     rl_device: str = setting("cpu")
     pipeline: str = setting("cpu", choices=("cpu", "gpu"))
-    """Where the task's tensors live."""
     num_threads: int = setting(0, minimum=0, maximum=MAX_THREADS)
-    """CPU threads of the physics and of the networks, in turns; 0: one for each CPU with work."""
     multi_gpu: bool = setting(False)
-    """Several processes, which torchrun starts, train one policy."""
     distributed_timeout_s: float = setting(600.0, above=0, maximum=86400)
-    """How long the processes wait for one that does not answer."""
 
     progress_interval: float = setting(10.0, above=0)
-    """Seconds between lines of progress where the output is no terminal."""
     headless: bool = setting(True)
-    """False opens a window."""
     force_render: bool = setting(True)
-    """Show every step in a window; False: only when the task renders."""
     viewer: str = setting("", choices=("", "web"))
-    """`web` serves a page that shows environment 0."""
     viewer_port: int = setting(8080, minimum=0, maximum=65535)
-    """Of the page; 0 takes a free one."""
     capture_video: bool = setting(False)
     capture_video_freq: int = setting(1464, minimum=1)
-    """Environment steps from the start of one video to the start of the next."""
     capture_video_len: int = setting(100, minimum=1)
-    """Environment steps of a video."""
     capture_video_envs: int = setting(1, minimum=1)
-    """Environments that a video shows in tiles, from the first one on."""
 
     wandb_activate: bool = setting(False)
     wandb_group: str = setting("")

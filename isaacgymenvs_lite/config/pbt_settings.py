@@ -30,16 +30,11 @@ class PBTSettings:
     policy_idx: int = setting(0, minimum=0)
     num_policies: int = setting(8, minimum=1, maximum=_MAX_POLICIES)
     workspace: str = setting("pbt_workspace")
-    """Folder that the policies share, a name below the folder of the runs."""
     dbg_mode: bool = setting(False)
-    """Replace at every interval, whatever the rank of the policy; one policy is enough."""
 
     interval_steps: int = setting(10_000_000, minimum=1)
-    """Environment steps from one comparison to the next."""
     start_after: int = setting(10_000_000, minimum=0)
-    """Environment steps after a start or a restart in which the policy is not replaced."""
     initial_delay: int = setting(20_000_000, minimum=0)
-    """Environment steps of the whole training in which nothing is replaced."""
 
     replace_fraction_worst: float = setting(0.125, above=0, maximum=1)
     replace_fraction_best: float = setting(0.3, above=0, maximum=1)
@@ -47,11 +42,9 @@ class PBTSettings:
     replace_threshold_frac_absolute: float = setting(0.05, minimum=0)
 
     mutation_rate: float = setting(0.15, minimum=0, maximum=1)
-    """Probability of each setting to change."""
     change_min: float = setting(1.1, minimum=1)
     change_max: float = setting(1.5, minimum=1)
     mutation: dict[str, Any] = setting({})
-    """Path of a setting in the tree -> name of its function, one of `MUTATIONS`."""
 
 
 def read_pbt_settings(tree: Mapping[str, Any]) -> PBTSettings | None:

@@ -228,7 +228,6 @@ def complete_ppo(
     has_rnn = ("rnn" in params.get("network", {}), "rnn" in critic.get("network", {}))
     if "seq_len" in config:  # the names of rl_games before 1.6.5
         config.setdefault("seq_length", config.pop("seq_len"))
-        config.pop("seq_len", None)
         if any(has_rnn):
             _log.warning("seq_len is called seq_length now: using %s", config["seq_length"])
     if not any(has_rnn):
@@ -239,7 +238,6 @@ def complete_ppo(
     if "max_steps" in config:
         # As max_steps it would end up as an array axis inside rl_games.
         config.setdefault("max_frames", config.pop("max_steps"))
-        config.pop("max_steps", None)
     if config.get("bounds_loss_coef") is None:
         config["bounds_loss_coef"] = 0.0  # rl_games 1.6.5 fails without a number
     others = None if agent_keys is None else {*OTHER_KEYS, *agent_keys}

@@ -28,7 +28,7 @@ def full_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def shipped_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder in place of assets/policies."""
-    monkeypatch.setattr(paths, "assets_dir", lambda: tmp_path / "assets")
+    monkeypatch.setattr(paths, "shipped_policies_dir", lambda: tmp_path / "assets" / "policies")
     folder = paths.shipped_policies_dir()
     folder.mkdir(parents=True)
     return folder
