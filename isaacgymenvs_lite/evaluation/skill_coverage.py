@@ -54,15 +54,10 @@ class ClipMatcher:
 
     Args:
         windows: for each clip the windows (W, F) that it holds, W >= 1.
-        names: of the clips.
-
-    Raises:
-        ValueError: no clip, or a clip without a window.
+        names: of the clips, at least one.
     """
 
     def __init__(self, windows: Sequence[Tensor], names: Sequence[str]) -> None:
-        if not windows or any(len(rows) == 0 for rows in windows):
-            raise ValueError("expected at least one clip, and at least one window of each")
         self._names = list(names)
         means = torch.stack([rows.mean(0) for rows in windows])
         squares = torch.stack([rows.square().mean(0) for rows in windows])
