@@ -28,11 +28,9 @@ class ClipShares:
 
     Attributes:
         shares: clip -> share of the windows, 0 to 1, all clips, the largest first.
-        num_windows: number of windows.
     """
 
     shares: dict[str, float]
-    num_windows: int
 
     @property
     def coverage(self) -> float:
@@ -79,5 +77,4 @@ class ClipMatcher:
         """Return which clips windows (n, F) are nearest to, n >= 1."""
         counts = self.nearest_clips(windows).bincount(minlength=len(self._names)).tolist()
         order = sorted(range(len(counts)), key=lambda i: -counts[i])
-        shares = {self._names[i]: counts[i] / len(windows) for i in order}
-        return ClipShares(shares, len(windows))
+        return ClipShares({self._names[i]: counts[i] / len(windows) for i in order})
