@@ -83,7 +83,8 @@ def test_bad_files_are_one_line(tmp_path: Path, tiny_clip: MotionClip) -> None:
         if isinstance(content, bytes):
             path.write_bytes(content)
         else:
-            np.savez(path, **(arrays | content))
+            changed: dict = arrays | content
+            np.savez(path, allow_pickle=True, **changed)
         with pytest.raises(MotionFileError, match=message) as raised:
             load_npz(path)
         assert str(raised.value).startswith(str(path))
