@@ -8,8 +8,7 @@
     runner.load(yaml_config)    # config: env_name: rlgpu, env_config: {task: HumanoidAMP, ...}
 
 `amp_agent` is then `LeastSquaresAMPAgent`. A builder for `AMPAgent` that the caller registers pays
-the logistic style reward, as IsaacGymEnvs does. `register` also makes rl_games write checkpoints
-atomically and load them without running code.
+the logistic style reward, as IsaacGymEnvs does.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
 import isaacgymenvs_lite
-from isaacgymenvs_lite.checkpoints import files as checkpoints
 from isaacgymenvs_lite.config.train_params import KnownNames
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent, LeastSquaresAMPAgent
@@ -88,8 +86,7 @@ def register_algorithms(runner: Runner) -> None:
 
 
 def register_networks() -> None:
-    """Register our models, networks, checkpoints and tasks with rl_games, for all Runners."""
-    checkpoints.install()
+    """Register our models, networks and tasks with rl_games, for all Runners."""
     # rl_games scripts its normalisers, for which torch 2.14 prints a warning that no user can mend.
     warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
     # Of the first backward pass on a GPU; torch makes the context itself then.

@@ -67,11 +67,12 @@ from isaacgymenvs_lite.pbt.observer import (
     run_suffix,
 )
 from isaacgymenvs_lite.pbt.restart import RestartRequest
-from isaacgymenvs_lite.run import MeasurementObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
+from isaacgymenvs_lite.run.observers import TrainingObservers
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.schema import leaves, select
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -95,8 +96,6 @@ _MEASURED_EPISODES = 16
 _MEASUREMENTS = 20
 # Control steps: 16 episodes of Anymal's 2,500 take 4 s. Some tasks' episodes never end.
 _LONGEST_MEASURED = 10_000
-# More take seconds to make: one is made first, to estimate the memory of all.
-_MANY_ENVS = 100_000
 
 
 def run(
@@ -165,45 +164,64 @@ def train(
         return _train(launch, command, group, stop or StopRequest(), direction)
 
 
-@dataclass(frozen=True)
-class _Training:
-    """What a training consists of before rl_games makes its agent."""
-
-    task: VecTask
-    params: dict[str, Any]
-    objective: Objective
-    observers: TrainingObservers
-    viewers: Viewers
-
-
 def _train(
     launch: _Launch, command: TypedCommand, group: ProcessGroup, stop: StopRequest, direction: str
 ) -> float | None:
     """Train in a run folder that the main process has reserved; see `train`."""
     with _open_tasks(launch) as make_task, ExitStack() as stack:
+        # Everything that can be refused is made before the run folder exists.
         with group.together():
             pbt = stack.enter_context(_population(launch, group, stop))
-            training = _set_up_training(launch, make_task, pbt, stop, direction)
+            viewers = Viewers(launch.settings)
+            task = make_task(launch.num_envs)
+            params = _read_params(launch, task)
+            check_training_memory(params, task, launch.num_envs)
+            params["config"]["print_stats"] = False
+            measurement = _measurement_observer(params["config"], task, make_task)
+            has_pose_error = measurement is not None and hasattr(task, "motion_lib")
+            objective = objective_of(params["config"], has_pose_error)
+            objective.check_direction(direction, launch.task_name)
+            observers = TrainingObservers(
+                launch.tree,
+                launch.settings,
+                launch.folder.name,
+                measurement,
+                task.max_episode_length,
+                stop,
+                pbt,
+            )
             if pbt is not None:
-                pbt.check_settings = functools.partial(_check_settings, launch, training.task)
+                pbt.check_settings = functools.partial(_check_settings, launch, task)
         with group.together():
             if group.is_main:
                 launch.folder.create(launch.repeatable)
-        task, observers = training.task, training.observers
-        if group.is_main:
-            _log_opening(launch, training)
+                _log_opening(launch, hasattr(task, "motion_lib"), objective)
         observers.begin = launch.begin
         task.listeners.append(DivergenceFiles(task, launch.folder.path, group.rank))
         if group.size > 1:
             sizes = f"{group.size} ranks x {launch.num_envs} environments"
-            log.info("%s, %d thread(s) each", sizes, training.params["torch_threads"])
-        interrupt = _run_training(training, launch, group, stop)
-        best = observers.best(training.objective) if group.is_main else None
+            log.info("%s, %d thread(s) each", sizes, params["torch_threads"])
+        measures_end = objective is POSE_ERROR or observers.chooses_best
+
+        def run_agent() -> None:
+            viewers.start(task, launch.folder.path, stop.request)
+            with stop, _output_to_log(), group.lost_peers_explained():
+                runner = _load_runner(params, task, observers)
+                runner.run({"train": True, "play": False, **launch.overrides})
+                if group.is_main and measures_end and not stop.requested:
+                    observers.evaluate_end()
+
+        try:
+            interrupt = _guarded(run_agent, observers, launch, group, stop)
+        finally:
+            observers.close_log()
+            viewers.close()  # before wandb: its run gets the last videos
+            observers.close_wandb()
+        best = observers.best(objective) if group.is_main else None
         if group.is_main:
             _save_best(observers.agent, launch)
             if best is not None:
-                how = observers.how_best_was_measured
-                log.info("%s%s", training.objective.describe(best), how)
+                log.info("%s%s", objective.describe(best), observers.how_best_was_measured)
             _report_end(launch, command, stop.requested, observers.chooses_best)
         if interrupt is not None:
             raise interrupt
@@ -211,51 +229,21 @@ def _train(
         return best
 
 
-def _set_up_training(
+def _guarded(
+    run_agent: Callable[[], None],
+    observers: TrainingObservers,
     launch: _Launch,
-    make_task: Callable[[int], VecTask],
-    pbt: PBTObserver | None,
+    group: ProcessGroup,
     stop: StopRequest,
-    direction: str,
-) -> _Training:
-    """Make the task and the observers of a training; mistakes show here."""
-    viewers = Viewers(launch.settings)
-    task, params = _make_task(launch, make_task)
-    measurement = _measurement_observer(params["config"], task, make_task)
-    objective = objective_of(
-        params["config"], measurement is not None and hasattr(task, "motion_lib")
-    )
-    objective.check_direction(direction, launch.task_name)
-    observers = TrainingObservers(
-        launch.tree,
-        launch.settings,
-        launch.folder.name,
-        measurement,
-        task.max_episode_length,
-        stop,
-        pbt,
-    )
-    return _Training(task, params, objective, observers, viewers)
-
-
-def _run_training(
-    training: _Training, launch: _Launch, group: ProcessGroup, stop: StopRequest
 ) -> KeyboardInterrupt | None:
-    """Train until the end, and close what was opened; return a second Ctrl-C.
+    """Train until the end; save what there is if the user ends it. Return a second Ctrl-C.
 
     Raises:
         UserError: as `train`.
         RestartRequest: as `train`.
     """
-    observers, viewers = training.observers, training.viewers
     try:
-        viewers.start(training.task, launch.folder.path, stop.request)
-        with stop, _output_to_log(), group.lost_peers_explained():
-            runner = _load_runner(training.params, training.task, observers)
-            runner.run({"train": True, "play": False, **launch.overrides})
-            measures_end = training.objective is POSE_ERROR or observers.chooses_best
-            if group.is_main and measures_end and not stop.requested:
-                observers.evaluate_end()
+        run_agent()
     except NotFiniteError:
         raise  # the run folder shows how it happened
     except UserError as error:
@@ -272,28 +260,7 @@ def _run_training(
         _save(observers.agent, launch, "_interrupted")
         launch.folder.remove_if_unused()
         return error
-    finally:
-        observers.close_log()
-        viewers.close()  # before wandb: its run gets the last videos
-        observers.close_wandb()
     return None
-
-
-def _make_task(
-    launch: _Launch, make_task: Callable[[int], VecTask]
-) -> tuple[VecTask, dict[str, Any]]:
-    """Return the task of a training, and the section `params` of its train file.
-
-    They are made before the agent, so that mistakes show before a run folder exists.
-    """
-    if launch.num_envs > _MANY_ENVS:
-        with _quiet("isaacgymenvs_lite.config"):
-            _check_memory(launch, make_task(1))
-    task = make_task(launch.num_envs)
-    params = _read_params(launch, task)
-    check_training_memory(params, task, launch.num_envs)
-    params["config"]["print_stats"] = False
-    return task, params
 
 
 @torch_settings_kept()
@@ -603,16 +570,6 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
     return params
 
 
-def _check_memory(launch: _Launch, probe: VecTask) -> None:
-    """Refuse a training that exceeds memory, before its simulations are made.
-
-    Raises:
-        ConfigError: see `check_training_memory`.
-    """
-    check_training_memory(_read_params(launch, probe), probe, launch.num_envs)
-    probe.close()
-
-
 def _load_runner(
     params: dict[str, Any], task: VecTask, observer: AlgoObserver | None = None
 ) -> Any:
@@ -689,11 +646,11 @@ def _measurement_observer(
 # --- the start and the end of a run ---------------------------------------------------------
 
 
-def _log_opening(launch: _Launch, training: _Training) -> None:
+def _log_opening(launch: _Launch, has_clips: bool, objective: Objective) -> None:
     """Log what is trained on what, where its results are, and how to look at them."""
     tree, folder = launch.tree, launch.folder
     clip = tree["task"]["env"].get("motion_file")
-    on = f" on {Path(str(clip)).name}" if clip and hasattr(training.task, "motion_lib") else ""
+    on = f" on {Path(str(clip)).name}" if clip and has_clips else ""
     log.info(
         "training %s with %s%s in %d environments: %s",
         *(launch.task_name, tree["train"]["params"]["algo"]["name"], on),
@@ -703,7 +660,7 @@ def _log_opening(launch: _Launch, training: _Training) -> None:
         "its curves: tensorboard --logdir %s; a page: %s",
         *(folder.train_dir, package_command("report", str(folder.path))),
     )
-    if training.objective is POSE_ERROR:
+    if objective is POSE_ERROR:
         log.info(
             "the style reward falls at first, while the discriminator learns; longer episodes and a"
             " smaller pose error show that the policy learns"

@@ -47,10 +47,6 @@ _MISSPELT_LENGTH = 3
 # A required key is missing anyway, so a looser resemblance is still worth naming.
 _SIMILAR_RATIO = 0.6
 
-# Whole numbers up to here are exact as floats, too; nothing here counts further.
-_MAX_WHOLE = 2**53
-# Tensors have 32 bits; a larger number would be infinite in them.
-_MAX_FLOAT = 1e38
 _GIVEN = reprlib.Repr()  # shortens what a message shows of a file
 _GIVEN.maxstring = _GIVEN.maxother = 120
 LOGGED_KEYS: set[str] = set()
@@ -67,10 +63,8 @@ def setting(
     below: float | None = None,
     choices: Iterable[Any] | None = None,
     min_length: int = 0,
-    max_length: int | None = None,
     length: int | None = None,
     blank: bool = False,
-    infinite: bool = False,
 ) -> Any:
     """Declare a field of a settings dataclass.
 
@@ -83,10 +77,8 @@ def setting(
         below: the number must be smaller than this.
         choices: the allowed values; text is compared exactly.
         min_length: least number of entries of a list.
-        max_length: largest number of entries of a list.
         length: number of entries of a list, if only one is right.
         blank: '' counts as None (the launcher's "not given").
-        infinite: inf and -inf are allowed; without it numbers are of at most 1e38.
     """
     metadata = {
         "key": key,
@@ -96,9 +88,8 @@ def setting(
         "below": below,
         "choices": None if choices is None else tuple(choices),
         "min_length": min_length if length is None else length,
-        "max_length": max_length if length is None else length,
+        "max_length": length,
         "blank": blank,
-        "infinite": infinite,
     }
     if isinstance(default, (list, dict)):
         return dataclasses.field(default_factory=lambda: default.copy(), metadata=metadata)
@@ -338,8 +329,6 @@ def _read_value(value: Any, kind: Any, field: Field, path: str) -> Any:
         if isinstance(error, ConfigError):
             raise
         expected = _expectation(kind, field)
-        if isinstance(error, OverflowError):
-            expected += f" and of at most {error}"
         raise ConfigError(f"{path}: got {_GIVEN.repr(value)}, expected {expected}") from None
 
 
@@ -391,22 +380,13 @@ def _convert_scalar(value: Any, kind: Any) -> Any:
         return str(value)  # YAML takes a name such as 2026 for a number
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError
-    try:
-        number = float(value)
-    except OverflowError:  # a whole number of some hundred digits
-        raise OverflowError(_MAX_WHOLE) from None
-    if math.isnan(number):
+    if kind is int and isinstance(value, int):
+        return value
+    number = float(value)
+    if math.isnan(number) or (kind is int and not number.is_integer()):
         raise ValueError
-    if kind is float:
-        return number
-    if kind is int:
-        if abs(number) > _MAX_WHOLE:
-            raise OverflowError(_MAX_WHOLE)
-        if isinstance(value, int):
-            return value  # float() would round whole numbers beyond 2^53
-        if not number.is_integer():
-            raise ValueError
-        return int(number)
+    if kind in (int, float):
+        return kind(number)
     raise NotImplementedError(f"settings of type {kind} are not supported")
 
 
@@ -417,8 +397,6 @@ def _check_limits(value: Any, field: Field) -> None:
         raise ValueError
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return
-    if abs(value) > _MAX_FLOAT and not (limits.get("infinite") and math.isinf(value)):
-        raise OverflowError(f"{_MAX_FLOAT:g}")
     if (
         (limits.get("minimum") is not None and value < limits["minimum"])
         or (limits.get("maximum") is not None and value > limits["maximum"])

@@ -61,6 +61,13 @@ def _log_as_before() -> Iterator[None]:
 
 
 @pytest.fixture
+def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, which is empty."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def bfloat16(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute in bfloat16 where it is asked for, on CPUs without instructions for it, too."""
     monkeypatch.setattr(precision, "supports_bfloat16", lambda: True)

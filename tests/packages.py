@@ -9,19 +9,13 @@ import pytest
 
 
 def needs(package: str) -> pytest.MarkDecorator:
-    """Return a mark that skips a test without a package; unlike importorskip it does not import.
-
-    A stand-in for the package, as other tests make, is found only before the package is imported.
-    """
+    """Return a mark that skips a test without a package; unlike importorskip it does not import."""
     missing = importlib.util.find_spec(package) is None
     return pytest.mark.skipif(missing, reason=f"{package} is not installed")
 
 
 def file_of_package(name: str) -> Path:
-    """Return a file `package/path` without importing the package, which may take seconds.
-
-    A test without the package is skipped: not every Python has all of them.
-    """
+    """Return a file `package/path` without importing the package, which may take seconds."""
     package, _, path = name.partition("/")
     spec = importlib.util.find_spec(package)
     if spec is None:

@@ -25,21 +25,18 @@ def test_values_are_read_as_in_yaml():
     )
 
 
-@pytest.mark.parametrize(
-    ("word", "message"),
-    [
+def test_a_mistake_is_one_line():
+    for word, message in [
         ("walk", "'walk': expected key=value; keys: names, seconds, out"),
         ("second=2", "unknown key 'second' (did you mean 'seconds'?)"),
         ("seconds=long", "seconds"),
         ("seconds=0", "seconds"),
         ("names=[walk", "not valid YAML"),
-    ],
-)
-def test_a_mistake_is_one_line(word, message):
-    with pytest.raises(ConfigError) as caught:
-        read_settings(Settings, [word])
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    ]:
+        with pytest.raises(ConfigError) as caught:
+            read_settings(Settings, [word])
+        assert message in str(caught.value)
+        assert "\n" not in str(caught.value)
 
 
 def test_a_command_runs_its_action():

@@ -29,7 +29,7 @@ BLOCKS = [
 def test_some_pages_have_blocks_that_run() -> None:
     assert len(BLOCKS) >= 4
     marks = sum(page.read_text(encoding="utf-8").count("<!-- run -->") for page in PAGES)
-    assert marks == len(BLOCKS), "a mark without an indented block behind it"
+    assert marks == len(BLOCKS), "a mark without an indented block after it"
 
 
 @pytest.mark.slow

@@ -64,17 +64,6 @@ def test_a_registered_task_can_be_made(own_task: Path):
     envs.close()
 
 
-def test_a_task_that_was_registered_before_gymnasium_was_there_can_be_made():
-    printed = run_python(
-        "import isaacgymenvs_lite.gymnasium_ids as ids\n"
-        "ids.register_task_id('Mine')\n"
-        "ids.register_task_id('not a name')\n"
-        "import gymnasium\n"
-        "print('IsaacGymEnvsLite/Mine-v0' in gymnasium.registry)"
-    )
-    assert printed.split() == ["True"]
-
-
 def test_a_task_without_a_file_is_an_error_that_lists_the_files(own_task: Path):
     with pytest.raises(ConfigError, match=r"Longpole.*choices: .*Cartpole"):
         gymnasium.make_vec("IsaacGymEnvsLite/Longpole-v0", num_envs=2)

@@ -73,27 +73,17 @@ def test_a_command_exits_with_the_code_of_its_module(program, tmp_path):
     assert "did you mean 'Cartpole'" in wrong.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
+def test_play_takes_the_newest_policy_unless_one_is_named():
+    for words, expected in [
         ([], ["test=True", "checkpoint=last"]),
         (["task=Ant"], ["test=True", "checkpoint=last", "task=Ant"]),
         (["checkpoint=walk"], ["test=True", "checkpoint=walk"]),
         (["--help"], ["test=True", "--help"]),
-    ],
-)
-def test_play_takes_the_newest_policy_unless_one_is_named(words, expected):
-    assert words_of_play(words) == expected
+    ]:
+        assert words_of_play(words) == expected
 
 
 def test_a_wrong_word_is_a_mistake_in_one_line(capsys):
     assert main(["dmo"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: unknown command 'dmo' (did you mean 'demo'?)")
-
-
-def test_the_version(capsys):
-    assert main(["--version"]) == 0
-    name, version = capsys.readouterr().out.split()
-    assert name == "isaacgymenvs_lite"
-    assert version[0].isdigit()

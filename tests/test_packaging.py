@@ -36,10 +36,10 @@ def requirements() -> list[Requirement]:
     return [r for r in map(Requirement, texts) if r.name not in (PROJECT["name"], *UNPINNED)]
 
 
-@pytest.mark.parametrize("requirement", requirements(), ids=lambda requirement: requirement.name)
-def test_every_dependency_is_pinned_within_its_range(requirement):
-    version = pins()[str(canonicalize_name(requirement.name))]
-    assert requirement.specifier.contains(version)
+def test_every_dependency_is_pinned_within_its_range():
+    for requirement in requirements():
+        version = pins()[str(canonicalize_name(requirement.name))]
+        assert requirement.specifier.contains(version), requirement
 
 
 def test_pins_name_versions_that_any_machine_can_get():
@@ -68,7 +68,7 @@ def test_the_wheel_of_the_sdist_is_the_same(wheel, tmp_path):
     with tarfile.open(archive) as sdist:
         sdist.extractall(tmp_path / "unpacked", filter="data")
     (folder,) = (tmp_path / "unpacked").iterdir()
-    for name in ("docs/first_walk.md", "CHANGELOG.md", "tests/conftest.py", ".ci/run"):
+    for name in ("docs/getting_started.md", "CHANGELOG.md", "tests/conftest.py", ".ci/run"):
         assert (folder / name).is_file(), name
     again = build("wheel", folder, tmp_path / "again")
     assert set(zipfile.ZipFile(again).namelist()) == set(zipfile.ZipFile(wheel).namelist())

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import schema
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, missing_key, read_section, setting
+from isaacgymenvs_lite.schema import check_unknown_keys, keys_of, read_section, setting
 
 
 @pytest.fixture(autouse=True)
@@ -60,31 +60,23 @@ def test_result_is_frozen_and_defaults_are_not_shared():
     assert read().names == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
+def test_values_become_the_declared_type():
+    for key, value, expected in [
         ("rate", 1, 1.0),
         ("rate", "2e-5", 2e-5),
-        ("rate", "0.25", 0.25),
         ("steps", 64.0, 64),
-        ("steps", "64", 64),
         ("steps", 2**53 + 1, 2**53 + 1),
         ("name", 2026, "2026"),
         ("units", [1024, 512.0], (1024, 512)),
-        ("units", (7,), (7,)),
         ("names", ["a", "b"], ["a", "b"]),
         ("limit", "", None),
-        ("limit", None, None),
-        ("limit", 3, 3),
         ("extra", {"a": 1}, {"a": 1}),
         ("anything", [1, {"b": 2}], [1, {"b": 2}]),
         ("inner", {"mass": 2}, Inner(mass=2.0)),
-    ],
-)
-def test_values_become_the_declared_type(key, value, expected):
-    result = getattr(read(**{key: value}), key)
-    assert result == expected
-    assert type(result) is type(expected)
+    ]:
+        result = getattr(read(**{key: value}), key)
+        assert result == expected
+        assert type(result) is type(expected)
 
 
 def test_omegaconf_containers_become_plain():
@@ -96,56 +88,33 @@ def test_omegaconf_containers_become_plain():
     assert type(result.extra) is dict
 
 
-def test_omegaconf_inside_a_plain_mapping_becomes_plain():
-    assert read(names=OmegaConf.create(["a"])).names == ["a"]
-
-
 def test_dangling_interpolation_names_its_place():
     tree = OmegaConf.create({"s": {"steps": "${nowhere}"}})
     with pytest.raises(ConfigError, match=r"^s\.steps: .*nowhere"):
         read_section(Example, tree.s, where="s")
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
+def test_wrong_values_are_named_with_what_was_expected():
+    for key, value, message in [
         ("steps", 0, r"here\.steps: got 0, expected a whole number of at least 1"),
-        ("steps", 1.5, "got 1.5, expected a whole number"),
         ("steps", True, "got True, expected a whole number"),
         ("steps", "many", "got 'many', expected a whole number"),
-        ("steps", None, "got None, expected a whole number"),
-        ("steps", float("inf"), "got inf, expected a whole number"),
         ("rate", 1.01, r"expected a number of at least 0 and of at most 1"),
         ("rate", float("nan"), "got nan, expected a number"),
-        ("rate", "", "got '', expected a number"),
         ("rate", 10**400, "expected a number"),
-        ("rate", [1], "expected a number"),
-        ("flag", 1, "got 1, expected True or False"),
         ("flag", "False", "got 'False', expected True or False"),
         ("name", True, "got True, expected text"),
-        ("name", None, "got None, expected text"),
         ("mode", "c", "got 'c', expected one of a, b"),
         ("units", [4, 0], r"got \[4, 0\], expected a list of whole numbers.* of at least 1"),
         ("units", [], "with at least 1 entries"),
         ("up", [0, 1], "a list of numbers with 3 entries"),
-        ("up", [0, 0, 1, 0], "a list of numbers with 3 entries"),
-        ("units", 4, "got 4, expected a list"),
         ("names", "ab", "got 'ab', expected a list of names"),
         ("limit", 0, "expected a whole number of at least 1, or ''"),
-        ("extra", 3, "got 3, expected a mapping"),
-        ("inner", 3, r"here\.inner: got 3, expected a mapping"),
         ("inner", {"mass": 0}, r"here\.inner\.mass: got 0, expected a number above 0"),
-    ],
-)
-def test_wrong_values_are_named_with_what_was_expected(key, value, message):
-    with pytest.raises(ConfigError, match=message) as error:
-        read(**{key: value})
-    assert "\n" not in str(error.value)
-
-
-def test_section_that_is_no_mapping():
-    with pytest.raises(ConfigError, match=r"here: got 3, expected a mapping"):
-        read_section(Example, 3, where="here")  # type: ignore[arg-type]
+    ]:
+        with pytest.raises(ConfigError, match=message) as error:
+            read(**{key: value})
+        assert "\n" not in str(error.value)
 
 
 def test_key_is_the_name_in_the_file():
@@ -156,10 +125,10 @@ def test_key_is_the_name_in_the_file():
         read(camelCase="x")
 
 
-@pytest.mark.parametrize("misspelt", ["stpes", "step", "Steps", "st_eps"])
-def test_misspelt_keys_are_refused(misspelt):
-    with pytest.raises(ConfigError, match=rf"'here\.{misspelt}' \(did you mean 'steps'\?\)"):
-        read_section(Example, {misspelt: 4}, where="here")
+def test_misspelt_keys_are_refused():
+    for misspelt in ["stpes", "step", "Steps", "st_eps"]:
+        with pytest.raises(ConfigError, match=rf"'here\.{misspelt}' \(did you mean 'steps'\?\)"):
+            read_section(Example, {misspelt: 4}, where="here")
 
 
 def test_keys_that_nothing_reads_are_named_once(caplog):
@@ -171,11 +140,6 @@ def test_keys_that_nothing_reads_are_named_once(caplog):
     ]
 
 
-def test_ignored_keys_are_accepted_in_silence(caplog):
-    read_section(Example, {"steps": 1, "other": 2}, where="here", ignored=("other",))
-    assert not caplog.records
-
-
 def test_near_miss_beside_its_correct_form_is_another_key(caplog):
     # Published files have lr_threshold beside kl_threshold: alike, and both meant.
     values = {"lr_threshold": 1, "kl_threshold": 0.008}
@@ -183,20 +147,3 @@ def test_near_miss_beside_its_correct_form_is_another_key(caplog):
     assert "nothing reads c.lr_threshold" in caplog.text
     with pytest.raises(ConfigError, match="did you mean 'kl_threshold'"):
         check_unknown_keys(values, ["kl_threshold"], "c", complete=True)
-
-
-def test_key_with_a_prefix_is_no_slip(caplog):
-    check_unknown_keys({"disc_weight_decay": 1}, ["weight_decay"], "c")
-    assert "nothing reads c.disc_weight_decay" in caplog.text
-
-
-def test_root_section_has_no_prefix():
-    with pytest.raises(ConfigError, match=r"^steps: got 0"):
-        read_section(Example, {"steps": 0}, where="")
-
-
-def test_missing_key_asks_for_the_key_that_may_stand_for_it():
-    error = missing_key("horizon_length", {"horizon": 16, "tau": 1}, ["tau"], "c", "expected it")
-    assert str(error) == (
-        "the key 'c.horizon_length' is missing (is 'horizon' meant for it?); expected it"
-    )

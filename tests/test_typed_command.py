@@ -11,8 +11,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from isaacgymenvs_lite import typed_command
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command, words_of_job
@@ -25,9 +23,8 @@ def command(*words: str) -> TypedCommand:
     return TypedCommand(("python", "train.py"), words)
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
+def test_playing() -> None:
+    for words, expected in [
         ([], "task=Default"),
         (["num_envs=64", "max_iterations=3", "experiment=x"], "task=Default"),
         (["task=Ant", "seed=3"], "task=Ant"),
@@ -48,11 +45,9 @@ def command(*words: str) -> TypedCommand:
             "task=Own train=AntPPO --config-dir mine",
         ),
         (["--config-dir=mine", "task=Own"], "task=Own --config-dir=mine"),
-    ],
-)
-def test_playing(words: list[str], expected: str) -> None:
-    played = command(*words).play("Default", Path("runs/a/nn/a.pth"))
-    assert played == f"python train.py {expected} {PLAYED}"
+    ]:
+        played = command(*words).play("Default", Path("runs/a/nn/a.pth"))
+        assert played == f"python train.py {expected} {PLAYED}"
 
 
 def test_playing_a_job_of_a_sweep() -> None:

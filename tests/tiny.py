@@ -89,10 +89,7 @@ DOWNHILL, UPHILL = "task.sim.gravity=[40,0,-9.81]", "task.sim.gravity=[-40,0,-9.
 
 
 def composed(words: Sequence[str]) -> DictConfig:
-    """Return what `compose` does; the same words are composed once in a process.
-
-    For fixtures that make the same task for many tests.
-    """
+    """Return what `compose` does; the same words are composed once in a process."""
     return copy.deepcopy(_compose_once(tuple(words)))
 
 

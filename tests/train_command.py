@@ -19,13 +19,7 @@ from isaacgymenvs_lite.config.launch import CheckedConfig
 def make_train_command(
     monkeypatch: pytest.MonkeyPatch, folder: Path, run: Callable[..., object]
 ) -> Callable[..., int]:
-    """Return call(*words), which runs the command line in a folder and returns its exit code.
-
-    Args:
-        monkeypatch: takes back what this changes in the process.
-        folder: the working folder.
-        run: is called in place of `runner.run`; jobs of a sweep give it `stop` and `direction`.
-    """
+    """Return call(*words), which runs the command line in a folder and returns its exit code."""
 
     def run_tree(config: CheckedConfig, *arguments: object, **of_sweep: object) -> object:
         return run(config.cfg, *arguments, **of_sweep)

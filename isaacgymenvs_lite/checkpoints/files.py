@@ -1,13 +1,11 @@
 """Writes checkpoints atomically, loads them without running code, and finds them by name.
 
 rl_games writes a checkpoint in place (a kill in the middle loses the old one too) and loads it with
-a full unpickler (a stranger's file runs code). `install` replaces both functions by those of this
-module, for all agents.
+a full unpickler (a stranger's file runs code). The agents and players here use this module instead.
 """
 
 from __future__ import annotations
 
-import errno
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,11 +16,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.checkpoints.archive import (
-    ArchiveError,
-    ForbiddenNameError,
-    read_archive,
-)
+from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import user_path
@@ -50,14 +44,6 @@ _STATE_DICTS = (
 _COUNTS = ("epoch", "frame")
 _NUMBERS = ("last_mean_rewards",)
 _MAX_SHOWN = 80
-
-
-def install() -> None:
-    """Make rl_games save and load through this module."""
-    from rl_games.algos_torch import torch_ext
-
-    torch_ext.save_checkpoint = save_checkpoint
-    torch_ext.load_checkpoint = load_checkpoint
 
 
 # --- writing -----------------------------------------------------------------------------------
@@ -160,8 +146,12 @@ def load_checkpoint(filename: str | Path) -> dict[str, Any]:
         raise CheckpointError(f"checkpoint={filename}: no such file; give a .pth file or 'last'")
     try:
         state = read_archive(path)
-    except Exception as error:  # a file that is no checkpoint may raise anything in the reader
-        raise CheckpointError(_refusal(path, error)) from error
+    except OSError as error:
+        raise CheckpointError(f"checkpoint={path}: cannot be read ({error.strerror})") from error
+    except ArchiveError as error:
+        raise CheckpointError(
+            f"checkpoint={path}: {error}; expected a .pth file that train.py wrote"
+        ) from error
     if not isinstance(state, dict) or not (_has_model(state) or state.keys() >= _SAC_KEYS):
         raise CheckpointError(
             f"checkpoint={path}: holds no model; expected a dictionary with the key 'model' as"
@@ -226,21 +216,6 @@ def short(value: Any) -> str:
         return f"a {type(value).__name__}"
     text = " ".join(str(value).split())
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
-
-
-def _refusal(path: Path, error: Exception) -> str:
-    if isinstance(error, ForbiddenNameError):
-        return (
-            f"checkpoint={path}: refused, nothing was run: {error}, but"
-            " a checkpoint needs only tensors and plain containers; do not trust this file"
-        )
-    if isinstance(error, OSError) and error.errno is not None and error.errno != errno.EINVAL:
-        return f"checkpoint={path}: cannot be read ({error.strerror})"
-    reason = f" ({error})" if isinstance(error, ArchiveError) else ""
-    return (
-        f"checkpoint={path}: damaged or no checkpoint{reason}; expected a .pth file that train.py"
-        " wrote"
-    )
 
 
 def _modernize(state: dict[str, Any]) -> dict[str, Any]:

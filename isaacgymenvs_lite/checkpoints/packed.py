@@ -42,9 +42,6 @@ from isaacgymenvs_lite.schema import leaves, read_section, select, setting
 
 log = logging.getLogger(__name__)
 
-MAX_BYTES = 5 * 2**20
-"""Largest packed policy, because the shipped ones are in the repository."""
-
 POLICY_KEY = "policy"
 """Entry of a packed policy that no other checkpoint has: its `PolicyInfo`."""
 # Entries of a checkpoint that a player reads.
@@ -131,7 +128,7 @@ def read_policy_info(path: Path) -> PolicyInfo:
     if not isinstance(info, Mapping) or set(info) != names:
         raise CheckpointError(
             f"{path}: is no packed policy of this version; make one with python -m"
-            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+            " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     try:
         return read_section(PolicyInfo, info, "policy")
@@ -189,8 +186,8 @@ def pack_policy(
         folder: where to write; None = assets/policies.
 
     Raises:
-        CheckpointError: the checkpoint cannot be used, the result would be too big, or the policy
-            needs a low-level controller that does not ship.
+        CheckpointError: the checkpoint cannot be used, or the policy needs a low-level
+            controller that does not ship.
         ConfigError: no config.yaml beside it, a name that cannot be used, a clip that is not
             shipped, or a folder that cannot be written.
     """
@@ -218,25 +215,13 @@ def pack_policy(
     )
     packed[POLICY_KEY] = dataclasses.asdict(info)
     path = Path(folder or shipped_policies_dir()) / f"{name}.pth"
-    _write(path, packed)
-    log.info("%s: %s, %.2f MiB", path, info, path.stat().st_size / 2**20)
-    return path
-
-
-def _write(path: Path, packed: dict[str, Any]) -> None:
-    tensors = [*packed["model"].values(), *(packed.get("amp_input_mean_std") or {}).values()]
-    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
-    if size > MAX_BYTES:
-        raise CheckpointError(
-            f"{path.name} would take {size / 2**20:.1f} MiB, the limit is"
-            f" {MAX_BYTES / 2**20:.0f} MiB; train smaller networks (train.params.network.mlp.units"
-            " and disc.units, [512,256] takes 2.4 MiB)"
-        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, packed)
     except OSError as error:
         raise ConfigError(f"cannot write {path} ({error.strerror or error})") from error
+    log.info("%s: %s, %.2f MiB", path, info, path.stat().st_size / 2**20)
+    return path
 
 
 # --- the settings of the run --------------------------------------------------------------------

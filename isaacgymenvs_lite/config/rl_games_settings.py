@@ -42,7 +42,7 @@ class RunSettings:
     max_epochs: int = setting(-1, minimum=-1)
     """-1 for no limit."""
     max_frames: int = setting(-1, minimum=-1)
-    score_to_win: float = setting(float("inf"), infinite=True)
+    score_to_win: float = setting(float("inf"))
     """Mean episode reward at which training ends."""
     save_best_after: int = setting(100, minimum=0)
     save_frequency: int = setting(0, minimum=0)
@@ -135,8 +135,8 @@ class RewardShaperSettings:
 
     scale_value: float = setting(1.0)
     shift_value: float = setting(0.0)
-    min_val: float = setting(float("-inf"), infinite=True)
-    max_val: float = setting(float("inf"), infinite=True)
+    min_val: float = setting(float("-inf"))
+    max_val: float = setting(float("inf"))
     log_val: bool = setting(False)
     is_torch: bool = setting(True)
 
@@ -326,7 +326,7 @@ class NetworkSettings:
     value_activation: str = setting("None", choices=ACTIVATIONS)
     latent_scale: float = setting(1.0, above=0)
     """Length of the latents that the network gets."""
-    log_std_bounds: list[float] | None = setting(None, min_length=2, max_length=2)
+    log_std_bounds: list[float] | None = setting(None, length=2)
     space: Mapping[str, Any] | None = setting(None)
 
 

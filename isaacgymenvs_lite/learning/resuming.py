@@ -144,7 +144,7 @@ class Resuming(BaseAlgorithm):
         if not self._reported_size:
             self._reported_size = True
             sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in files)
-            key = "; train.params.config.save_buffers=False leaves the replay buffers out"
+            key = "; +train.params.config.save_buffers=False leaves the replay buffers out"
             log.info("training state for resume=: %s%s", sizes, key if len(files) > 1 else "")
         return True
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,31 +15,22 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 MIN_FPS, MAX_FPS = 0.1, 10_000.0
 MAX_PLACE_M = 10_000.0
 """From the origin: beyond it single precision has steps of 1 mm."""
-MAX_POSES = 2_000_000
-"""Frames times bodies: 37 minutes of 15 bodies at 60 fps; velocities take 300 bytes of each."""
-MAX_BODIES = 500
 _MAX_BONE_M = 10.0
-_MAX_SPEED_M_S = 1_000.0
-_MAX_SPEED_RAD_S = 100_000.0
-# 160 turns of a wheel's hinge.
-MAX_JOINT_RAD = 1_000.0
-_MAX_DOFS = 3 * MAX_BODIES
+MAX_SPEED_M_S = 1_000.0
+MAX_SPEED_RAD_S = 100_000.0
+MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
 # How far the length of a stored quaternion may be from 1.
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
-
-
-# Array, largest absolute value of a number in it, unit.
-_POSE_LIMITS = (
-    ("root_translation", MAX_PLACE_M, "m"),
-    ("local_translation", _MAX_BONE_M, "m"),
-    ("dof_pos", MAX_JOINT_RAD, "rad"),
-)
-_VELOCITY_LIMITS = (
-    ("linear_velocity_w", _MAX_SPEED_M_S, "m/s"),
-    ("angular_velocity_w", _MAX_SPEED_RAD_S, "rad/s"),
-)
+# Array -> largest absolute value of a number in it, unit.
+_LIMITS = {
+    "root_translation": (MAX_PLACE_M, "m"),
+    "local_translation": (_MAX_BONE_M, "m"),
+    "dof_pos": (MAX_JOINT_RAD, "rad"),
+    "linear_velocity_w": (MAX_SPEED_M_S, "m/s"),
+    "angular_velocity_w": (MAX_SPEED_RAD_S, "rad/s"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +115,7 @@ class MotionClip:
             linear_velocity_w=kinematics.linear_velocities(positions, clip.fps),
             angular_velocity_w=kinematics.angular_velocities(turns, clip.fps),
         )
-        clip._check_sizes(_VELOCITY_LIMITS)
+        clip._check_sizes()
         return clip
 
     def timed_arrays(self) -> dict[str, FloatArray]:
@@ -145,8 +136,8 @@ class MotionClip:
 
         Raises:
             MotionFileError: arrays do not fit together, not one root, a child before its parent,
-                fewer than two frames, too many of them, NaN or infinity, quaternions that are not
-                of unit length (1e-3); a frame rate, place, bone or speed that no motion has.
+                fewer than two frames, NaN or infinity, quaternions that are not of unit length
+                (1e-3); a frame rate, place, bone or speed that no motion has.
         """
         self._check_shapes()
         self._check_tree()
@@ -155,10 +146,7 @@ class MotionClip:
                 f"{self.name}: holds {self.num_frames} frame(s), expected at least 2: "
                 "a single pose has no duration"
             )
-        if not MIN_FPS <= self.fps <= MAX_FPS:
-            raise MotionFileError(
-                f"{self.name}: fps is {self.fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}"
-            )
+        check_fps(self.name, self.fps)
         self._check_values()
 
     def find_repeated_frames(self) -> int | None:
@@ -195,17 +183,6 @@ class MotionClip:
 
     def _check_shapes(self) -> None:
         frames, bodies = len(np.atleast_1d(self.local_rotation)), self.num_bodies
-        if bodies > MAX_BODIES or frames * bodies > MAX_POSES:
-            raise MotionFileError(
-                f"{self.name}: has {frames} frames of {bodies} bodies, expected at most "
-                f"{MAX_BODIES} bodies and {MAX_POSES:,} poses of bodies; cut it into several clips"
-            )
-        dofs = np.zeros((frames, 0)) if self.dof_pos is None else self.dof_pos
-        num_dofs = np.shape(dofs)[-1] if np.ndim(dofs) else 0
-        if num_dofs > _MAX_DOFS:
-            raise MotionFileError(
-                f"{self.name}: dof_pos has {num_dofs} columns, expected at most {_MAX_DOFS}"
-            )
         expected = {
             "parent_indices": (bodies,),
             "local_translation": (*(frames,) * (np.ndim(self.local_translation) == 3), bodies, 3),
@@ -215,7 +192,7 @@ class MotionClip:
             "angular_velocity_w": (frames, bodies, 3),
         }
         if self.dof_pos is not None:
-            expected["dof_pos"] = (frames, num_dofs)
+            expected["dof_pos"] = (frames, np.shape(self.dof_pos)[-1])
         for key, shape in expected.items():
             found = np.shape(getattr(self, key))
             if found != shape:
@@ -240,34 +217,48 @@ class MotionClip:
     def _check_values(self) -> None:
         arrays = {"local_translation": self.local_translation, **self.timed_arrays()}
         for key, values in arrays.items():
-            finite = np.isfinite(values)
-            if not finite.all():
-                where = tuple(int(i) for i in np.argwhere(~finite)[0])
-                raise MotionFileError(
-                    f"{self.name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN "
-                    f"or infinite, the first at index {where}"
-                )
-        self._check_sizes(_POSE_LIMITS + _VELOCITY_LIMITS)
+            check_finite(self.name, key, values)
+        self._check_sizes()
         deviation = np.abs(np.linalg.norm(self.local_rotation, axis=-1) - 1.0)
-        if deviation.max() > _UNIT_TOLERANCE:
+        if deviation.max() > UNIT_TOLERANCE:
             frame, body = (int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
             raise MotionFileError(
                 f"{self.name}: the rotation of '{self.body_names[body]}' in frame {frame} is no "
                 f"unit quaternion (length off by {deviation[frame, body]:.3g}, allowed "
-                f"{_UNIT_TOLERANCE:g})"
+                f"{UNIT_TOLERANCE:g})"
             )
 
-    def _check_sizes(self, limits: Iterable[tuple[str, float, str]]) -> None:
-        """Refuse numbers that no motion has: a wrong unit, or a damaged file."""
-        for key, limit, unit in limits:
+    def _check_sizes(self) -> None:
+        for key, (limit, unit) in _LIMITS.items():
             values = getattr(self, key)
             if values is None:
                 continue
             # The root's own offset is not used.
             values = values[..., 1:, :] if key == "local_translation" else values
-            largest = float(np.abs(values).max(initial=0.0))
-            if largest > limit:
-                raise MotionFileError(
-                    f"{self.name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} "
-                    f"{unit}; is its unit another one?"
-                )
+            check_size(self.name, key, float(np.abs(values).max(initial=0.0)), limit, unit)
+
+
+def check_fps(name: str, fps: float) -> None:
+    """Raise a MotionFileError for a frame rate that no motion has."""
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise MotionFileError(f"{name}: fps is {fps:g}, expected {MIN_FPS:g} to {MAX_FPS:g}")
+
+
+def check_finite(name: str, key: str, values: FloatArray) -> None:
+    """Raise a MotionFileError for NaN and infinity."""
+    finite = np.isfinite(values)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise MotionFileError(
+            f"{name}: {key} holds {np.count_nonzero(~finite)} number(s) that are NaN or infinite, "
+            f"the first at index {where}"
+        )
+
+
+def check_size(name: str, key: str, largest: float, limit: float, unit: str) -> None:
+    """Raise a MotionFileError for a value that no motion has: a wrong unit, or a damaged file."""
+    if largest > limit:
+        raise MotionFileError(
+            f"{name}: {key} has {largest:.4g} {unit}, expected at most {limit:g} {unit}; is its "
+            "unit another one?"
+        )

@@ -40,8 +40,6 @@ from isaacgymenvs_lite.motion.skeleton import (
 _DATASET_SUFFIXES = (".yaml", ".yml")
 # Tried in this order behind a name without suffix.
 _GUESSED_SUFFIXES = (".npz", ".npy", ".yaml", ".json")
-# Of clips that a data set lists again: a minute of 15 bodies at 60 fps three times.
-_MAX_REPEATED_POSES = 160_000
 _CONVERT = "isaacgymenvs-lite convert IN.bvh OUT.npz"
 
 
@@ -109,45 +107,29 @@ def load_clips(
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix not in _DATASET_SUFFIXES:
         return [(clip, 1.0) for clip, _ in _load_file(path, (skeleton,))]
-    return _load_dataset(path, skeleton)
+    # Each file of a data set is read once.
+    clips: list[tuple[MotionClip, float]] = []
+    known: dict[str, list[tuple[MotionClip, float]]] = {}
+    for i, entry in enumerate(read_dataset(path)):
+        try:
+            if entry.file not in known:
+                known[entry.file] = _load_entry(entry.file, path.parent, skeleton)
+        except MotionFileError as error:
+            raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
+        clips.extend((clip, entry.weight * weight) for clip, weight in known[entry.file])
+    return clips
 
 
 def _shipped_dirs() -> tuple[Path, Path]:
     return shipped_motions_dir(), shipped_robot_motions_dir()
 
 
-def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
-    """Read the clips of a data set, each file once; a small text must not become a large library.
-
-    Raises:
-        MotionFileError: an entry cannot be used, or clips are listed again and again.
-    """
-    clips: list[tuple[MotionClip, float]] = []
-    known: dict[Path, list[tuple[MotionClip, float]]] = {}
-    repeated_poses = 0
-    for i, entry in enumerate(read_dataset(path)):
-        try:
-            if is_package_name(entry.file):
-                source = file = Path(entry.file)
-            else:
-                file = resolve_motion_file(entry.file, (path.parent, *_shipped_dirs()))
-                source = file.resolve()
-            if source in known:
-                repeated_poses += sum(c.num_frames * c.num_bodies for c, _ in known[source])
-            elif is_package_name(entry.file):
-                known[source] = _load_from_package(entry.file, _humanoid_of([skeleton], file))
-            else:
-                loaded = _load_file(file, (skeleton,))
-                known[source] = [(clip, 1.0 / len(loaded)) for clip, _ in loaded]
-        except MotionFileError as error:
-            raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
-        if repeated_poses > _MAX_REPEATED_POSES:
-            raise MotionFileError(
-                f"{path}: motions[{i}] and others before it list files again that were listed "
-                f"before ('{entry.file}'); list each once, with the sum of its weights"
-            )
-        clips.extend((clip, entry.weight * weight) for clip, weight in known[source])
-    return clips
+def _load_entry(name: str, folder: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
+    """Return the clips of an entry of a data set in `folder`, and their shares of its weight."""
+    if is_package_name(name):
+        return _load_from_package(name, _humanoid_of([skeleton], name))
+    loaded = _load_file(resolve_motion_file(name, (folder, *_shipped_dirs())), (skeleton,))
+    return [(clip, 1.0 / len(loaded)) for clip, _ in loaded]
 
 
 def load_single_clip(

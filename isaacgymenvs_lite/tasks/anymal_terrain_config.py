@@ -102,7 +102,7 @@ class HeadingCommandsConfig(CommandRangesConfig):
 class AnymalTerrainConfig(VelocityTrackingConfig):
     """`task.env` of AnymalTerrain."""
 
-    clip_actions: float = setting(float("inf"), key="clipActions", above=0, infinite=True)
+    clip_actions: float = setting(float("inf"), key="clipActions", above=0)
     """Actions are clamped to this magnitude."""
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
     command_ranges: HeadingCommandsConfig = field(

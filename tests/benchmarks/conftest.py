@@ -36,12 +36,7 @@ class Clock:
 
 @pytest.fixture
 def write_events(monkeypatch: pytest.MonkeyPatch) -> WriteEvents:
-    """Return write(summaries, lengths, first_epoch=0, start_s=1000.0, poses={}).
-
-    It writes what one process leaves behind that trains one epoch of 100 frames a minute: one value
-    of `lengths` as mean episode length for each, None for none, ten times that as return; poses:
-    epoch -> pose error (m).
-    """
+    """Return write(summaries, lengths, first_epoch=0, start_s=1000.0, poses={})."""
 
     def write(
         summaries: Path,

@@ -9,11 +9,8 @@ import pytest
 
 from benchmarks import clips, learning
 from benchmarks.records import write_records
-from benchmarks.runs import Run
-from benchmarks.training import Plan
 from isaacgymenvs_lite.errors import ConfigError
 from tests.benchmarks.test_learned import GOOD, curve_of, of
-from tests.packages import needs
 
 
 def test_the_shipped_clips_without_data_sets():
@@ -21,14 +18,6 @@ def test_the_shipped_clips_without_data_sets():
     assert len(found) == 35
     assert found["walk"] == "walk"
     assert "locomotion" not in found
-
-
-@needs("pybullet")
-def test_the_clips_of_deepmimic():
-    found = clips.named_clips(["deepmimic"])
-    assert len(found) == 20
-    assert found["deepmimic_backflip"] == "deepmimic:humanoid3d_backflip"
-    assert found["deepmimic_walker_turn_left0"] == "deepmimic:walker/turn_left0"
 
 
 def test_a_folder_a_file_and_a_name(tmp_path: Path, walk_clip: Path):
@@ -43,15 +32,6 @@ def test_a_folder_a_file_and_a_name(tmp_path: Path, walk_clip: Path):
         clips.named_clips([str(tmp_path / "empty")])
 
 
-def test_all_clips_get_the_same_settings():
-    first, second = clips.clip_experiments(["walk", "run"], ["num_envs=8"])
-    assert [first.name, second.name] == ["walk", "run"]
-    assert "task.env.motion_file=walk" in first.settings
-    others = [set(e.settings) - {f"task.env.motion_file={e.name}"} for e in (first, second)]
-    assert others[0] == others[1]
-    assert not any("disc_" in setting or "contactBodies" in setting for setting in first.settings)
-
-
 def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
     write_records([of("walk"), of("run", motion_shown=0.2)], tmp_path / "results" / "clips")
     words = ["clips", "--clips", "walk", "run", "--until-learned", "--resume"]
@@ -63,36 +43,6 @@ def test_learned_clips_are_not_trained_again(tmp_path, monkeypatch):
     (job,) = trained
     assert (job.run.experiment, job.run.seed) == ("run", 1)
     assert job.is_over(curve_of(**GOOD, motion_shown=[0.1, 0.8, 0.9]))
-
-
-def test_clips_are_trained_with_other_seeds(tmp_path, monkeypatch):
-    write_records(
-        [of("walk"), replace(of("walk"), run="walk_seed2", seed=2)], tmp_path / "results" / "clips"
-    )
-    words = ["clips", "--clips", "walk", "run", "--until-learned", "--seeds", "2", "3"]
-    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
-    trained = []
-    monkeypatch.setattr(learning, "train_all", lambda todo, *_, **__: trained.extend(todo) or [])
-    monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
-    learning.main()
-    runs = [(job.run.experiment, job.run.seed) for job in trained]
-    assert runs == [("run", 2), ("walk", 3), ("run", 3)]
-
-
-def test_a_clip_whose_time_is_over_still_gets_its_record(tmp_path, monkeypatch):
-    """One that was stopped; of the other there is a record."""
-    write_records([of("walk")], tmp_path / "results" / "clips")
-    words = ["clips", "--clips", "walk", "run", "--resume"]
-    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
-    monkeypatch.setattr(
-        learning, "plan", lambda each, run, *_: Plan(run, each.settings, None, minutes=0.0)
-    )
-    monkeypatch.setattr(learning, "measure", lambda run: of(run.experiment))
-    kept = []
-    monkeypatch.setattr(learning, "keep", lambda run, record, folder: kept.append(run.experiment))
-    monkeypatch.setattr("sys.argv", ["learning", *words, *folders])
-    learning.main()
-    assert kept == ["run"]
 
 
 def test_table(tmp_path, monkeypatch, capsys):
@@ -110,20 +60,3 @@ def test_table(tmp_path, monkeypatch, capsys):
     assert f"| run | 1.0 | 3 | {of_both}" in text
     assert "| jump | | | | 0.06 | | | | not trained yet |" in text
     assert "1 of 2 clips are learned, 1 not done." in text
-
-
-@pytest.mark.slow
-def test_clips_are_trained_one_after_the_other_and_those_that_are_done_are_left(
-    tmp_path, monkeypatch
-):
-    words = ["clips", "--clips", "walk", "stand", "num_envs=8", "rl_device=cpu"]
-    folders = ["--runs-dir", str(tmp_path / "runs"), "--results-dir", str(tmp_path / "results")]
-    command = ["learning", *words, *folders, "--cores-per-run", "1", "--minutes", "0.8", "--resume"]
-    monkeypatch.setattr("sys.argv", command)
-    learning.main()
-    labels = ["walk", "stand"]
-    records = clips.newest_records(labels, tmp_path / "results" / "clips")
-    assert list(records) == labels
-    learning.main()
-    for label in labels:
-        assert len(Run.of(tmp_path / "runs" / "clips", label, 1).starts()) == 1

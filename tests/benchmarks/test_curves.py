@@ -3,16 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import curves
 from benchmarks.curves import (
     draw,
-    draw_returns,
     markdown_table,
-    markdown_table_of_returns,
     median_line,
 )
 from benchmarks.learning_curve import read_learning_curve
-from isaacgymenvs_lite.errors import ConfigError
 
 
 @pytest.fixture
@@ -35,18 +31,6 @@ def test_median_line_is_where_all_have_values():
     assert (y[0], y[-1]) == (1.0, 2.0)
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        [],
-        [(np.zeros(0), np.zeros(0)), (np.ones(1), np.ones(1))],
-        [(np.array([0.0, 1.0]), np.zeros(2)), (np.array([2.0, 3.0]), np.zeros(2))],
-    ],
-)
-def test_median_line_of_nothing_common_is_empty(lines):
-    assert [len(part) for part in median_line(lines)] == [0, 0]
-
-
 def test_table(two_seeds):
     header, rule, row = markdown_table(two_seeds).splitlines()
     assert header.count("|") == rule.count("|") == row.count("|")
@@ -57,36 +41,9 @@ def test_table(two_seeds):
     assert cells[8] == "0.075 (0.050 to 0.100)"
 
 
-def test_command_prints_the_table_of_all_seeds(two_seeds, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["curves", "walk", "--runs-dir", str(tmp_path)])
-    curves.main()
-    assert capsys.readouterr().out.strip() == markdown_table(two_seeds)
-
-
 @pytest.mark.parametrize("against", ["minutes", "frames"])
 def test_picture(two_seeds, tmp_path, against):
     pytest.importorskip("matplotlib")
     path = tmp_path / "curves.png"
     draw(two_seeds, path, against)
     assert path.read_bytes().startswith(b"\x89PNG")
-
-
-def test_table_of_returns(two_seeds):
-    row = markdown_table_of_returns(two_seeds).splitlines()[2]
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
-    # ten times the lengths 290 and 30 at frames 300 and 200
-    assert cells[:2] == ["walk", "2"]
-    assert cells[3] == "1,600.0 (300.0 to 2,900.0)"
-
-
-def test_picture_of_returns(two_seeds, tmp_path):
-    pytest.importorskip("matplotlib")
-    path = tmp_path / "returns.png"
-    draw_returns(two_seeds | {"run": two_seeds["walk"]}, path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-
-
-def test_picture_without_a_folder(two_seeds, tmp_path):
-    pytest.importorskip("matplotlib")
-    with pytest.raises(ConfigError, match="does not exist"):
-        draw(two_seeds, tmp_path / "absent" / "curves.png")

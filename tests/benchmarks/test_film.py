@@ -38,6 +38,7 @@ def test_a_classic_policy_is_filmed_in_a_panel_for_each_environment(tmp_path, ca
     assert abs(pictures[0].astype(int) - pictures[-1]).max() > 50  # it moves
 
 
+@pytest.mark.slow
 def test_a_policy_that_imitates_is_filmed_beside_its_clip(tmp_path):
     folder = _train(tmp_path, "task=HumanoidAMP", "num_envs=128")
     out = tmp_path / "walk.mp4"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import gymnasium
 import pytest
 import torch
 
@@ -111,39 +109,3 @@ def test_goals(name, runs, tmp_path) -> None:
     # An untrained discriminator pays about 2 ln 2 for anything, the shipped one little for a fall.
     bounds = (0.8, 1.8) if name == "heading_hrl" else (0.0, 0.8)
     assert bounds[0] < found["style_reward"] < bounds[1]
-
-
-def test_nobody_judges_the_style_of_another_humanoid() -> None:
-    box = gymnasium.spaces.Box
-    env = SimpleNamespace(
-        observation_space=box(-1, 1, (253,)),
-        get_task_obs_size=lambda: 5,
-        amp_observation_space=box(-1, 1, (1400,)),
-        num_amp_obs_steps=10,
-        action_space=box(-1, 1, (31,)),
-        rl_device="cpu",
-    )
-    assert hierarchy.shipped_judge(env) is None
-    found = hierarchy.GoalReached(task_return=0.5, no_fall_share=1.0, style_reward=None)
-    assert str(found) == "task return 0.500, without a fall 1.00"
-
-
-def test_random_latents_stand_in_for_the_high_level(runs, tmp_path) -> None:
-    found = measured(runs, tmp_path, "goal", "heading_hrl", "--random-latents")
-    assert found["file"] == "heading_hrl+random_latents"
-    assert 0.0 < found["task_return"] < 0.2
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("skills", "heading_ppo"), "expected a policy of algo: name: gen_amp"),
-        (("goal", "heading_ppo", "--random-latents"), "expected a policy of algo: name: hrl"),
-        (("skills", "skills", "--random-latents"), "--random-latents belongs to goal"),
-        (("goal", "task.env.goal=reach"), "give a checkpoint"),
-        (("goal", "nobody"), "neither a run folder nor an experiment"),
-    ],
-)
-def test_mistakes_are_one_line(words, message, runs, tmp_path) -> None:
-    with pytest.raises(SystemExit, match=message):
-        measured(runs, tmp_path, *words)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from benchmarks import learned
 from benchmarks.learning_curve import LearningCurve
@@ -18,9 +17,8 @@ def of(label: str, **changes):
     return replace(RECORD, experiment=label, run=f"{label}_seed1", **{**good, **changes})
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
+def test_learned():
+    for changes, expected in [
         ({}, True),
         ({"pose_error_m": 0.061}, False),
         ({"pose_error_m": None}, False),
@@ -29,10 +27,8 @@ def of(label: str, **changes):
         ({"motion_shown": None}, False),
         ({"tempo": 0.5}, False),  # in slow motion
         ({"tempo": 1.6}, False),
-    ],
-)
-def test_learned(changes, expected):
-    assert learned.is_learned(of("dance", **changes)) is expected
+    ]:
+        assert learned.is_learned(of("dance", **changes)) is expected
 
 
 def test_the_paper_counts_where_it_has_a_number():
@@ -59,9 +55,8 @@ GOOD = {
 }
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
+def test_a_training_is_over_when_the_clip_is_learned_twice_in_a_row():
+    for changes, expected in [
         ({}, True),
         ({"pose_error_m": [0.05, 0.061, 0.05]}, False),  # once only
         ({"no_fall_share": [1.0, 1.0, 0.8]}, False),
@@ -69,27 +64,22 @@ GOOD = {
         ({"tempo": [1.0, 1.0, 0.5]}, False),
         ({"pose_error_m": [0.05], "no_fall_share": [1.0], "motion_shown": [0.9]}, False),
         ({"pose_error_m": [], "no_fall_share": [], "motion_shown": []}, False),
-    ],
-)
-def test_a_training_is_over_when_the_clip_is_learned_twice_in_a_row(changes, expected):
-    curve = curve_of(**{**GOOD, "motion_shown": [0.1, 0.8, 0.9], **changes})
-    assert learned.has_learned("dance", curve) is expected
+    ]:
+        curve = curve_of(**{**GOOD, "motion_shown": [0.1, 0.8, 0.9], **changes})
+        assert learned.has_learned("dance", curve) is expected
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
+def test_when_a_clip_was_first_learned():
+    for changes, expected in [
         ({}, (75.0, 0.75)),
         ({"no_fall_share": [1.0, 1.0, 1.0, 0.5, 1.0]}, None),
         ({"motion_shown": [0.9, 0.9]}, (100.0, 1.0)),  # measured from the fourth time on
         ({"motion_shown": []}, None),
-    ],
-)
-def test_when_a_clip_was_first_learned(changes, expected):
-    measured = {
-        "pose_error_m": [0.05, 0.2, 0.06, 0.05, 0.05],
-        "no_fall_share": [1.0] * 5,
-        "motion_shown": [0.9] * 5,
-        "tempo": [1.0] * 5,
-    }
-    assert learned.first_learned("dance", curve_of(**{**measured, **changes})) == expected
+    ]:
+        measured = {
+            "pose_error_m": [0.05, 0.2, 0.06, 0.05, 0.05],
+            "no_fall_share": [1.0] * 5,
+            "motion_shown": [0.9] * 5,
+            "tempo": [1.0] * 5,
+        }
+        assert learned.first_learned("dance", curve_of(**{**measured, **changes})) == expected

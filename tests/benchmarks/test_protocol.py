@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import shutil
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -12,12 +9,10 @@ import torch
 
 from benchmarks import evaluate as command
 from benchmarks import protocol
-from benchmarks.protocol import EPISODES, SpeedProbe, clip_speed_m_s, evaluate_checkpoint
+from benchmarks.protocol import EPISODES, SpeedProbe, evaluate_checkpoint
 from benchmarks.records import read_records
 from benchmarks.runs import Run, start_now
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.errors import CheckpointError
-from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.runner import run as train
 from tests.tiny import CONFIG, TINY_AMP
 
@@ -70,23 +65,6 @@ def test_the_protocol_sets_the_episodes_whatever_the_run_had(trained):
     assert outcome.clip_speed_m_s == pytest.approx(1.0, abs=1e-4)
     # it falls out of a walk of 1 m/s
     assert 0.1 < outcome.speed_m_s < 3.0
-
-
-def test_more_episodes_can_be_asked_for(trained):
-    result = evaluate_checkpoint(checkpoint_of(trained), episodes=EPISODES + 3).imitation
-    assert result.num_episodes == len(result.per_episode) == EPISODES + 3
-
-
-def test_a_run_of_several_processes_is_measured_by_one(trained, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(trained.folder, folder)
-    config = folder / "config.yaml"
-    text = config.read_text()
-    assert "multi_gpu: false" in text
-    config.write_text(text.replace("multi_gpu: false", "multi_gpu: true"))
-    checkpoint = folder / "nn" / checkpoint_of(trained).name
-    of_one = evaluate_checkpoint(checkpoint_of(trained)).imitation
-    assert evaluate_checkpoint(checkpoint).imitation.pose_error_m == of_one.pose_error_m
 
 
 def test_the_same_seed_gives_the_same_numbers_and_another_does_not(trained):
@@ -147,17 +125,6 @@ def test_command_line(trained, tmp_path, capsys, monkeypatch):
         command.main()
 
 
-def test_overrides_replace_the_runs_settings(trained):
-    missing = ("task.env.motion_file=absent.npz",)
-    with pytest.raises(ValueError, match=r"absent.npz"):
-        evaluate_checkpoint(checkpoint_of(trained), overrides=missing)
-
-
-def test_a_checkpoint_alone_is_refused(tmp_path):
-    with pytest.raises(CheckpointError, match=r"no config.yaml .* expected a checkpoint in the"):
-        evaluate_checkpoint(tmp_path / "nn" / "policy.pth")
-
-
 # --- speed ------------------------------------------------------------------------------------
 
 
@@ -172,22 +139,3 @@ def test_speed_by_hand():
     for positions, dones in ways:
         probe.step(torch.tensor(positions, dtype=torch.float32), torch.tensor(dones))
     assert probe.mean_m_s() == pytest.approx(((3 + 1) / 1.0 + 5 / 0.5) / 2)
-
-
-def test_speed_of_nothing():
-    probe = SpeedProbe(1, 0.5)
-    probe.step(torch.zeros(1, 3), torch.ones(1))
-    probe.step(torch.ones(1, 3), torch.ones(1))
-    assert math.isnan(probe.mean_m_s())
-
-
-def test_clip_speed_is_along_the_ground(walk_clip):
-    # x = t in m and s; it also rises
-    assert clip_speed_m_s(MotionLib(str(walk_clip), 28, [5], "cpu"), 1 / 30) == pytest.approx(1.0)
-
-
-def test_a_record_is_plain_json(trained):
-    import json
-
-    record = command.measure(trained)
-    assert json.loads(json.dumps(asdict(record), allow_nan=False)) == asdict(record)

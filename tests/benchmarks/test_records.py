@@ -3,8 +3,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import pytest
-
 from benchmarks.records import (
     Record,
     markdown_table,
@@ -48,45 +46,28 @@ def seeds(**values: list) -> list[Record]:
     return [replace(RECORD, seed=i, **{name: value}) for i, value in enumerate(column)]
 
 
-@pytest.mark.parametrize(
-    ("column", "expected"),
-    [
+def test_medians():
+    for column, expected in [
         ([0.05, 0.03, 0.04], 0.04),
         ([0.05, 0.03], 0.04),
         ([None, 0.03, 0.04], 0.04),  # one that has none is worse than those that have
         ([None, None, 0.04], None),
         ([None, 0.04], None),
         ([None], None),
-    ],
-)
-def test_medians(column, expected):
-    assert medians(seeds(pose_error_m=column))["pose_error_m"] == expected
+    ]:
+        assert medians(seeds(pose_error_m=column))["pose_error_m"] == expected
 
 
-def test_a_line_names_all_numbers():
-    assert str(RECORD) == (
-        "walk seed 1: 1.00 M frames, 3.0 min; pose error 0.0300 m, without a fall 1.00, tempo 1.00,"
-        " motion shown 0.97, speed 1.50 m/s (clip 1.50), episode 299 steps;"
-        " learned after 1.5 min, 0.40 M frames, 280 steps in training after 2.0 min, 0.50 M frames"
-    )
-    lost = replace(RECORD, pose_error_m=None, minutes_to_280=None, frames_to_280=None)
-    assert "pose error ? m" in numbers_line(medians([lost]))
-    assert "280 steps in training never" in numbers_line(medians([lost]))
-
-
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
+def test_cells_of_tables():
+    for values, expected in [
         ([1.0, 3.0, 2.0], "2.0 (1.0 to 3.0)"),
         ([1.0, None, 2.0], "2.0 (1.0 to none)"),
         ([None, None, 2.0], "none (2.0 to none)"),
         ([None], "none"),
         ([float("nan"), 1.0, 1.0], "1.0 (1.0 to none)"),
         ([1.01, 1.02], "1.0"),
-    ],
-)
-def test_cells_of_tables(values, expected):
-    assert spread_cell(values, ".1f") == expected
+    ]:
+        assert spread_cell(values, ".1f") == expected
 
 
 def test_table_has_a_row_for_each_experiment():
@@ -115,10 +96,6 @@ def test_a_record_replaces_the_one_of_the_same_policy_only(tmp_path):
     assert read_records(file) == [better, later, replace(RECORD, seed=2, run="walk_seed2")]
 
 
-def test_no_file_no_records(tmp_path):
-    assert read_records(tmp_path / "absent.jsonl") == []
-
-
 def test_errors_of_goals_are_shown_and_kept(tmp_path):
     errors = [{"turn_error_rad_s": 0.1}, {"turn_error_rad_s": 0.3}, {}]
     records = [replace(r, run=f"walk_seed{r.seed}") for r in seeds(goal_errors=errors)]
@@ -133,15 +110,3 @@ def test_errors_of_goals_are_shown_and_kept(tmp_path):
     old = [{key: row[key] for key in row if key != "goal_errors"} for row in lines]
     file.write_text("".join(json.dumps(row) + "\n" for row in old))
     assert [record.goal_errors for record in read_records(file)] == [{}] * 3
-
-
-def test_results_of_another_kind_stay_in_the_file(tmp_path):
-    other = {"experiment": "walk", "seed": 3, "coverage": 0.75}
-    file = tmp_path / "walk.jsonl"
-    file.write_text(json.dumps(other) + "\n")
-    record = replace(RECORD, experiment="walk")
-    assert read_records(file) == []
-    for _ in range(2):
-        write_records([record], tmp_path)
-        assert json.loads(file.read_text().splitlines()[0]) == other
-        assert read_records(file) == [record]

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks.returns import main
-from benchmarks.runs import Run
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.runner import run
 
@@ -41,10 +40,6 @@ def test_it_plays_whole_episodes_and_writes_a_line(cartpole: Path, tmp_path: Pat
     assert row["frames"] == 2 * 64 * 16
 
 
-def test_a_classic_task_has_no_motions(cartpole: Path) -> None:
-    assert not Run.at(cartpole).has_motions()
-
-
 def test_the_same_starts_give_the_same_numbers(cartpole: Path, capsys) -> None:
     main([str(cartpole)])
     first = capsys.readouterr().out
@@ -52,8 +47,3 @@ def test_the_same_starts_give_the_same_numbers(cartpole: Path, capsys) -> None:
     assert capsys.readouterr().out == first
     main([str(cartpole), "--evaluation-seed", "5"])
     assert capsys.readouterr().out != first
-
-
-def test_a_target_that_is_none_is_one_line(tmp_path: Path, capsys) -> None:
-    with pytest.raises(SystemExit, match="error: "):
-        main([str(tmp_path / "lost")])

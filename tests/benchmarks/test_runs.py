@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.runs import Run, commit, find_runs, plain, start_now
+from benchmarks.runs import Run, find_runs
 from isaacgymenvs_lite.errors import CheckpointError
 
 
@@ -32,14 +32,6 @@ def test_a_folder_means_itself(tmp_path):
     assert run == Run.of(tmp_path, "walk", 3)
 
 
-def test_mistakes_say_what_is_there(tmp_path):
-    make_run(tmp_path / "walk_seed1")
-    with pytest.raises(CheckpointError, match=r"'run': neither .* \(there: walk_seed1\)"):
-        find_runs("run", tmp_path)
-    with pytest.raises(CheckpointError, match=r"no run folder; expected one with config\.yaml"):
-        find_runs(str(tmp_path), tmp_path)
-
-
 def test_checkpoint_of_an_epoch(tmp_path):
     run = Run.at(make_run(tmp_path / "walk_seed1"))
     for epoch in (5, 50, 500):
@@ -47,25 +39,3 @@ def test_checkpoint_of_an_epoch(tmp_path):
     assert run.checkpoint_of_epoch(50).name == "last_HumanoidAMP_ep_50_rew_1.5.pth"
     with pytest.raises(CheckpointError, match="no checkpoint of epoch 7"):
         run.checkpoint_of_epoch(7)
-
-
-def test_starts_are_kept_in_order(tmp_path):
-    run = Run.of(tmp_path, "walk", 1)
-    assert run.starts() == []
-    first, second = start_now(["a=1"], "train.py a=1", [0]), start_now([], "train.py", [0, 1])
-    run.note_start(first)
-    run.note_start(second)
-    assert run.starts() == [first, second]
-    assert "torch" in first.machine
-
-
-def test_commit_is_one_word():
-    assert len(commit().split()) == 1
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [(1.5, 1.5), (float("nan"), None), (float("inf"), None), (0.0, 0.0), (3, 3), (None, None)],
-)
-def test_numbers_for_json(value, expected):
-    assert plain(value) == expected

@@ -34,13 +34,6 @@ def test_the_moments_of_one_group_find_their_parameters_in_two():
     assert [group["lr"] for group in optimizer.param_groups] == [0.5, 0.1]
 
 
-def test_equal_groups_stay_as_they_are():
-    net = model()
-    optimizer = stepped(net, net.parameters())
-    state = optimizer.state_dict()
-    assert fit_optimizer_state(state, optimizer, net) is state
-
-
 def test_a_state_of_several_groups_does_not_fit_into_one():
     net = model()
     state = stepped(net, [{"params": layer.parameters()} for layer in net.values()]).state_dict()

@@ -7,9 +7,8 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
-from isaacgymenvs_lite.checkpoints import packed
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
-from isaacgymenvs_lite.checkpoints.packed import MAX_BYTES, pack_policy, read_policy_info
+from isaacgymenvs_lite.checkpoints.packed import pack_policy, read_policy_info
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import compose
@@ -75,14 +74,6 @@ def test_what_a_packed_policy_says_of_itself(full_checkpoint, shipped_dir):
     assert str(info) == ("HumanoidAMP of walk.npz, 0.0 M frames, mlp [16, 8], disc [12, 6]")
 
 
-def test_networks_of_a_run_on_a_gpu_are_told_by_the_model(edited_run, shipped_dir):
-    """The default units depend on the device of whoever resolves them."""
-    units = '${if:${contains:"cuda",${.....rl_device}},[%s],[%s]}'
-    explicit, default = "        - 16\n        - 8\n", units % ("16,8", "4,2")
-    checkpoint = edited_run(f"units:\n{explicit}", f"units: {default}\n")
-    assert read_policy_info(pack_policy(checkpoint, "tiny")).units["mlp"] == [16, 8]
-
-
 def test_a_configuration_of_another_network_is_refused(edited_run, shipped_dir):
     checkpoint = edited_run("        - 16\n        - 8\n", "        - 32\n")
     with pytest.raises(CheckpointError, match=r"\[16, 8\].*config\.yaml.*\[32\]") as caught:
@@ -97,13 +88,13 @@ def test_a_checkpoint_without_its_run_is_refused(full_checkpoint, shipped_dir, t
         pack_policy(tmp_path / "alone.pth", "tiny")
 
 
-@pytest.mark.parametrize("content", ["", "task: 3\n", "rl_device: cpu\ntask: {env: {a: 1}}\n"])
-def test_a_damaged_configuration_is_refused(content, edited_run, shipped_dir):
+def test_a_damaged_configuration_is_refused(edited_run, shipped_dir):
     checkpoint = edited_run()
-    (checkpoint.parents[1] / "config.yaml").write_text(content)
-    with pytest.raises(ConfigError, match=r"config\.yaml") as caught:
-        pack_policy(checkpoint, "tiny")
-    assert "\n" not in str(caught.value)
+    for content in ["", "task: 3\n", "rl_device: cpu\ntask: {env: {a: 1}}\n"]:
+        (checkpoint.parents[1] / "config.yaml").write_text(content)
+        with pytest.raises(ConfigError, match=r"config\.yaml") as caught:
+            pack_policy(checkpoint, "tiny")
+        assert "\n" not in str(caught.value)
 
 
 def test_a_clip_of_this_machine_only_is_refused_or_replaced(edited_run, shipped_dir):
@@ -119,30 +110,10 @@ def test_a_clip_of_this_machine_only_is_refused_or_replaced(edited_run, shipped_
     assert read_policy_info(pack_policy(checkpoint, "tiny", clip=clip)).clip == "g1_walk.npz"
 
 
-def test_a_setting_of_trainings_alone_is_packed_as_in_plays(edited_run, shipped_dir):
-    by_test = "localRootObs: ${if:${...test},False,True}"
-    checkpoint = edited_run("localRootObs: true", by_test)
-    settings = read_policy_info(pack_policy(checkpoint, "tiny")).settings
-    assert settings["task.env.localRootObs"] is False
-
-
-@pytest.mark.parametrize("name", ["", "last", "Walk", "../walk", "a b", ".walk"])
-def test_a_name_that_cannot_be_used_is_refused(name, full_checkpoint, shipped_dir):
-    with pytest.raises(ConfigError, match=f"name={name}: expected"):
-        pack_policy(full_checkpoint, name)
-
-
-def test_a_policy_that_is_too_big_is_refused(full_checkpoint, shipped_dir, monkeypatch):
-    monkeypatch.setattr(packed, "MAX_BYTES", 20_000)
-    with pytest.raises(CheckpointError, match=r"would take 0\.0 MiB, the limit.*units"):
-        pack_policy(full_checkpoint, "tiny")
-    assert list(shipped_dir.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_written_is_refused(full_checkpoint, tmp_path):
-    (tmp_path / "taken").write_text("a file")
-    with pytest.raises(ConfigError, match=r"cannot write .*taken"):
-        pack_policy(full_checkpoint, "tiny", folder=tmp_path / "taken")
+def test_a_name_that_cannot_be_used_is_refused(full_checkpoint, shipped_dir):
+    for name in ["", "last", "Walk", "../walk", "a b", ".walk"]:
+        with pytest.raises(ConfigError, match=f"name={name}: expected"):
+            pack_policy(full_checkpoint, name)
 
 
 def test_a_full_checkpoint_is_no_packed_policy(full_checkpoint):
@@ -156,9 +127,7 @@ def test_a_full_checkpoint_is_no_packed_policy(full_checkpoint):
 
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_plays_anywhere(name):
-    path = shipped_policies()[name]
-    assert path.stat().st_size < MAX_BYTES
-    info = read_policy_info(path)
+    info = read_policy_info(shipped_policies()[name])
     assert not Path(info.clip).is_absolute()
     assert info.frames > 0
     fixed = ["test=True", f"checkpoint={name}", "num_envs=2", "num_threads=1", "rl_device=cpu"]
@@ -168,31 +137,24 @@ def test_a_shipped_policy_plays_anywhere(name):
     assert torch.stack(actions).isfinite().all()
 
 
-def test_the_shipped_g1_walks_for_three_seconds():
-    fixed = ("test=True", "checkpoint=g1_walk", "num_envs=4", "num_threads=1", "rl_device=cpu")
-    with load_player(compose([*playing_overrides("g1_walk"), *fixed, "seed=1"])) as player:
-        obs, env = player.env.reset(), player.env
-        start = env.simulation.root_states[:, :2].clone()
-        for _ in range(90):
-            obs, _, dones, _ = env.step(player.act(obs))
-            assert not dones.any()
-        gone_m = (env.simulation.root_states[:, :2] - start).norm(dim=-1)
-    # the clip has 0.97 m/s
-    assert float(gone_m.min()) > 2.0 and float(gone_m.max()) < 4.5
-
-
-@pytest.mark.parametrize("command", [(0.8, 0.0, 0.0), (0.4, 0.0, 0.6), (0.0, 0.0, 0.0)])
-def test_the_shipped_g1_goes_as_commanded(command):
-    axes = zip(("linear_x", "linear_y", "yaw"), command, strict=True)
-    ranges = [f"task.env.randomCommandVelocityRanges.{a}=[{v},{v}]" for a, v in axes]
-    fixed = ("test=True", "checkpoint=g1_velocity", "num_envs=4", "num_threads=1", "rl_device=cpu")
-    words = [*playing_overrides("g1_velocity"), *fixed, *ranges, "seed=1"]
-    with load_player(compose([*words, "task.env.stateInit=Default"])) as player:
-        obs, env = player.env.reset(), player.env
-        for _ in range(120):
-            obs, _, dones, _ = env.step(player.act(obs))
-            assert not dones.any()
-        errors = env.goal.errors()
-    # Of the last of four seconds; over all commands its mean errors are 0.18 m/s and 0.14 rad/s.
-    assert float(errors["velocity_error_m_s"].max()) < 0.4
-    assert float(errors["turn_error_rad_s"].max()) < 0.4
+def test_the_shipped_g1_goes_as_commanded():
+    for command in [(0.8, 0.0, 0.0), (0.4, 0.0, 0.6), (0.0, 0.0, 0.0)]:
+        axes = zip(("linear_x", "linear_y", "yaw"), command, strict=True)
+        ranges = [f"task.env.randomCommandVelocityRanges.{a}=[{v},{v}]" for a, v in axes]
+        fixed = (
+            "test=True",
+            "checkpoint=g1_velocity",
+            "num_envs=4",
+            "num_threads=1",
+            "rl_device=cpu",
+        )
+        words = [*playing_overrides("g1_velocity"), *fixed, *ranges, "seed=1"]
+        with load_player(compose([*words, "task.env.stateInit=Default"])) as player:
+            obs, env = player.env.reset(), player.env
+            for _ in range(120):
+                obs, _, dones, _ = env.step(player.act(obs))
+                assert not dones.any()
+            errors = env.goal.errors()
+        # In the last of four seconds; over all commands the means are 0.18 m/s and 0.14 rad/s.
+        assert float(errors["velocity_error_m_s"].max()) < 0.4
+        assert float(errors["turn_error_rad_s"].max()) < 0.4

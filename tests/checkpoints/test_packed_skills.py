@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.checkpoints.files import load_checkpoint, write_atomically
+from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import pack_policy, read_policy_info
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
 from isaacgymenvs_lite.config.compose import compose
@@ -42,22 +41,6 @@ def test_it_knows_its_latents_and_layers(checkpoint, shipped_dir) -> None:
     cfg = compose([*playing_overrides("skills"), "num_envs=2"])
     assert cfg.train.params.config.latent_dim == 5
     assert cfg.task.env.goal == "none"
-
-
-def test_its_network_is_the_packed_one_whatever_the_train_file_says(
-    checkpoint, shipped_dir
-) -> None:
-    packed = pack_policy(checkpoint, "skills")
-    state = load_checkpoint(packed)
-    settings = state["policy"]["settings"]
-    del settings["train.params.network.latent_scale"]  # of a version that had no such key
-    write_atomically(packed, state)
-    network = compose([*playing_overrides("skills"), "num_envs=2"]).train.params.network
-    assert "latent_scale" not in network
-    for path, value in settings.items():
-        if path.startswith("train.params.network."):
-            key = path.removeprefix("train.params.network.")
-            assert OmegaConf.select(network, key) == value
 
 
 def test_a_hierarchy_takes_it_by_name(checkpoint, shipped_dir, tmp_path, monkeypatch) -> None:

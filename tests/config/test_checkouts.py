@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from isaacgymenvs_lite.config.checkouts import (
     checkout_of,
     clip_folders,
@@ -21,9 +19,8 @@ def _made(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("file", "top", "checkout"),
-    [
+def test_the_checkout_by_its_layout(tmp_path: Path) -> None:
+    for file, top, checkout in [
         ("fork/isaacgymenvs/cfg/task/A.yaml", "fork/setup.py", "fork"),
         ("fork/isaacgymenvs/cfg/task/A.yaml", "fork/assets/x", "fork"),
         # the package brings its own assets: the folder above may be anybody's
@@ -34,11 +31,9 @@ def _made(path: Path) -> Path:
         ("fork/ase/data/cfg/humanoid.yaml", "fork/README.md", "fork"),
         ("home/A.yaml", "home/assets/x", "home"),
         ("fork/task/A.yaml", "fork/setup.py", "fork/task"),
-    ],
-)
-def test_the_checkout_by_its_layout(file: str, top: str, checkout: str, tmp_path: Path) -> None:
-    _made(tmp_path / top)
-    assert checkout_of(_made(tmp_path / file)) == tmp_path / checkout
+    ]:
+        _made(tmp_path / top)
+        assert checkout_of(_made(tmp_path / file)) == tmp_path / checkout
 
 
 def test_clips_by_name_or_by_path_below_the_checkout(tmp_path: Path) -> None:

@@ -41,45 +41,26 @@ def test_files_of_a_user_pass(no_gpu, config_dir):
         check_config(compose(["task=Mine", f"train={train}"], config_dir))
 
 
-@pytest.mark.parametrize(
-    ("override", "expected"),
-    [
+def test_wrong_values(no_gpu):
+    for override, expected in [
         ("num_envs=0", "num_envs: got 0, expected a whole number of at least 1, or ''"),
-        ("num_envs=-4", "num_envs: got -4"),
-        ("num_envs=1.5", "num_envs: got 1.5"),
         ("num_envs=many", "num_envs: got 'many'"),
-        ("max_iterations=0", "max_iterations: got 0"),
         ("seed=-2", "seed: got -2, expected a whole number of at least -1"),
-        ("seed=abc", "seed: got 'abc'"),
         ("sigma=wide", "sigma: got 'wide', expected a number, or ''"),
         ("pipeline=fpga", "pipeline: got 'fpga', expected one of cpu, gpu"),
-        ("physics_engine=bullet", "expected one of physx, flex"),
-        ("solver_type=2", "solver_type: got 2, expected one of 0, 1"),
-        ("num_threads=-1", "num_threads: got -1"),
         ("test=maybe", "test: got 'maybe', expected True or False"),
-        ("torch_deterministic=1", "torch_deterministic: got 1, expected True or False"),
-        ("headless=null", "headless: got None"),
-        ("capture_video_freq=0", "capture_video_freq: got 0"),
         ("wandb_tags=a", "wandb_tags: got 'a', expected a list"),
         ("task.env.numEnvs=0", "task.env.numEnvs: got 0"),
-        ("task.env.numEnvs=''", "task.env.numEnvs: got ''"),
         ("+num_emvs=3", "unknown key 'num_emvs' (did you mean 'num_envs'?)"),
         ("seed=${nowhere}", "seed: Interpolation key 'nowhere' not found"),
-        ("train.params.config.gamma=${.gama}", "'gama' not found"),
         ("train.params.config.gamma=${eq:1}", "train.params.config.gamma: "),
         ("~task.name", "the key 'task.name' is missing"),
-        ("~task.env", "the key 'task.env' is missing"),
         ("~task.sim", "the key 'task.sim' is missing; a task file has dt and gravity below sim:"),
         ("task.env.numEnvs=9999999999999", "of at most 16777216"),
-        ("~train.params", "the key 'train.params' is missing"),
         ("latent=random", "latent=random chooses what a trained policy shows: add test=True"),
-        ("capture_video_envs=0", "capture_video_envs: got 0"),
-        ("progress_interval=0", "progress_interval: got 0"),
         ("pbt.enabled=1", "pbt.enabled: got 1, expected True or False"),
-    ],
-)
-def test_wrong_values(no_gpu, override, expected):
-    assert expected in message(override)
+    ]:
+        assert expected in message(override)
 
 
 def test_several_processes_train_and_do_not_play():
@@ -88,13 +69,14 @@ def test_several_processes_train_and_do_not_play():
     check_config(compose(["multi_gpu=True"]))
 
 
-@pytest.mark.parametrize("override", ["num_envs=0", "seed=abc", "rl_device=gpu"])
-def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch, override):
-    def asked() -> bool:
-        raise AssertionError("torch was asked for a GPU")
+def test_mistakes_that_need_no_torch_are_found_before_it_is_asked(monkeypatch):
+    for override in ["num_envs=0", "seed=abc", "rl_device=gpu"]:
 
-    monkeypatch.setattr(torch.cuda, "is_available", asked)
-    message(override)
+        def asked() -> bool:
+            raise AssertionError("torch was asked for a GPU")
+
+        monkeypatch.setattr(torch.cuda, "is_available", asked)
+        message(override)
 
 
 def test_devices_of_a_machine_without_a_gpu(no_gpu):
@@ -103,10 +85,6 @@ def test_devices_of_a_machine_without_a_gpu(no_gpu):
     assert "torch sees no GPU" in message("rl_device=cuda:0")
     with pytest.raises(DeviceError):
         check_config(compose(["rl_device=cuda"]))
-
-
-def test_the_physics_is_asked_onto_a_gpu_on_any_machine(no_gpu):
-    assert check_config(compose(["sim_device=cuda:0", "pipeline=gpu"])).sim_device == "cuda:0"
 
 
 def test_default_rl_device_is_the_gpu_if_there_is_one(monkeypatch):
@@ -121,18 +99,3 @@ def test_wandb_must_be_installed(no_gpu, monkeypatch):
     assert 'pip install "isaacgymenvs-lite[wandb]"' in message("wandb_activate=True")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
     assert check_config(compose(["wandb_activate=True"])).wandb_activate
-
-
-def test_users_file_without_a_name(no_gpu, config_dir):
-    (config_dir / "task" / "Nameless.yaml").write_text("nmae: HumanoidAMP\nenv: {numEnvs: 4}\n")
-    text = message("task=Nameless", "train=Published", config_dir=config_dir)
-    assert "'task.name' is missing (is 'nmae' meant for it?)" in text
-
-
-def test_every_error_is_a_config_or_device_error(no_gpu):
-    with pytest.raises(ConfigError):
-        check_config(compose(["num_envs=0"]))
-
-
-def test_a_choice_that_is_nothing_has_its_quotes(no_gpu):
-    assert message("viewer=webb").endswith("got 'webb', expected one of '', web")

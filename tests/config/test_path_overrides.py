@@ -28,11 +28,11 @@ def test_a_train_file_is_taken_from_its_path(published: Path) -> None:
     assert compose(["task=Ant", "train=AntPPO"]).train.params.config.learning_rate == 3e-4
 
 
-@pytest.mark.parametrize("name", ["2024", "77_903", "1e5", "true", "null"])
-def test_names_that_look_like_other_values_are_names(name, published: Path) -> None:
-    file = published.rename(published.with_name(f"{name}.yaml"))
-    cfg = compose(["task=Ant", f"train={file}"])
-    assert cfg.train.params.config.learning_rate == 7e-3
+def test_names_that_look_like_other_values_are_names(published: Path) -> None:
+    for name in ["2024", "77_903", "1e5", "true", "null"]:
+        file = published.rename(published.with_name(f"{name}.yaml"))
+        cfg = compose(["task=Ant", f"train={file}"])
+        assert cfg.train.params.config.learning_rate == 7e-3
 
 
 def test_paths_may_be_relative_and_go_without_suffix(published: Path, monkeypatch) -> None:
@@ -74,30 +74,12 @@ def test_a_task_file_is_taken_from_its_path(tmp_path: Path) -> None:
     assert (cfg.task.name, cfg.task.env.episodeLength) == ("Ant", 77)
 
 
-def test_both_at_once_and_overrides_win(published: Path, tmp_path: Path) -> None:
-    task = tmp_path / "Mine.yaml"
-    task.write_text("defaults: [Ant, _self_]\n")
-    cfg = compose([f"task={task}", f"train={published}", "train.params.config.learning_rate=1"])
-    assert cfg.train.params.config.learning_rate == 1
-    assert cfg.train.params.config.name == "Mine"
-
-
-@pytest.mark.parametrize("group", ["task", "train"])
-def test_a_missing_file_is_named(group: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=rf"{group}={tmp_path}/Lost.yaml: no file .*Lost.yaml"):
-        compose(["task=Ant", f"{group}={tmp_path}/Lost.yaml"])
-
-
-def test_a_broken_file_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "Broken.yaml"
-    file.write_text("params: [1, 2\n")
-    with pytest.raises(ConfigError, match=r"Broken.yaml is not valid YAML"):
-        compose(["task=Ant", f"train={file}"])
-
-
-def test_an_unknown_key_of_such_a_tree_lists_the_keys(published: Path) -> None:
-    with pytest.raises(ConfigError, match=r"unknown key 'train.params.config.lerning_rate'"):
-        compose(["task=Ant", f"train={published}", "train.params.config.lerning_rate=1"])
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    for group in ["task", "train"]:
+        with pytest.raises(
+            ConfigError, match=rf"{group}={tmp_path}/Lost.yaml: no file .*Lost.yaml"
+        ):
+            compose(["task=Ant", f"{group}={tmp_path}/Lost.yaml"])
 
 
 def _fork(tmp_path: Path, **train: str) -> Path:
@@ -133,13 +115,6 @@ def test_without_one_the_projects_of_that_name_is(tmp_path: Path) -> None:
         compose([f"task={task}"])
     task = task.rename(task.with_name("Ant.yaml"))
     assert compose([f"task={task}"]).train.params.config.name == "Ant"
-
-
-def test_the_tree_keeps_the_checkout_of_its_task_file(tmp_path: Path) -> None:
-    task = _fork(tmp_path, WalkerPPO=_THEIRS)
-    assert compose([f"task={task}"]).task_checkout == str(tmp_path / "fork")
-    assert compose([f"task={task}", "task_checkout=/mine"]).task_checkout == "/mine"
-    assert compose().task_checkout == ""
 
 
 def test_a_task_file_of_ase_is_completed(tmp_path: Path) -> None:

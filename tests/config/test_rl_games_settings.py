@@ -55,9 +55,8 @@ def test_sac_needs_a_hidden_layer():
     check_network(changed("mlp.units", []), "n")
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
+def test_wrong_values():
+    for path, value, message in [
         ("mlp.units", [64, -1], r"n\.mlp\.units: got \[64, -1\]"),
         ("mlp.units", "64", r"n\.mlp\.units: got '64', expected a list of whole numbers"),
         ("disc.units", [1.5], r"n\.disc\.units"),
@@ -73,14 +72,12 @@ def test_sac_needs_a_hidden_layer():
         ("space.continuous.mu_activation", "none", r"mu_activation: got 'none'"),
         ("space.continuous.sigma_init", {"name": "constant"}, r"unknown initializer 'constant'"),
         ("space.continuous.sigma_init", ABSENT, r"sigma_init' is missing"),
-    ],
-)
-def test_wrong_values(path, value, message):
-    if message is None:  # a key too many beside the right one: logged, not refused
-        check_network(changed(path, value), "n")
-        return
-    with pytest.raises(ConfigError, match=message):
-        check_network(changed(path, value), "n")
+    ]:
+        if message is None:  # a key too many beside the right one: logged, not refused
+            check_network(changed(path, value), "n")
+            continue
+        with pytest.raises(ConfigError, match=message):
+            check_network(changed(path, value), "n")
 
 
 def test_misspelt_section():
@@ -90,21 +87,10 @@ def test_misspelt_section():
         check_network(network, "n")
 
 
-def test_named_inputs_are_said_to_have_no_effect(caplog):
-    check_network(changed("inputs", {"goal_pose": {}}), "train.params.network")
-    assert "train.params.network.inputs" in caplog.text
-
-
-def test_networks_of_others_need_no_mlp():
-    check_network({"name": "their_own", "hidden": 3}, "n")
-
-
-@pytest.mark.parametrize(
-    ("factor", "units"), [(1, [8, 4]), (2, [16, 8]), (0.5, [4, 2]), (0.1, [1, 1])]
-)
-def test_units_are_scaled_once(factor, units):
-    network = changed("mlp.model_size_multiplier", factor)
-    for _ in range(2):
-        scale_units(network)
-    assert network["mlp"]["units"] == units
-    assert network["disc"]["units"] == [8, 4]
+def test_units_are_scaled_once():
+    for factor, units in [(1, [8, 4]), (2, [16, 8]), (0.5, [4, 2]), (0.1, [1, 1])]:
+        network = changed("mlp.model_size_multiplier", factor)
+        for _ in range(2):
+            scale_units(network)
+        assert network["mlp"]["units"] == units
+        assert network["disc"]["units"] == [8, 4]

@@ -91,53 +91,54 @@ def assert_refused(call: Callable[..., int], capsys, tmp_path: Path, *arguments:
 # --- Hydra's section -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("door", HYDRA_SECTIONS)
-def test_a_file_has_no_say_in_what_hydra_does(door, call, write, capsys, tmp_path):
-    section = HYDRA_SECTIONS[door]
-    named = ["task=Cartpole", f"train={write('Mine.yaml', GLOBAL + section)}"]
-    error = assert_refused(call, capsys, tmp_path, *named)
-    assert "'# @package _global_', which puts it into another section; expected 'train'" in error
-    named = ["task=Cartpole", f"train={write('Mine.yaml', TRAIN + section)}"]
-    assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *named)
-    root = (cfg_dir() / "config.yaml").read_text().partition("hydra:\n")[0]
-    folder = write("cfg/config.yaml", root + section).parent
-    error = assert_refused(call, capsys, tmp_path, "--config-path", str(folder))
-    assert "config.yaml sets 'hydra', which decides what is run" in error
-    write("mine/train/Mine.yaml", TRAIN + section)
-    folder = tmp_path / "stranger" / "mine"
-    words = ["--config-dir", str(folder), "task=Cartpole", "train=Mine"]
-    assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *words)
+def test_a_file_has_no_say_in_what_hydra_does(call, write, capsys, tmp_path):
+    for door in HYDRA_SECTIONS:
+        section = HYDRA_SECTIONS[door]
+        named = ["task=Cartpole", f"train={write('Mine.yaml', GLOBAL + section)}"]
+        error = assert_refused(call, capsys, tmp_path, *named)
+        assert (
+            "'# @package _global_', which puts it into another section; expected 'train'" in error
+        )
+        named = ["task=Cartpole", f"train={write('Mine.yaml', TRAIN + section)}"]
+        assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *named)
+        root = (cfg_dir() / "config.yaml").read_text().partition("hydra:\n")[0]
+        folder = write("cfg/config.yaml", root + section).parent
+        error = assert_refused(call, capsys, tmp_path, "--config-path", str(folder))
+        assert "config.yaml sets 'hydra', which decides what is run" in error
+        write("mine/train/Mine.yaml", TRAIN + section)
+        folder = tmp_path / "stranger" / "mine"
+        words = ["--config-dir", str(folder), "task=Cartpole", "train=Mine"]
+        assert "Mine.yaml sets 'hydra'" in assert_refused(call, capsys, tmp_path, *words)
 
 
-@pytest.mark.parametrize("header", ["hydra", "task", "train.params", "_here_", "_global_.train.x"])
-def test_a_header_names_the_files_own_group(header, write):
-    file = write("Mine.yaml", f"# @package {header}\n{TRAIN}")
-    with pytest.raises(ConfigError, match=rf"header '# @package {header}'"):
-        compose(["task=Cartpole", f"train={file}"])
+def test_a_header_names_the_files_own_group(write):
+    for header in ["hydra", "task", "train.params", "_here_", "_global_.train.x"]:
+        file = write("Mine.yaml", f"# @package {header}\n{TRAIN}")
+        with pytest.raises(ConfigError, match=rf"header '# @package {header}'"):
+            compose(["task=Cartpole", f"train={file}"])
 
 
-@pytest.mark.parametrize("header", ["train", "_group_", "_global_.train"])
-def test_the_header_of_the_own_group_is_welcome(header, write):
-    file = write("Mine.yaml", f"# @package {header}\n{TRAIN}params: {{config: {{gamma: 0.5}}}}\n")
-    cfg = compose(["task=Cartpole", f"train={file}"])
-    assert cfg.train.params.config.gamma == 0.5
-    assert set(cfg) == set(compose(["task=Cartpole"]))
+def test_the_header_of_the_own_group_is_welcome(write):
+    for header in ["train", "_group_", "_global_.train"]:
+        file = write(
+            "Mine.yaml", f"# @package {header}\n{TRAIN}params: {{config: {{gamma: 0.5}}}}\n"
+        )
+        cfg = compose(["task=Cartpole", f"train={file}"])
+        assert cfg.train.params.config.gamma == 0.5
+        assert set(cfg) == set(compose(["task=Cartpole"]))
 
 
-@pytest.mark.parametrize(
-    "entry",
-    [
+def test_a_defaults_list_stays_in_its_own_group(write):
+    for entry in [
         *("Other@_global_", "/train/Other@_global_", "../config", "pkg://os", "~/Other", "3"),
         *("'${oc.env:HOME}'", "{Other@_global_: x}", "{/task: Ant}", "{sub: [../x]}"),
         "{override hydra/launcher: basic}",
         "{a: b, override hydra/launcher: basic}",
-    ],
-)
-def test_a_defaults_list_stays_in_its_own_group(entry, write):
-    write("Other.yaml", CALLBACK)
-    file = write("Mine.yaml", f"defaults:\n  - CartpolePPO\n  - _self_\n  - {entry}\n")
-    with pytest.raises(ConfigError, match=r"Mine.yaml: .*(defaults list leads out of|uses )"):
-        compose(["task=Cartpole", f"train={file}"])
+    ]:
+        write("Other.yaml", CALLBACK)
+        file = write("Mine.yaml", f"defaults:\n  - CartpolePPO\n  - _self_\n  - {entry}\n")
+        with pytest.raises(ConfigError, match=r"Mine.yaml: .*(defaults list leads out of|uses )"):
+            compose(["task=Cartpole", f"train={file}"])
 
 
 def test_a_defaults_list_may_name_files_beside_it_and_below(write, tmp_path):
@@ -227,39 +228,33 @@ def test_no_file_names_something_to_be_called(text, write):
             read()
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
+def test_interpolations_lead_to_other_settings_only(write, monkeypatch):
+    for value in [
         *("${oc.env:SECRET}", "x ${oc.env:SECRET,default} y", "${ oc.env : SECRET}"),
         *("${hydra:runtime.cwd}", "${now:%Y}", "${eval:'1'}", "${${a}:SECRET}", "${a.${b}}"),
         *("${oc.${b}:SECRET}", "${if:True,${oc.env:SECRET},x}", r"\${oc.env:SECRET}"),
         *("$${if:True,'',''}{oc.env:SECRET}", "costs $5", "${unfinished"),
-    ],
-)
-def test_interpolations_lead_to_other_settings_only(value, write, monkeypatch):
-    monkeypatch.setenv("SECRET", "s3cret")
-    OmegaConf.register_new_resolver("eval", eval, replace=True)  # as many programs have it
-    try:
-        text = OmegaConf.to_yaml({"defaults": ["CartpolePPO"], "params": {"note": "PLACE"}})
-        file = write("Mine.yaml", text.replace("PLACE", "'" + value.replace("'", "''") + "'"))
-        with pytest.raises(ConfigError, match=r"Mine\.yaml: params\.note") as refused:
-            compose(["task=Cartpole", f"train={file}"])
-        assert "s3cret" not in str(refused.value)
-    finally:
-        OmegaConf.clear_resolver("eval")
+    ]:
+        monkeypatch.setenv("SECRET", "s3cret")
+        OmegaConf.register_new_resolver("eval", eval, replace=True)  # as many programs have it
+        try:
+            text = OmegaConf.to_yaml({"defaults": ["CartpolePPO"], "params": {"note": "PLACE"}})
+            file = write("Mine.yaml", text.replace("PLACE", "'" + value.replace("'", "''") + "'"))
+            with pytest.raises(ConfigError, match=r"Mine\.yaml: params\.note") as refused:
+                compose(["task=Cartpole", f"train={file}"])
+            assert "s3cret" not in str(refused.value)
+        finally:
+            OmegaConf.clear_resolver("eval")
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
+def test_published_interpolations_are_welcome():
+    for value in [
         *("${....task.env.numEnvs}", "${resolve_default:Ant,${....experiment}}", "${a[0].b}"),
         '${if:${contains:"cuda",${....sim_device}},True,False}',
         "${if:${eq:${a},b},[512, 256],[1024, 512]}",
         *("runs_${seed}_${num_envs}", "${default_rl_device:}", "plain"),
-    ],
-)
-def test_published_interpolations_are_welcome(value):
-    assert forbidden_resolver(value) is None
+    ]:
+        assert forbidden_resolver(value) is None
 
 
 def test_a_refusal_is_one_line_whatever_the_file_holds(write):
@@ -297,12 +292,12 @@ def test_files_that_are_read_alone_are_checked_as_well(write, monkeypatch):
 # --- where files are written ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("folder", ["CANARY", "../canary", "${....experiment}", "[a]"])
-def test_a_train_file_does_not_choose_a_folder_elsewhere(folder, write):
-    text = folder if folder == "[a]" else f"'{folder}'"
-    file = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: {text}}}}}\n")
-    with pytest.raises(ConfigError, match="outside of the working folder; if that is what you"):
-        compose(["task=Cartpole", f"train={file}", "experiment=/elsewhere"])
+def test_a_train_file_does_not_choose_a_folder_elsewhere(write):
+    for folder in ["CANARY", "../canary", "${....experiment}", "[a]"]:
+        text = folder if folder == "[a]" else f"'{folder}'"
+        file = write("Mine.yaml", f"{TRAIN}params: {{config: {{train_dir: {text}}}}}\n")
+        with pytest.raises(ConfigError, match="outside of the working folder; if that is what you"):
+            compose(["task=Cartpole", f"train={file}", "experiment=/elsewhere"])
 
 
 def test_it_may_choose_one_below_and_the_user_any(write, tmp_path):

@@ -42,9 +42,6 @@ AGENTS = {
         f"+{CONFIG}.enable_eps_greedy=True",
         *TOGETHER,
     ),
-    "robot_amp": (
-        *("task=RobotAMP", "task.env.observations=deployable", *TINY_AMP, SHORT, *TOGETHER),
-    ),
     "gen_amp": ("task=HumanoidASE", *TINY_AMP, *TINY_STYLE, SHORT, *TOGETHER),
 }
 RANK = int(os.environ.get("RANK", "0"))

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from omegaconf import OmegaConf
 from rl_games.common import env_configurations, vecenv
 from rl_games.torch_runner import Runner
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import make_from_config
-from isaacgymenvs_lite.isaacgymenvs_compat.reformat import omegaconf_to_dict, print_dict
+from isaacgymenvs_lite.isaacgymenvs_compat.reformat import omegaconf_to_dict
 from isaacgymenvs_lite.isaacgymenvs_compat.rlgames_utils import (
     ComplexObsRLGPUEnv,
     RLGPUAlgoObserver,
@@ -20,7 +19,7 @@ from isaacgymenvs_lite.isaacgymenvs_compat.rlgames_utils import (
     get_rlgames_env_creator,
     multi_gpu_get_rank,
 )
-from isaacgymenvs_lite.isaacgymenvs_compat.utils import set_np_formatting, set_seed
+from isaacgymenvs_lite.isaacgymenvs_compat.utils import set_seed
 from isaacgymenvs_lite.registration import register_env
 
 
@@ -65,18 +64,6 @@ def test_seeds_of_processes_differ(monkeypatch) -> None:
     set_seed(7)
     torch.testing.assert_close(torch.rand(3), first[0])
     np.testing.assert_array_equal(np.random.rand(3), first[1])
-
-
-def test_printing(capsys) -> None:
-    print_dict({"a": {"b": 1}})
-    assert capsys.readouterr().out == "{'a': {'b': 1}}\n"
-    assert omegaconf_to_dict(OmegaConf.create({"a": 1, "b": "${a}"})) == {"a": 1, "b": 1}
-    before = np.get_printoptions()
-    try:
-        set_np_formatting()
-        assert str(np.full(3, 1 / 3)) == "[0.33 0.33 0.33]"
-    finally:
-        np.set_printoptions(**before)
 
 
 def test_an_environment_with_several_inputs(monkeypatch) -> None:

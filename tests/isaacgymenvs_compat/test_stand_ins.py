@@ -23,8 +23,3 @@ def test_names_can_be_inherited_from_and_stand_in_signatures() -> None:
 def test_a_call_says_what_to_do(use) -> None:
     with pytest.raises(UserError, match=r"^isaacgym\.gymapi\.acquire_gym: use something else$"):
         use()
-
-
-def test_reading_something_of_a_name_says_what_to_do() -> None:
-    with pytest.raises(NotImplementedError, match=r"gymapi\.SimType\.PHYSX: use something else"):
-        _ = gymapi.SimType.PHYSX

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -28,25 +27,6 @@ def test_shares_of_ranges_and_back() -> None:
     torch.testing.assert_close(published.unscale_transform(shares, LOWER, UPPER), values)
     outside = torch.tensor([[-5.0, 11.0]])
     assert published.tensor_clamp(outside, LOWER, UPPER).tolist() == [[-1.0, 10.0]]
-
-
-def test_small_helpers() -> None:
-    assert published.get_axis_params(-9.8, 2) == [0.0, 0.0, -9.8]
-    assert published.get_axis_params(1.0, 0, x_value=5.0) == [1.0, 0.0, 0.0]
-    assert published.get_axis_params(1.0, 1, x_value=5.0) == [5.0, 1.0, 0.0]
-    assert published.to_torch([1, 2], device="cpu").tolist() == [1.0, 2.0]
-    assert published.copysign(-2.0, torch.tensor([-0.5, 3.0, 0.0])).tolist() == [-2.0, 2.0, 0.0]
-
-
-def test_random_numbers() -> None:
-    torch.manual_seed(0)
-    drawn = published.torch_rand_float(-2.0, 4.0, (1000, 3), "cpu")
-    assert drawn.shape == (1000, 3)
-    assert -2.0 <= drawn.min() < -1.9
-    assert 3.9 < drawn.max() <= 4.0
-    directions = published.torch_random_dir_2((1000, 1), "cpu")
-    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(1000))
-    assert directions.mean(0).abs().max() < 0.1  # three deviations of the mean: 0.067
 
 
 def test_axes_of_a_rotation_are_the_columns_of_its_matrix() -> None:
@@ -101,14 +81,6 @@ def test_matrices_of_quaternions_with_the_real_part_first_and_back() -> None:
     torch.testing.assert_close(back, sign * real_first)
 
 
-def test_half_turns_are_read_from_matrices() -> None:
-    half_turns = torch.diag_embed(torch.tensor([[1.0, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
-    expected = torch.eye(4)[1:]  # about x, y, z, real part first
-    torch.testing.assert_close(published.matrix_to_quaternion(half_turns), expected)
-    with pytest.raises(ValueError, match=r"\(2, 4\), expected \(\.\.\., 3, 3\)"):
-        published.matrix_to_quaternion(torch.zeros(2, 4))
-
-
 def test_transforms_are_those_of_homogeneous_matrices() -> None:
     (q1, m1), (q2, m2) = _quats_and_matrices(3, 20), _quats_and_matrices(4, 20)
     t1, t2, v = torch.randn(3, 20, 3, dtype=torch.float64, generator=torch.manual_seed(0))
@@ -139,12 +111,3 @@ def test_rotation_vectors() -> None:
     axis = torch.tensor([[0.0, 0.6, 0.8]])
     vectors = published.angle_axis_to_exp_map(torch.tensor([2.0]), axis)
     torch.testing.assert_close(vectors, torch.tensor([[0.0, 1.2, 1.6]]))
-
-
-def test_poses_and_numbers_of_numpy() -> None:
-    pose = torch.tensor([[1.0, 2.0, 3.0, 0.0, 3.0, 0.0, 4.0]])
-    normal = published.normalise_quat_in_pose(pose)
-    torch.testing.assert_close(normal, torch.tensor([[1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8]]))
-    assert pose[0, 4] == 3.0
-    shares = published.unscale_np(np.array([[1.0, 2.5]]), LOWER.numpy(), UPPER.numpy())
-    np.testing.assert_array_equal(shares, [[0.0, -0.5]])

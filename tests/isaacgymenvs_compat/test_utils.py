@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import stat
-import tempfile
-from pathlib import Path
-
 import pytest
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.isaacgymenvs_compat import utils
 
 
@@ -37,35 +32,3 @@ def test_a_failing_call_is_made_again(failures: int, pauses: list[float], monkey
 
     assert double(number=4) == 8
     assert (len(calls), waited) == (failures + 1, pauses)
-
-
-def test_the_last_failure_comes_through_and_others_at_once(monkeypatch) -> None:
-    waited: list[float] = []
-    monkeypatch.setattr(utils.time, "sleep", waited.append)
-
-    @utils.retry(6, exceptions=(OSError,))
-    def fail(error: Exception) -> None:
-        raise error
-
-    with pytest.raises(OSError, match="always"):
-        fail(OSError("always"))
-    assert waited == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0]
-    with pytest.raises(KeyError):
-        fail(KeyError("other"))
-    assert len(waited) == 6
-
-
-def test_folders(tmp_path: Path, monkeypatch) -> None:
-    folder = str(tmp_path / "a" / "b")
-    for make in (utils.ensure_dir_exists, utils.safe_ensure_dir_exists):
-        assert make(folder) == folder
-    assert Path(folder).is_dir()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setenv("LOGNAME", "someone")
-    assert utils.get_username() == "someone"
-    assert utils.project_tmp_dir() == str(tmp_path / "ige_someone")
-    assert stat.S_IMODE((tmp_path / "ige_someone").stat().st_mode) == 0o700
-    (tmp_path / "ige_someone").rmdir()
-    (tmp_path / "ige_someone").symlink_to(folder)
-    with pytest.raises(ConfigError, match="is a link"):
-        utils.project_tmp_dir()

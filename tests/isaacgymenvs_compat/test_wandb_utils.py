@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
 from isaacgymenvs_lite.isaacgymenvs_compat.wandb_utils import WandbAlgoObserver
 
 TREE = {
@@ -39,11 +38,3 @@ def test_a_run_has_the_experiment_s_name(kind, installed, monkeypatch) -> None:
     (keys,) = asked
     assert (keys["id"], keys["name"]) == ("uid_Ant_22-10", "Ant_22-10")
     assert (keys["project"], keys["tags"], keys["config"]["num_envs"]) == ("p", ["a"], 4)
-
-
-def test_mistakes_are_found_before_the_agent_is_made(installed, monkeypatch) -> None:
-    with pytest.raises(ConfigError, match="wandb_tags"):
-        WandbAlgoObserver(OmegaConf.create({**TREE, "wandb_tags": 3}))
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[wandb\]"):
-        WandbAlgoObserver(OmegaConf.create(TREE))

@@ -135,7 +135,6 @@ WRONG: dict[str, tuple[Change, str]] = {
     "double": (of_moments("exp_avg", lambda t: t.double()), "float64, expected .* float32"),
     "integers": (of_moments("exp_avg_sq", lambda t: t.long()), "int64, expected .* float32"),
     "transposed": (of_moments("exp_avg", lambda t: torch.zeros(t.shape[::-1])), "expected .*x"),
-    "expanded": (of_moments("exp_avg", lambda t: torch.zeros(1).expand(t.shape)), "its memory"),
     "text": (of_moments("exp_avg", lambda _: "x"), "exp_avg is a str, expected"),
     "steps": (of_moments("step", lambda _: torch.zeros(7)), "step is 7 float32, expected one"),
     "negative steps": (of_moments("step", lambda _: -1.0), "step holds numbers below 0"),

@@ -24,36 +24,18 @@ def test_entries_come_in_order(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "has no list of motions"),
-        ("clips: []", r"has no list of motions \(found \['clips'\]\)"),
-        ("motions: []", "has no list of motions"),
-        ("motions: a.npz", "has no list of motions"),
-        ("motions: [a.npz]", r"motions\[0\] is 'a.npz', expected the keys file and weight"),
-        ("motions: [{file: a, weight: 1}]\nmotion: 1", "unknown key 'motion' .*'motions'"),
-        ("motions: [{file: a, weigth: 1}]", r"motions\[0\]: unknown key 'weigth' .*'weight'"),
-        ("motions: [{file: a}]", r"motions\[0\] lacks the key 'weight'"),
-        ("motions: [{weight: 1}]", r"motions\[0\] lacks the key 'file'"),
-        ("motions: [{file: 3, weight: 1}]", r"motions\[0\]: file is 3"),
-        ("motions: [{file: a, weight: 1}, {file: b, weight: -1}]", r"motions\[1\] \('b'\): .* -1"),
-        ("motions: [{file: a, weight: much}]", "weight is 'much', expected a number"),
-        ("motions: [{file: a, weight: true}]", "weight is True"),
-        ("motions: [{file: a, weight: .nan}]", "weight is nan"),
-        ("motions: [{file: a, weight: .inf}]", "weight is inf"),
-        ("motions: [{file: a, weight: 1e308}, {file: b, weight: 1e308}]", "weight is 1e.308"),
-        ("motions: [{file: a, weight: 1e-320}]", "weight is 1e-320, expected .* 1e-12"),
-        ("motions: [" + "{file: a, weight: 1}," * 12_001 + "]", "more than 60,000 values"),
-        ("motions: [{file: a, weight: 0}, {file: b, weight: 0}]", "all 2 weights are 0"),
-        ("motions: [", "no readable YAML text"),
-        ("a: !!python/object/apply:os.system ['true']", "no readable YAML text"),
-    ],
-)
-def test_bad_data_sets_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_data_sets_are_one_line(tmp_path: Path) -> None:
     path = tmp_path / "set.yaml"
-    path.write_text(text)
-    with pytest.raises(MotionFileError, match=message) as raised:
-        read_dataset(path)
-    assert str(raised.value).startswith(str(path))
-    assert "\n" not in str(raised.value)
+    for text, message in (
+        ("", "the key 'motions' is missing; expected a list"),
+        ("motions: [a.npz]", r"motions\[0\]: got 'a.npz', expected a mapping"),
+        ("motions: [{file: a, weigth: 1}]", r"unknown key 'motions\[0\].weigth' .*'weight'"),
+        ("motions: [{file: a, weight: 1}, {file: b, weight: -1}]", r"motions\[1\].weight: got -1"),
+        ("motions: [{file: a, weight: 0}, {file: b, weight: 0}]", "all 2 weights are 0"),
+        ("a: !!python/object/apply:os.system ['true']", "is not valid YAML"),
+    ):
+        path.write_text(text)
+        with pytest.raises(MotionFileError, match=message) as raised:
+            read_dataset(path)
+        assert str(raised.value).startswith(str(path))
+        assert "\n" not in str(raised.value)

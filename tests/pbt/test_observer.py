@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from isaacgymenvs_lite.checkpoints.run_config import resumed_tree
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.pbt import workspace
-from isaacgymenvs_lite.pbt.observer import PBTObserver, population_of
+from isaacgymenvs_lite.pbt.observer import population_of
 from isaacgymenvs_lite.pbt.restart import RestartRequest
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.runner import run
@@ -107,23 +105,6 @@ def test_mutations_depend_on_the_seed_and_the_policy_alone():
     assert all(3e-4 / 1.5 <= rate <= 3e-4 * 1.5 for rate in rates)
 
 
-def test_no_mutation_without_a_population_or_in_a_play():
-    run(compose([*TINY_PBT[:-9], "max_iterations=1"]))
-    (folder,) = Path("runs").glob("Ant_*")
-    assert "_pbt_" not in folder.name
-    assert OmegaConf.select(OmegaConf.load(folder / "config.yaml"), RATE) == 3e-4
-    assert not Path("runs/ws").exists()
-
-
-def test_nothing_is_replaced_before_its_time():
-    run(compose(GOOD))
-    for number, word in enumerate(("pbt.start_after=385", "pbt.initial_delay=385")):
-        run(compose([*BAD, word, f"experiment=late{number}"]))
-        assert record(1, 2)["true_objective"] < 0
-        for file in Path("runs/ws/001").iterdir():
-            file.unlink()
-
-
 def test_a_run_that_is_resumed_stays_in_its_population(caplog):
     run(compose([*BAD, "max_iterations=4", f"{CONFIG}.save_frequency=2"]))
     rate = OmegaConf.select(OmegaConf.load(run_of(1) / "config.yaml"), RATE)
@@ -142,15 +123,6 @@ def test_a_run_that_is_resumed_stays_in_its_population(caplog):
     assert list(run_of(1).glob("nn/last_Ant_ep_14_*.pth"))
 
 
-def test_the_file_of_a_run_does_not_choose_where_the_workspace_is(tmp_path):
-    run(compose([*BAD, "max_iterations=2"]))
-    cfg = OmegaConf.load(run_of(1) / "config.yaml")
-    cfg.train.params.config.train_dir, cfg.pbt.workspace = str(tmp_path), "elsewhere"
-    OmegaConf.save(cfg, run_of(1) / "config.yaml")
-    run(resumed_tree([f"resume={run_of(1)}", "max_iterations=5"]))
-    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
-
-
 def test_a_policy_that_was_trained_does_not_begin_again():
     run(compose(GOOD))
     with pytest.raises(ConfigError) as error:
@@ -159,20 +131,6 @@ def test_a_policy_that_was_trained_does_not_begin_again():
         error.value
     )
     assert sorted(path.name for path in Path("runs").iterdir()) == [run_of(0).name, "ws"]
-
-
-def test_stop_and_restart_in_one_epoch(monkeypatch):
-    """The user's request counts."""
-    run(compose(GOOD))
-    act = PBTObserver.act
-
-    def stop_first(self, request):
-        os.kill(os.getpid(), signal.SIGTERM)
-        act(self, request)
-
-    monkeypatch.setattr(PBTObserver, "act", stop_first)
-    run(compose(BAD))
-    assert list(run_of(1).glob("nn/Ant_interrupted.pth"))
 
 
 def test_the_first_of_several_processes_decides_for_all():
@@ -271,16 +229,6 @@ def test_scalars_show_the_settings():
     scalars = read_scalars(run_of(0) / "summaries")
     assert "pbt/00_best_objective" in scalars
     assert scalars[f"pbt/{RATE}"].values[0] == pytest.approx(record(0, 1)["params"][RATE])
-
-
-def test_a_task_without_an_objective_is_compared_by_its_reward():
-    words = [word for word in TINY_PBT if not word.startswith(("task", "pbt.interval"))]
-    words += ["task=Cartpole", "task.env.resetDist=0.001", f"+{CONFIG}.games_to_track=8"]
-    words += ["pbt.interval_steps=64", "pbt.num_policies=1", "pbt.dbg_mode=True"]
-    request = restart_of([*words, "pbt.policy_idx=0"])
-    objective = record(0, 1)["true_objective"]
-    assert objective == pytest.approx(-2.0)  # every step ends an episode, as a failure
-    assert request.settings[RATE] != record(0, 1)["params"][RATE]
 
 
 def test_amp_and_sac_are_policies_too(walk_clip):

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.pbt import restart
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
 from tests.train_command import make_train_command
@@ -52,46 +51,22 @@ def become(monkeypatch, commands: list[list[str]], *command: str, typed: list[st
     return commands[-1]
 
 
-def test_words_compose_to_the_settings():
-    cfg = compose(REQUEST.words(TYPED))
-    config = cfg.train.params.config
-    assert (config.gamma, config.learning_rate, config.mini_epochs) == (0.987654321, 1e-05, 3)
-    assert cfg.checkpoint == CHANGED["checkpoint"]
-    assert cfg.full_experiment_name == CHANGED["full_experiment_name"]
-    assert (cfg.pbt_restart, cfg.pbt.policy_idx) == (True, 1)
-
-
 def test_processes_send_it_to_each_other():
     received = RestartRequest.of(json.loads(json.dumps(REQUEST.content)))
     assert received is not None
     assert received.words(["resume=last"]) == REQUEST.words(["resume=last"])
 
 
-def test_a_second_restart_adds_nothing():
-    once = REQUEST.words(TYPED)
-    assert sorted(REQUEST.words(once)) == sorted(once)
-    assert not [word for word in once if word[-3:] == "0.9" or "old.pth" in word]
-    assert "+full_experiment_name=x" not in REQUEST.words([*TYPED, "+full_experiment_name=x"])
-
-
-@pytest.mark.parametrize(
-    "program",
-    [
+def test_the_program_stays(monkeypatch, commands):
+    for program in [
         ["train.py"],
         ["-u", "-X", "dev", "train.py"],
         ["-m", "isaacgymenvs_lite.train"],
         ["/venv/bin/isaacgymenvs-lite-train"],
-        ["-m", "isaacgymenvs_lite.alias", "train.py"],
-    ],
-)
-def test_the_program_stays(monkeypatch, commands, program):
-    command = become(monkeypatch, commands, *program, *TYPED, typed=TYPED)
-    assert command == [*program, *REQUEST.words(TYPED)]
-
-
-def test_a_program_that_set_the_words_itself(monkeypatch, commands):
-    command = become(monkeypatch, commands, "-c", "code", typed=TYPED)
-    assert command == ["-m", "isaacgymenvs_lite.train", *REQUEST.words(TYPED)]
+        ["-m", "isaacgymenvs_lite", "alias", "train.py"],
+    ]:
+        command = become(monkeypatch, commands, *program, *TYPED, typed=TYPED)
+        assert command == [*program, *REQUEST.words(TYPED)]
 
 
 @pytest.fixture
@@ -107,9 +82,3 @@ def test_train_py_carries_it_out(call, commands, monkeypatch):
     with pytest.raises(Replaced):
         call("task=Ant", "seed=3")
     assert commands == [["train.py", "task=Ant", "seed=3", *REQUEST.overrides]]
-
-
-def test_policies_are_no_sweep(call, commands, capsys):
-    assert call("-m", "task=Ant", "pbt=pbt_default", "pbt.policy_idx=0,1") == 2
-    assert "start each in a process of its own: pbt.policy_idx=0, 1" in capsys.readouterr().err
-    assert commands == []

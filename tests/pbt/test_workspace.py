@@ -63,30 +63,6 @@ def refusal(folder: Path, index: int = 2, **changed: object) -> str:
     return text
 
 
-def test_what_others_read_is_what_was_written(tmp_path):
-    joined(tmp_path, 0, {1: 5.0, 2: 6.0})
-    with workspace(tmp_path, 1) as own:
-        own.join(is_new=True)
-        assert own.newest_records(2) == {0: record(2, 6.0)}
-        assert own.newest_records(1) == {0: record(1, 5.0)}  # not ahead
-        assert own.newest_records(0) == {}
-        assert own.checkpoint_of(0, record(2)) == tmp_path / "runs/ws/000/000002.pth"
-    content = yaml.safe_load((tmp_path / "runs/ws/000/000002.yaml").read_text())
-    assert content["checkpoint"] == str(tmp_path / "runs/ws/000/000002.pth")
-    assert content["pbt_checkpoint"] == str(tmp_path / "runs/ws/000/000002.yaml")
-    published = {"iteration", "true_objective", "frame", "params", "experiment_name"}
-    assert published < content.keys()
-
-
-def test_one_without_records_leaves_nothing(tmp_path):
-    joined(tmp_path, 0, {})
-    assert files(tmp_path) == set()
-    joined(tmp_path, 0, {1: 5.0})
-    joined(tmp_path, 1, {})
-    names = {"000001.pth", "000001.yaml", "policy.yaml"}
-    assert files(tmp_path) == {f"runs/ws/000/{name}" for name in names}
-
-
 def test_two_processes_of_one_policy(tmp_path):
     with workspace(tmp_path) as own:
         own.join(is_new=True)
@@ -132,13 +108,6 @@ def test_another_experiment(tmp_path, changed, expected):
     text = refusal(tmp_path, **changed)
     assert f"{tmp_path}/runs/ws/000/policy.yaml is of another experiment: {expected}" in text
     assert "choose another pbt.workspace" in text
-
-
-def test_policies_may_differ_in_everything_else(tmp_path):
-    joined(tmp_path, 0, {1: 1.0})
-    others = ["num_envs=3", "seed=9", "train.params.config.gamma=0.5", "task.env.upWeight=0"]
-    with workspace(tmp_path, 1, tree=plain(compose([*WORDS, *others]))) as own:
-        own.join(is_new=True)
 
 
 @pytest.mark.parametrize("name", ["000", "best2", "002/000001.pth"])
@@ -192,21 +161,6 @@ def test_the_oldest_records_go(tmp_path):
     for suffix in ("pth", "yaml"):
         names = {path.stem for path in (tmp_path / "runs/ws/000").glob(f"0*.{suffix}")}
         assert names == {f"{number:06d}" for number in range(4, MAX_RECORDS + 4)}
-
-
-def test_a_broken_description_of_a_policy(tmp_path):
-    joined(tmp_path, 0, {1: 1.0})
-    (tmp_path / "runs/ws/000/policy.yaml").write_text("[")
-    assert "000/policy.yaml is broken: " in refusal(tmp_path)
-
-
-def test_the_record_before_a_broken_one_counts(tmp_path, caplog):
-    joined(tmp_path, 0, {1: 5.0, 2: 6.0})
-    (tmp_path / "runs/ws/000/000002.yaml").write_text("[")
-    with workspace(tmp_path, 1) as own:
-        for _ in range(3):
-            assert own.newest_records(9) == {0: record(1, 5.0)}
-    assert caplog.text.count("left out of the comparison") == 1
 
 
 def test_files_that_a_kill_left_half_written(tmp_path):

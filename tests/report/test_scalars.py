@@ -29,9 +29,3 @@ def test_a_resumed_run_is_one_run(write_events, tmp_path) -> None:
     assert scalars["episode_lengths/frame"].values.tolist() == [1.0, 2.0, 13.0]
     assert scalars["performance/total_fps"].minutes.tolist() == [1.0, 2.0, 3.0, 4.0]
     assert scalars["imitation/pose_error_m"].values.tolist() == [0.5]
-
-
-def test_a_scalar_whose_values_are_all_lost_is_none(write_events, tmp_path) -> None:
-    write_events(tmp_path, [1.0, 2.0, 3.0], poses={2: 0.5})
-    write_events(tmp_path, [4.0], first_epoch=1, start_s=99_000.0)
-    assert "imitation/pose_error_m" not in read_scalars(tmp_path)

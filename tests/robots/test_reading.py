@@ -1,8 +1,7 @@
-"""Files of strangers: what is read, and what is refused before MuJoCo gets it."""
+"""Robot files of strangers: what is read, and what is refused in one line."""
 
 from __future__ import annotations
 
-import time
 from itertools import combinations
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.robots.reading import MAX_BODIES, read_robot, read_robot_file
+from isaacgymenvs_lite.robots.reading import read_robot_file
 from tests.robots.texts import INERTIAL, LEG, TETRAHEDRON, mjcf, urdf, written
 
 MESH = '<asset><mesh file="{}"/></asset>'
@@ -49,26 +48,9 @@ endsolid
 """
 
 
-def replicated(count: int, content: str) -> str:
-    return f'<replicate count="{count}">{content}</replicate>'
-
-
-def section(name: str, element: str, number: int) -> str:
-    return f"<{name}>{element * number}</{name}>"
-
-
-def urdf_chain(num_joints: int) -> str:
-    links = "".join(f'<link name="{i}"/>' for i in range(num_joints + 1))
-    joints = "".join(
-        f'<joint name="j{i}" type="continuous"><parent link="{i}"/><child link="{i + 1}"/></joint>'
-        for i in range(num_joints)
-    )
-    return f'<robot name="a">{links}{joints}</robot>'
-
-
 def refusal(path: Path) -> str:
     with pytest.raises(ConfigError) as caught:
-        read_robot(path)
+        read_robot_file(path)
     message = str(caught.value)
     assert str(path) in message
     assert "\n" not in message
@@ -80,7 +62,9 @@ def test_mjcf_with_include_and_mesh(tmp_path):
     written(tmp_path / "parts/leg.xml", "<mujocoinclude><option impratio='7'/></mujocoinclude>")
     leg = '<body><joint axis="1 0 0"/><geom type="mesh" mesh="tet"/></body>'
     rest = '<include file="parts/leg.xml"/><compiler meshdir="parts"/>' + MESH.format("tet.obj")
-    model = read_robot(written(tmp_path / "robot.xml", mjcf(leg=leg, rest=rest))).compile()
+    model = read_robot_file(
+        written(tmp_path / "robot.xml", mjcf(leg=leg, rest=rest))
+    ).spec.compile()
     assert model.opt.impratio == 7
     assert model.nmesh == 1
     assert model.mesh_vertnum[0] == 4
@@ -103,12 +87,14 @@ def test_includes_of_includes_are_found_where_mujoco_finds_them(tmp_path, places
     except ValueError:
         assert '<include file="y.xml"> is missing; looked for' in refusal(path)
     else:
-        np.testing.assert_array_equal(read_robot(path).compile().geom_size, theirs.geom_size)
+        np.testing.assert_array_equal(
+            read_robot_file(path).spec.compile().geom_size, theirs.geom_size
+        )
 
 
 def test_the_shipped_humanoid_reads_as_mujoco_reads_it():
     path = Path(__file__).parents[2] / "assets/mjcf/amp_humanoid.xml"
-    ours, theirs = read_robot(path).compile(), mujoco.MjModel.from_xml_path(str(path))
+    ours, theirs = read_robot_file(path).spec.compile(), mujoco.MjModel.from_xml_path(str(path))
     assert (ours.body_mass == theirs.body_mass).all()
     assert (ours.jnt_range == theirs.jnt_range).all()
     assert (ours.geom_size == theirs.geom_size).all()
@@ -131,12 +117,14 @@ def test_meshes_of_urdf_files(tmp_path, uri, place):
     written(tmp_path / place, TETRAHEDRON)
     path = tmp_path / "ws/my_robot/urdf/robot.urdf"
     written(path, urdf(f'<mesh filename="{uri}" scale="2 2 2"/>'))
-    assert read_robot(path).compile().nmesh == 1
+    assert read_robot_file(path).spec.compile().nmesh == 1
 
 
 def test_stl_files_in_ascii_have_the_volume_of_their_triangles(tmp_path):
     written(tmp_path / "a.stl", CORNER_STL)
-    model = read_robot(written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))).compile()
+    model = read_robot_file(
+        written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))
+    ).spec.compile()
     vertices = model.mesh_vert + model.mesh_pos[0]  # about the centre of mass, along main axes
     assert model.mesh_vertnum[0] == 4
     # A corner of a cube of side 1 m: three edges of 1 m, three of sqrt(2).
@@ -148,7 +136,7 @@ def test_stl_files_in_ascii_with_words_for_numbers(tmp_path):
     written(tmp_path / "a.stl", CORNER_STL.replace("0 0 1", "0 0 one", 1))
     path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))
     with pytest.raises(ConfigError, match=r"a\.stl: not an STL file"):
-        read_robot(path)
+        read_robot_file(path)
 
 
 def test_a_robot_that_only_shows_itself_collides_as_it_looks(tmp_path):
@@ -163,10 +151,10 @@ def test_open_meshes_of_links_with_inertias(tmp_path):
     corners, _, _ = TETRAHEDRON.partition("f")
     written(tmp_path / "a.obj", f"{corners}f 1 3 2\n")  # one side: no volume
     path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.obj"/>'))
-    assert read_robot(path).compile().nmesh == 1
+    assert read_robot_file(path).spec.compile().nmesh == 1
     path = written(tmp_path / "s.urdf", urdf('<mesh filename="a.obj"/>').replace(INERTIAL, "", 1))
     with pytest.raises(ValueError, match="volume"):  # the inertia is to come from it
-        read_robot(path).compile()
+        read_robot_file(path).spec.compile()
 
 
 def test_inertias_that_no_solid_has_become_positive(tmp_path):
@@ -218,130 +206,63 @@ def test_meshes_from_outside_are_refused(tmp_path, name, kind):
     assert "outside of the robot's folder" in message or "is missing" in message
 
 
-BOMB = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
-<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;"><!ENTITY d "&c;&c;&c;&c;&c;&c;&c;&c;&c;&c;">]>
-<mujoco model="&d;"/>"""
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (BOMB, "document type"),
-        ('<!DOCTYPE a SYSTEM "file:///etc/passwd"><mujoco/>', "document type"),
-        ("<mujoco>" + "<default>" * 500 + "</default>" * 500 + "</mujoco>", "nested"),
-        ("<mujoco>" + "<a/>" * 60_000 + "</mujoco>", "elements"),
         ("<mujoco", "no XML"),
         ("", "no XML"),
         ("<sdf/>", "begins with <sdf>"),
         ("\x7fELF\x00", "no XML"),
         (mjcf(rest='<extension><plugin plugin="mujoco.sdf.bolt"/></extension>'), "plugins"),
         (mjcf(rest='<asset><model file="a.xml"/></asset>'), "models within models"),
-        (mjcf(world='<body><flexcomp name="a" count="99 99 99"/></body>'), "soft bodies"),
-        (mjcf(world='<replicate count="999999999"><site/></replicate>'), "copies"),
-        (mjcf(world=replicated(300, replicated(300, "<site/>"))), "copies"),
-        (mjcf(world=replicated(400, "<body/>") * 20), "more than 2000 bodies"),
-        (mjcf(world=replicated(400, "<body/>" * 20)), "more than 2000 bodies"),
-        (mjcf(world=f"<body>{replicated(400, '<joint/>' * 20)}</body>"), "more than 2000 joints"),
-        (mjcf(world=replicated(400, '<geom size=".1"/>' * 20)), "more than 4000 geoms"),
-        (mjcf(rest='<asset><texture builtin="flat" width="90000" height="9"/></asset>'), "4096"),
-        (mjcf(rest='<asset><mesh builtin="sphere" params="9000"/></asset>'), "params"),
+        (mjcf(world='<body><flexcomp name="a" count="9 9 9"/></body>'), "soft bodies"),
         (mjcf(world='<body><geom size="1" pos="a b c"/></body>'), "MuJoCo cannot read it"),
-        (
-            mjcf(world='<body><geom size=".1"/></body>' * (MAX_BODIES + 1)),
-            "has 504 bodies; expected a robot of at most 500",
-        ),
-        (urdf_chain(4000), "more than 2000 joints"),
-        (mjcf(world="<camera/>" * 3000), "more than 2000 cameras"),
-        (mjcf(world="<light/>" * 3000), "more than 2000 lights"),
-        (mjcf(rest=section("keyframe", "<key/>", 3000)), "more than 2000 keyframes"),
-        (mjcf(rest=section("actuator", '<motor joint="hip"/>', 3000)), "2000 actuators"),
-        (mjcf(rest=section("default", "<default/>", 3000)), "2000 default classes"),
-        (mjcf(rest=section("asset", '<mesh builtin="sphere"/>', 21)), "20 built-in meshes"),
+        (urdf('<sphere radius="large"/>'), "could not convert"),
     ],
 )
-def test_hostile_texts_are_refused_in_one_line(tmp_path, text, reason):
-    begin = time.monotonic()
+def test_texts_that_cannot_be_used_are_refused_in_one_line(tmp_path, text, reason):
     assert reason in refusal(written(tmp_path / "r.xml", text))
-    assert time.monotonic() - begin < 5
 
 
-def test_files_that_are_too_long_or_no_files(tmp_path):
-    big = tmp_path / "big.xml"
-    with big.open("wb") as file:
-        file.truncate(2**30)
-    assert "8 MiB" in refusal(big)
+def test_a_plugin_in_an_included_file_is_refused(tmp_path):
+    plugin = (
+        '<mujocoinclude><extension><plugin plugin="mujoco.sdf.bolt"/></extension></mujocoinclude>'
+    )
+    written(tmp_path / "parts/b.xml", plugin)
+    written(tmp_path / "parts/a.xml", '<mujocoinclude><include file="b.xml"/></mujocoinclude>')
+    path = written(tmp_path / "r.xml", mjcf(rest='<include file="parts/a.xml"/>'))
+    assert "plugins are not loaded" in refusal(path)
+
+
+def test_missing_files(tmp_path):
     assert "no such file" in refusal(tmp_path / "none.xml")
     assert "no such file" in refusal(tmp_path)
-    with (tmp_path / "big.stl").open("wb") as file:
-        file.truncate(2**27)
-    path = written(tmp_path / "r.xml", mjcf(rest=MESH.format("big.stl")))
-    with pytest.raises(ConfigError, match=r"big.stl: is longer than 64 MiB"):
-        read_robot(path)
-
-
-def test_includes_do_not_add_up_to_an_endless_nest(tmp_path):
-    """Python's own limit of recursion is 1000."""
-    for i in range(20):
-        inner = f'<include file="{i + 1}.xml"/>' if i < 19 else '<geom size=".1"/>'
-        nest = "<body>" * 100 + inner + "</body>" * 100
-        written(tmp_path / f"{i}.xml", f"<mujocoinclude>{nest}</mujocoinclude>")
-    message = refusal(written(tmp_path / "r.xml", mjcf(world='<include file="0.xml"/>')))
-    assert "nested more than 120 deep" in message
 
 
 def test_includes_that_include_each_other(tmp_path):
     written(tmp_path / "a.xml", '<mujocoinclude><include file="b.xml"/></mujocoinclude>')
     written(tmp_path / "b.xml", '<mujocoinclude><include file="a.xml"/></mujocoinclude>')
     message = refusal(written(tmp_path / "r.xml", mjcf(rest='<include file="a.xml"/>')))
-    assert "included twice" in message
+    assert "already included" in message
 
 
-def test_sections_that_take_memory_are_left_out(tmp_path):
-    rest = """<size memory="999G"/><custom><numeric name="n" size="999999999"/></custom>
-    <visual><global offwidth="999999999"/></visual><sensor><user dim="99999999"/></sensor>"""
+def test_what_a_robot_does_not_need_is_left_out(tmp_path):
+    element = '<element objtype="body" objname="base"/>'
+    rest = f"""<size memory="1K" nkey="1"/><custom><tuple name="t">{element}</tuple></custom>
+    <statistic meaninertia="9"/><sensor><user dim="3"/></sensor>"""
     robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
     model = robot.spec.compile()
-    assert model.nsensordata == model.nnumericdata == 0
+    assert model.nsensordata == model.ntuple == model.nkey == 0
+    assert model.stat.meaninertia < 9
     assert robot.notes == ("left out of the file: 1 sensors",)
 
 
-def test_textures_without_a_small_png_are_left_out(tmp_path):
-    huge = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (90_000).to_bytes(4, "big") * 2
-    (tmp_path / "huge.png").write_bytes(huge)
-    rest = """<asset><texture type="2d" name="t" file="huge.png"/>
+def test_textures_that_are_no_png_of_the_robot_are_left_out(tmp_path):
+    rest = """<asset><texture type="2d" name="t" file="t.jpg"/>
     <texture type="2d" name="u" file="none.png"/><material name="m" texture="t"/></asset>"""
     robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=rest)))
     assert robot.spec.compile().ntex == 0
     assert "t, u" in robot.notes[0]
-
-
-def test_textures_that_are_too_large_together_are_left_out(tmp_path):
-    """Each may be 4096 x 4096; a cube has six sides, which MuJoCo makes of its width."""
-    rest = "".join(
-        f'<texture name="{name}" {kind} builtin="flat" width="4096" height="{height}"/>'
-        for name, kind, height in (
-            ("cube", "", 1),
-            ("flat_1", 'type="2d"', 4096),
-            ("flat_2", 'type="2d"', 4096),
-            ("flat_3", 'type="2d"', 4096),
-        )
-    )
-    robot = read_robot_file(written(tmp_path / "r.xml", mjcf(rest=f"<asset>{rest}</asset>")))
-    assert [texture.name for texture in robot.spec.textures] == ["flat_1", "flat_2"]
-    assert "cube, flat_3" in robot.notes[0]
-
-
-def test_a_mesh_that_is_named_again_counts_again(tmp_path, monkeypatch):
-    (tmp_path / "a.obj").write_text(TETRAHEDRON)
-    most = 3 * len(TETRAHEDRON)
-    monkeypatch.setattr("isaacgymenvs_lite.robots.mesh_files.MAX_ALL_BYTES", most)
-
-    def text(number: int) -> str:
-        meshes = "".join(f'<mesh name="m{i}" file="a.obj"/>' for i in range(number))
-        return mjcf(rest=f"<asset>{meshes}</asset>")
-
-    assert len(read_robot(written(tmp_path / "r.xml", text(3))).meshes) == 3
-    assert "MiB together" in refusal(written(tmp_path / "s.xml", text(4)))
 
 
 def test_materials_that_the_file_does_not_define_are_left_out(tmp_path):

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from isaacgymenvs_lite.env_factory import model_of_recording
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.report.scalars import read_scalars
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.simulation import replay
@@ -45,30 +44,12 @@ def test_the_first_ones_are_written_and_can_be_shown(run_folder: Path, capsys: A
     assert "diverged in control step" in shown
 
 
-def test_the_task_may_be_named_instead_of_the_run(run_folder: Path, tmp_path: Path, capsys) -> None:
-    file = tmp_path / "0001.npz"
-    file.write_bytes((run_folder / "diverged" / "0001.npz").read_bytes())
-    with pytest.raises(ConfigError, match="which task"):
-        model_of_recording(file, [])
-    assert replay.main([str(file), "task=Ant", STRONG], model_of_recording) == 0
-    assert "diverged in control step" in capsys.readouterr().out
-
-
 class _Task:
     """A task with the recordings of a run."""
 
     def __init__(self, recordings: list[Any]) -> None:
         self.simulation, self.cfg = self, {"name": "Ant"}
         self.recordings = recordings
-
-
-def test_a_run_has_at_most_twenty_files(run_folder: Path, tmp_path: Path) -> None:
-    recording = read_recording(run_folder / "diverged" / "0001.npz")
-    for _ in range(2):  # a resumed run counts those that are there
-        task = _Task([recording] * 15)
-        DivergenceFiles(task, tmp_path).after_step()
-    names = sorted(file.name for file in (tmp_path / "diverged").iterdir())
-    assert names == [f"{number:04}.npz" for number in range(1, 21)]
 
 
 def test_a_folder_that_cannot_be_written_does_not_end_the_training(

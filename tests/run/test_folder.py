@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -127,27 +126,22 @@ def test_a_killed_run_leaves_no_lock_and_its_half_files_are_removed(open_run, tm
     assert all(file.exists() for file in own)
 
 
-@pytest.mark.parametrize(
-    "name", ["nn", "resume", "summaries", "videos", "torchrun_job", "nn/walk.pth", LOCK_FILE]
-)
-@pytest.mark.parametrize("leads", [True, False], ids=["to_something", "nowhere"])
-def test_a_folder_with_a_link_below_it_is_refused(name, leads, open_run, tmp_path):
+def test_a_folder_with_a_link_below_it_is_refused(open_run, tmp_path):
     """A stranger's: what is written and removed through it would be somewhere else."""
-    folder, elsewhere = tmp_path / "runs" / "walk", tmp_path / "elsewhere"
-    (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    (folder / name).symlink_to(elsewhere)
-    if leads:
+    names = ("nn", "resume", "summaries", "videos", "torchrun_job", "nn/walk.pth", LOCK_FILE)
+    for number, name in enumerate(names):
+        link, elsewhere = tmp_path / "runs" / str(number) / name, tmp_path / "elsewhere"
+        link.parent.mkdir(parents=True)
+        link.symlink_to(elsewhere)
+        with pytest.raises(ConfigError, match=f"{link} is a link, "):
+            open_run(str(number))
+        assert not elsewhere.exists()
         elsewhere.mkdir()
         (elsewhere / ".other.pth.17.partial").write_text("half")
-    with pytest.raises(ConfigError, match=f"{folder / name} is a link, "):
-        open_run()
-    assert leads == (elsewhere / ".other.pth.17.partial").exists()
-
-
-def test_the_folder_of_all_runs_may_be_a_link(open_run, tmp_path):
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "runs").symlink_to(tmp_path / "disk")
-    assert save(open_run()) == tmp_path / "runs/walk/nn/walk.pth"
+        with pytest.raises(ConfigError, match=f"{link} is a link, "):
+            open_run(str(number))
+        assert (elsewhere / ".other.pth.17.partial").exists()
+        shutil.rmtree(elsewhere)
 
 
 # --- made again --------------------------------------------------------------------------------
@@ -190,29 +184,6 @@ def test_last_finds_what_was_rescued(open_run, tmp_dir, tmp_path, caplog):
     assert resolve_checkpoint("last", runs, "Ant") == str(folder.checkpoints / "walk.pth")
 
 
-def test_runs_of_the_same_name_are_not_mixed(open_run, tmp_dir, tmp_path):
-    rescued = {}
-    for project in ("a", "b"):
-        runs = tmp_path / project / "runs"
-        folder = open_run(train_dir=runs)
-        break_checkpoints(folder)
-        rescued[runs] = save(folder)
-    assert len(set(rescued.values())) == 2
-    for runs, file in rescued.items():
-        assert resolve_checkpoint("last", runs, "Ant") == str(file)
-    with pytest.raises(CheckpointError, match="no checkpoint"):
-        resolve_checkpoint("last", tmp_path / "c" / "runs", "Ant")
-
-
-def test_the_place_of_rescue_is_private(open_run, tmp_dir):
-    folder = open_run()
-    break_checkpoints(folder)
-    save(folder)
-    (root,) = tmp_dir.iterdir()
-    assert stat.S_IMODE(root.stat().st_mode) == 0o700
-    assert str(os.getuid()) in root.name
-
-
 def _link(path: Path, others: Path) -> None:
     path.symlink_to(others)
 
@@ -245,30 +216,6 @@ def test_a_folder_that_an_attacker_made_before_is_not_used(attack, open_run, tmp
     assert folder.save_failed
     assert list(others.iterdir()) == []
     assert folder.newest_checkpoint() is None
-
-
-def test_what_an_attacker_planted_is_not_taken(tmp_dir, tmp_path, open_run):
-    folder = open_run()
-    break_checkpoints(folder)
-    file = save(folder)
-    assert file is not None
-    (root,) = tmp_dir.iterdir()
-    root.chmod(0o755)
-    with pytest.raises(CheckpointError, match="no checkpoint"):
-        resolve_checkpoint("last", tmp_path / "runs", "Ant")
-    assert folder.newest_checkpoint() is None
-
-
-def test_nothing_can_be_written_at_all(open_run, tmp_path, monkeypatch, caplog):
-    folder = open_run()
-    break_checkpoints(folder)
-    (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "file"))
-    assert save(folder) is None
-    assert folder.save_failed
-    assert folder.newest_checkpoint() is None
-    (record,) = caplog.records
-    assert "training goes on" in record.getMessage()
 
 
 def test_a_disk_that_is_full_in_the_middle(open_run, tmp_dir, monkeypatch):

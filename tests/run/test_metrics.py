@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import EpochMetrics, MetricsObserver
+from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 
 @pytest.fixture
@@ -44,29 +44,6 @@ def test_before_the_first_episode_has_ended_nothing_is_said_of_episodes(figures,
     assert set(agent.writer.scalars) == {"info/disc_acc"}
 
 
-def test_the_last_episodes_count_as_in_the_mean_length(figures, agent):
-    """Of three episodes that are tracked, two are newer."""
-    end(figures, [0, 1, 2], terminate=[1, 1, 1, 0])
-    end(figures, [0, 3], terminate=[0, 1, 1, 0])
-    figures.after_print_stats(16000, 1, 12.5)
-    assert figures.latest is not None
-    assert figures.latest.fall_rate == pytest.approx(1 / 3)
-
-
-def test_without_terminate_what_is_no_time_out_is_a_fall(figures):
-    end(figures, [0, 1], time_outs=[1, 0, 0, 0])
-    figures.after_print_stats(16000, 1, 12.5)
-    assert figures.latest is not None
-    assert figures.latest.fall_rate == 0.5
-
-
-def test_a_task_that_tells_neither_has_no_fall_rate(figures):
-    end(figures, [0, 1], other=[1, 0, 0, 0])
-    figures.after_print_stats(16000, 1, 12.5)
-    assert figures.latest is not None
-    assert figures.latest.fall_rate is None
-
-
 def test_episodes_that_left_their_clip_are_no_falls(figures, agent):
     flags = {"terminate": [1, 1, 1, 0], "off_clip": [True, False, True, False]}
     end(figures, [0, 1, 3], **flags)
@@ -76,26 +53,6 @@ def test_episodes_that_left_their_clip_are_no_falls(figures, agent):
     assert figures.latest.early_end_rate == pytest.approx(2 / 3)
     assert figures.latest.off_clip_rate == pytest.approx(1 / 3)
     assert agent.writer.scalars["info/off_clip_rate"] == [(16000, pytest.approx(1 / 3))]
-
-
-def test_falls_are_forgotten_with_the_agents_meters(figures):
-    end(figures, [0, 1], terminate=[1, 1, 0, 0], off_clip=[True, False, False, False])
-    figures.after_clear_stats()
-    figures.after_print_stats(16000, 1, 12.5)
-    assert figures.latest is not None
-    assert figures.latest.fall_rate is None
-    assert figures.latest.off_clip_rate is None
-
-
-def test_an_agent_without_a_discriminator(figures, agent, monkeypatch):
-    monkeypatch.delattr(type(agent), "train_info_means")
-    figures.after_print_stats(16000, 1, 12.5)
-    latest = figures.latest
-    assert latest == EpochMetrics(1, 16000)
-    assert latest is not None
-    assert latest.style_reward is None
-    assert latest.disc_accuracy is None
-    assert agent.writer.scalars == {}
 
 
 def test_a_diverged_episode_is_neither_a_fall_nor_none(figures):

@@ -6,18 +6,15 @@ from isaacgymenvs_lite.errors import SweepError
 from isaacgymenvs_lite.run.objective import MEAN_REWARD, POSE_ERROR, objective_of
 
 
-@pytest.mark.parametrize(
-    ("config", "has_pose_error", "expected"),
-    [
+def test_the_pose_error_counts_where_only_clips_are_learned():
+    for config, has_pose_error, expected in [
         ({"task_reward_w": 0.0}, True, POSE_ERROR),  # AMP
         ({"task_reward_w": 0}, False, MEAN_REWARD),  # ... with imitation_frequency: 0
         ({"task_reward_w": 0.9}, True, MEAN_REWARD),  # a hierarchy
         ({}, True, MEAN_REWARD),  # PPO on a task with clips
         ({}, False, MEAN_REWARD),
-    ],
-)
-def test_the_pose_error_counts_where_only_clips_are_learned(config, has_pose_error, expected):
-    assert objective_of(config, has_pose_error) is expected
+    ]:
+        assert objective_of(config, has_pose_error) is expected
 
 
 def test_a_study_optimises_in_the_right_direction():
@@ -28,8 +25,3 @@ def test_a_study_optimises_in_the_right_direction():
         MEAN_REWARD.check_direction("minimize", "Ant")
     with pytest.raises(SweepError, match=r"best pose error; .*=minimize$"):
         POSE_ERROR.check_direction("maximize", "HumanoidAMP")
-
-
-def test_values_for_users():
-    assert POSE_ERROR.describe(0.03412) == "best pose error 0.03412 m"
-    assert MEAN_REWARD.describe(8288.2) == "best mean reward 8288"

@@ -8,12 +8,10 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import (
-    MeasurementObserver,
-    MetricsObserver,
-    MultiObserver,
-    ProgressObserver,
-)
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
+from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.observers import MultiObserver
+from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 
 
@@ -64,40 +62,12 @@ def test_a_line_of_progress(progress, agent, clock, caplog):
     ]
 
 
-def test_who_left_the_clip_did_not_fall(progress, agent, clock, caplog):
-    ends = {"terminate": torch.tensor([1, 1, 1, 0]), "off_clip": torch.tensor([True] + [False] * 3)}
-    progress.metrics.process_infos(ends, torch.arange(4).view(-1, 1))
-    with caplog.at_level(logging.INFO):
-        end_epoch(progress, clock, 5, 2.0)
-    assert "falls 50%, off the clip 25%, style reward" in caplog.messages[0]
-
-
 def test_a_task_reward_is_shown_where_it_counts(progress, agent, clock, caplog):
     agent.config["task_reward_w"] = 0.5
     finish_episodes(progress, agent)
     with caplog.at_level(logging.INFO):
         end_epoch(progress, clock, 5, 2.0)
     assert "falls 50%, reward 5.50, style reward 0.46" in caplog.messages[0]
-
-
-def test_an_agent_without_a_discriminator(progress, agent, clock, caplog):
-    agent.config, agent.train_info = {}, {"actor_loss": 0.1}
-    finish_episodes(progress, agent)
-    with caplog.at_level(logging.INFO):
-        end_epoch(progress, clock, 5, 2.0)
-    assert caplog.messages == [
-        "epoch 5/20, ETA 0:00:30, fps 500, episode length 105, falls 50%, reward 5.50"
-    ]
-
-
-def test_a_line_without_anything_known(clock, agent, monkeypatch, caplog):
-    """Before the first figures are there."""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
-    observer = ProgressObserver(StopRequest(), MetricsObserver())
-    observer.after_init(agent)
-    with caplog.at_level(logging.INFO):
-        end_epoch(observer, clock, 5, 2.0)
-    assert caplog.messages == ["epoch 5/20, ETA 0:00:30, fps 500"]
 
 
 def test_lines_come_at_intervals(progress, clock, caplog):
@@ -112,13 +82,6 @@ def test_lines_come_at_intervals(progress, clock, caplog):
         "epoch 11/20",
     ]
     assert "ETA 0:00:18" in caplog.messages[-1]
-
-
-def test_without_a_last_epoch_there_is_no_eta(progress, agent, clock, caplog):
-    agent.max_epochs = -1
-    with caplog.at_level(logging.INFO):
-        end_epoch(progress, clock, 3, 1.0)
-    assert caplog.messages[0].startswith("epoch 3, fps 1,000")
 
 
 def test_a_resumed_training_counts_its_own_epochs(progress, agent, clock, caplog):
@@ -167,43 +130,3 @@ def test_a_terminal_gets_a_bar(progress, agent, clock, monkeypatch, caplog, caps
     assert re.findall(r"\d+/20", shown)[-1] == "13/20"
     assert "episode length=100" in shown
     assert "style reward=0.46, disc accuracy=80%, fps=1,000" in shown
-
-
-def test_closing_without_a_bar_is_harmless(progress):
-    progress.close()
-
-
-def test_a_bar_without_a_last_epoch(progress, agent, clock, monkeypatch, capsys):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    agent.max_epochs = -1
-    end_epoch(progress, clock, 1, 1.0)
-    progress.close()
-    assert "1/?" in capsys.readouterr().err
-
-
-def test_a_short_training_ends_with_its_last_epoch(progress, clock, caplog):
-    with caplog.at_level(logging.INFO):
-        for epoch in range(18, 21):
-            end_epoch(progress, clock, epoch, 1.0)
-        assert [message.split(",")[0] for message in caplog.messages] == ["epoch 18/20"]
-        clock.now_s += 100.0  # what it takes to end does not count
-        progress.close()
-        progress.close()
-    assert caplog.messages[1:] == ["epoch 20/20, fps 1,000, style reward 0.46, disc accuracy 80%"]
-
-
-def test_a_training_that_is_stopped_ends_with_its_last_epoch(progress, agent, clock, caplog):
-    with caplog.at_level(logging.INFO):
-        for epoch in (3, 4):
-            progress.stop.requested = epoch == 4
-            end_epoch(progress, clock, epoch, 1.0)
-        progress.close()
-    assert agent.max_epochs == 4
-    assert caplog.messages[-1].startswith("epoch 4/20, fps")
-
-
-def test_the_last_epoch_is_not_written_twice(progress, clock, caplog):
-    with caplog.at_level(logging.INFO):
-        end_epoch(progress, clock, 20, 1.0)
-        progress.close()
-    assert len(caplog.messages) == 1

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -24,14 +23,6 @@ def test_the_first_signal_asks_and_the_second_ends(number, caplog):
             signal.sigtimedwait([], 1)
 
 
-def test_one_signal_after_the_other_counts_as_two():
-    with StopRequest():
-        os.kill(os.getpid(), signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            signal.sigtimedwait([], 1)
-
-
 def test_former_handlers_come_back():
     former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with StopRequest():
@@ -41,33 +32,6 @@ def test_former_handlers_come_back():
         raise ValueError("inside")
     for number, handler in former.items():
         assert signal.getsignal(number) is handler
-
-
-def test_beside_the_main_thread_nothing_is_caught():
-    """Python takes signals in the main thread only; a run in a worker must work without."""
-    errors: list[BaseException] = []
-
-    def work() -> None:
-        try:
-            with StopRequest() as stop:
-                assert stop.requested is False
-        except BaseException as error:
-            errors.append(error)
-
-    former = signal.getsignal(signal.SIGINT)
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert errors == []
-    assert signal.getsignal(signal.SIGINT) is former
-
-
-def test_a_session_that_ends_asks_once_and_never_more(caplog):
-    with StopRequest() as stop:
-        for _ in range(3):
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert stop.requested is True
-    assert caplog.text.count("SIGHUP: ending after this epoch") == 1
 
 
 def test_a_hangup_after_ctrl_c_is_no_second_one():
@@ -93,12 +57,3 @@ def test_who_ignores_hangups_goes_on_doing_so():
         assert stop.requested is False
     with signals_as_ctrl_c():
         os.kill(os.getpid(), signal.SIGHUP)
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_loops_of_others_see_ctrl_c_once(number):
-    former = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt), signals_as_ctrl_c():
-        os.kill(os.getpid(), number)
-        signal.sigtimedwait([], 1)
-    assert signal.getsignal(number) is former

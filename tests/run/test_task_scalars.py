@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from isaacgymenvs_lite.report.scalars import read_scalars
-from isaacgymenvs_lite.run import TaskScalarsObserver
+from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver
 from tests.tiny import TINY_PPO, train_in
 
 
@@ -39,17 +39,6 @@ def test_scalars_of_infos_are_written_over_three_axes(task_scalars, agent):
     }
 
 
-def test_means_of_finished_episodes(task_scalars, agent):
-    task_scalars.process_infos({"episode": {"height": torch.tensor([1.0, 2.0])}}, NOBODY)
-    task_scalars.process_infos({"episode": {"height": torch.tensor(6.0)}}, NOBODY)
-    task_scalars.after_print_stats(1000, 7, 12.5)
-    assert agent.writer.scalars == {"Episode/height": [(7, 3.0)]}
-    # and they are forgotten
-    task_scalars.process_infos({"episode": {"height": 5.0}}, NOBODY)
-    task_scalars.after_print_stats(2000, 8, 13.0)
-    assert agent.writer.scalars["Episode/height"][1:] == [(8, 5.0)]
-
-
 def test_sums_over_episodes(task_scalars, agent):
     def step(values: list[float], done: list[int]) -> None:
         ids = torch.tensor(done, dtype=torch.int64).view(-1, 1)  # as rl_games gives them
@@ -66,18 +55,6 @@ def test_sums_over_episodes(task_scalars, agent):
         "episode_cumulative_min/work_min": [(1000, 12.0)],
         "episode_cumulative_max/work_max": [(1000, 80.0)],
     }
-
-
-def test_what_the_task_gave_is_not_changed(task_scalars):
-    given = torch.tensor([1.0, 2.0])
-    for _ in range(3):
-        task_scalars.process_infos({"episode_cumulative": {"work": given}}, torch.tensor([[0]]))
-    assert given.tolist() == [1.0, 2.0]
-
-
-def test_infos_must_be_a_dictionary(task_scalars):
-    with pytest.raises(TypeError, match="list"):
-        task_scalars.process_infos([], NOBODY)
 
 
 def test_diverged_simulations_are_counted_in_each_epoch_and_in_no_episode(task_scalars, agent):
@@ -112,14 +89,6 @@ def test_the_terms_of_a_reward_are_means_over_environments_and_steps(task_scalar
         "reward_terms/up": [(1000, 3.5), (2000, 0.0)],
         "reward_terms/effort": [(1000, -1.5), (2000, 1.0)],
     }
-
-
-def test_a_reward_of_one_term_is_not_written_twice(task_scalars, agent):
-    task = types.SimpleNamespace(reward_terms={"alive": torch.ones(2)})
-    agent.vec_env = types.SimpleNamespace(env=task)
-    task_scalars.process_infos({}, NOBODY)
-    task_scalars.after_print_stats(1000, 1, 1.0)
-    assert agent.writer.scalars == {}
 
 
 def test_a_training_writes_the_terms_whose_sum_is_the_reward(tmp_path):

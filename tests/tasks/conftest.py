@@ -67,10 +67,7 @@ def make_humanoid(humanoid_cfg: Callable[..., dict[str, Any]]) -> Iterator[MakeH
 
 @pytest.fixture
 def make_ase(make_humanoid: MakeHumanoid, armed_walk_clip: Path) -> MakeASE:
-    """Return `make_ase(num_envs=4, cls=HumanoidASE, armed=False, sim=None, **env)`.
-
-    A task at ASE's 1/60 s; `armed`: with sword and shield. Keywords are keys of `task.env`.
-    """
+    """Return `make_ase(num_envs=4, cls=HumanoidASE, armed=False, sim=None, **env)`."""
 
     def make(
         num_envs: int = 4,
@@ -93,10 +90,7 @@ def make_ase(make_humanoid: MakeHumanoid, armed_walk_clip: Path) -> MakeASE:
 
 @pytest.fixture
 def make_task() -> Iterator[Callable[..., Any]]:
-    """Return `make_task(*overrides, num_envs=4)`, a maker by the command line's overrides.
-
-    As `make_task("task=Ant", "task.env.episodeLength=50")`; closes the tasks at the end.
-    """
+    """Return `make_task(*overrides, num_envs=4)`, a maker by the command line's overrides."""
     made: list[VecTask] = []
 
     def make(*overrides: str, num_envs: int = 4) -> Any:

@@ -13,7 +13,6 @@ import torch
 from isaacgymenvs_lite.tasks.base.hover import (
     compute_flight_failures,
     compute_flight_observations,
-    draw_start_states,
 )
 from isaacgymenvs_lite.tasks.base.reward_terms import total
 from isaacgymenvs_lite.tasks.quadcopter import Quadcopter, compute_quadcopter_reward
@@ -52,35 +51,15 @@ def test_scales_of_the_observation() -> None:
     assert observed.tolist() == pytest.approx([*ways, 3, 4, 5, 6, 3.5, 4.0, 4.5, *rates])
 
 
-@pytest.mark.parametrize(
-    ("to_target", "height", "failed"),
-    [
+def test_failures_by_hand() -> None:
+    for to_target, height, failed in [
         ([2.9, 0.0, 0.0], 1.0, False),
         ([2.2, 2.2, 0.0], 1.0, True),
         ([0.0, 0.0, 0.69], 0.31, False),
         ([0.0, 0.0, 0.71], 0.29, True),
-    ],
-)
-def test_failures_by_hand(to_target: list[float], height: float, failed: bool) -> None:
-    found = compute_flight_failures(torch.tensor([to_target]), torch.tensor([height]), 3.0, 0.3)
-    assert found.item() == failed
-
-
-def test_starts_are_at_rest_around_one_metre_above_the_ground() -> None:
-    torch.manual_seed(0)
-    states = draw_start_states(torch.arange(20000))
-    for values, low, high in (
-        (states[:, 0], -1.5, 1.5),
-        (states[:, 1], -1.5, 1.5),
-        (states[:, 2], 0.8, 2.5),
-    ):
-        # 20000 draws leave gaps of about 1/20000 of a range at its ends.
-        assert low <= values.min() < low + 0.005
-        assert high - 0.005 < values.max() <= high
-        # Standard error of the mean: 0.2 % of the range
-        assert values.mean().item() == pytest.approx((low + high) / 2, abs=0.03)
-    assert states[:100, :2].t().corrcoef()[0, 1].abs() < 0.4
-    assert (states[:, 3:] == torch.tensor([*UPRIGHT, *[0.0] * 6])).all()
+    ]:
+        found = compute_flight_failures(torch.tensor([to_target]), torch.tensor([height]), 3.0, 0.3)
+        assert found.item() == failed
 
 
 def test_the_model_is_that_of_the_tables(make_task: MakeTask) -> None:
@@ -131,12 +110,6 @@ def test_a_quarter_of_the_weight_per_rotor_hovers(make_task: MakeTask) -> None:
     assert state[3:7].tolist() == pytest.approx(UPRIGHT, abs=1e-6)
 
 
-def test_more_thrust_climbs(make_task: MakeTask) -> None:
-    state = _fly(make_task("task=Quadcopter", num_envs=1), 50, [0.0] * 8, WEIGHT_N / 2)
-    # 0.5 s at 1 g
-    assert state[9].item() == pytest.approx(9.81 * 0.5, rel=1e-3)
-
-
 def test_thrust_is_along_the_axes_of_the_tilted_rotors(make_task: MakeTask) -> None:
     """All rotors are rolled alike about their arms: together they turn the body."""
     task = make_task("task=Quadcopter", num_envs=1)
@@ -154,29 +127,6 @@ def test_thrust_is_along_the_axes_of_the_tilted_rotors(make_task: MakeTask) -> N
     assert state[10:12].abs().max() < 1e-6
     sinking = 9.81 * (1.0 - math.cos(roll)) * steps * 0.01
     assert state[9].item() == pytest.approx(-sinking, rel=1e-2)
-
-
-def test_one_rotor_tips_the_body_over(make_task: MakeTask) -> None:
-    task = make_task("task=Quadcopter", num_envs=1)
-    task.reset()
-    state = torch.tensor([[0.0, 0.0, 1.0, *UPRIGHT, *[0.0] * 6]])
-    task.simulation.write_state(torch.tensor([0]), state, torch.zeros(1, 8), torch.zeros(1, 8))
-    task.targets[:], task.thrusts[:] = 0.0, torch.tensor([[0.5, 0.0, 0.0, 0.0]])
-    task.step(torch.zeros(1, 12))
-    # Rotor 0 is at 45 degrees: it lifts that side, about the axis (1, -1, 0).
-    rates = task.simulation.root_states[0, 10:12]
-    assert rates[0] > 0.1
-    assert rates[0].item() == pytest.approx(-rates[1].item(), rel=1e-3)
-
-
-def test_hinges_are_at_their_targets_after_a_step(make_task: MakeTask) -> None:
-    task = make_task("task=Quadcopter")
-    torch.manual_seed(0)
-    task.reset()
-    for _ in range(5):
-        task.step(2.0 * torch.rand(4, 12) - 1.0)
-        # What thrusts of 2 N and a turning body do to drives of 1000 Nm/rad
-        torch.testing.assert_close(task.simulation.dof_pos, task.targets, atol=2e-3, rtol=0.0)
 
 
 def test_actions_move_targets_and_thrusts_within_their_limits(make_task: MakeTask) -> None:
@@ -211,18 +161,6 @@ def test_the_step_that_starts_an_episode_has_no_thrust(make_task: MakeTask) -> N
     torch.testing.assert_close(task.simulation.dof_pos[0], task.targets[0], atol=1e-4, rtol=0.0)
 
 
-def test_hinges_start_tilted_a_little(make_task: MakeTask) -> None:
-    torch.manual_seed(0)
-    task = make_task("task=Quadcopter", num_envs=500)
-    task.reset()
-    pos = task.simulation.dof_pos
-    # 4000 draws from [-0.2, 0.2): standard error of the mean 0.002
-    assert 0.199 < pos.max() <= 0.2
-    assert -0.2 <= pos.min() < -0.199
-    assert abs(pos.mean().item()) < 0.01
-    assert (task.simulation.dof_vel == 0.0).all()
-
-
 def test_bodies_that_turn_fast_are_slowed_down_to_two_turns_a_second(make_task: MakeTask) -> None:
     task = make_task("task=Quadcopter", num_envs=2)
     task.reset()
@@ -236,17 +174,6 @@ def test_bodies_that_turn_fast_are_slowed_down_to_two_turns_a_second(make_task: 
     assert state[0, :2].tolist() == pytest.approx([0.305, 0.2], abs=1e-4)
     assert state[0, 7].item() == pytest.approx(0.5, abs=1e-4)
     assert task.obs_buf[0, 12].item() == pytest.approx(4.0, rel=1e-5)
-
-
-def test_the_observation_is_of_the_way_home_the_body_and_the_hinges(make_task: MakeTask) -> None:
-    task = make_task("task=Quadcopter")
-    task.reset()
-    observed = task.step(0.1 * torch.ones(4, 12))[0]["obs"]
-    sim = task.simulation
-    way = torch.tensor([0.0, 0.0, 1.0]) - sim.root_states[:, :3]
-    torch.testing.assert_close(observed[:, :3], way / 3.0)
-    torch.testing.assert_close(observed[:, 3:7], sim.root_states[:, 3:7])
-    torch.testing.assert_close(observed[:, 13:], sim.dof_pos)
 
 
 def test_episodes_end_at_their_length_or_by_a_failure(make_task: MakeTask) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
@@ -46,16 +45,6 @@ def test_a_model_with_all_types_of_joints(made_up_model) -> None:
     _assert_poses_are_mujoco_s(made_up_model, _random_qpos(made_up_model, 50))
 
 
-def test_the_first_bodies_alone(made_up_model) -> None:
-    # The drone with all that hangs on it, 6 of 8 bodies: the same bytes as among all.
-    qpos = _random_qpos(made_up_model, 5)
-    for some, every in zip(
-        _poses(made_up_model, qpos, 6), _poses(made_up_model, qpos), strict=True
-    ):
-        assert some.shape[1] == 6
-        assert some.tobytes() == every[:, :6].tobytes()
-
-
 def test_the_humanoid(humanoid_model) -> None:
     _assert_poses_are_mujoco_s(humanoid_model, _random_qpos(humanoid_model, 50))
 
@@ -80,22 +69,6 @@ def test_two_bars_by_hand() -> None:
     np.testing.assert_allclose(positions[0], expected, atol=1e-6)
     half_turn = [0.0, 0.0, 1.0, 0.0]
     np.testing.assert_allclose(rotations[0, 1:], [half_turn, half_turn], atol=1e-6)
-
-
-@pytest.mark.parametrize("first", [0, 13])
-def test_a_state_does_not_depend_on_those_beside_it(humanoid_model, first: int) -> None:
-    # Resets compute a few states, steps all of them: the same bytes either way.
-    qpos = _random_qpos(humanoid_model, 37)
-    for alone, among in zip(
-        _poses(humanoid_model, qpos[first : first + 5]), _poses(humanoid_model, qpos), strict=True
-    ):
-        assert alone.tobytes() == among[first : first + 5].tobytes()
-
-
-def test_quaternions_of_zero_length_are_no_rotation(humanoid_model) -> None:
-    qpos = _random_qpos(humanoid_model, 3)
-    qpos[1, 3:11] = 0.0
-    _assert_poses_are_mujoco_s(humanoid_model, qpos)
 
 
 def test_a_state_that_is_no_number_stays_alone(humanoid_model) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.simulation.state_buffers import StateBuffers, StateConverter
@@ -65,9 +64,8 @@ _SLIDE = '<joint type="slide" axis="1 {} 0.3" ref="-0.2"/>'
 _BALL = '<joint type="ball" pos="{} 0.1 0.2"/>'
 
 
-@pytest.mark.parametrize(
-    "joints",
-    [
+def test_several_joints_on_one_body() -> None:
+    for joints in [
         (_SLIDE, _SLIDE, _SLIDE),
         (_HINGE, _HINGE, _HINGE),
         (_FREE_HINGE, _FREE_HINGE, _FREE_HINGE),
@@ -78,19 +76,17 @@ _BALL = '<joint type="ball" pos="{} 0.1 0.2"/>'
         (_HINGE, _SLIDE, _BALL),
         (_BALL, _SLIDE, _SLIDE),
         (_SLIDE, _FREE_HINGE, _BALL, _SLIDE),
-    ],
-)
-def test_several_joints_on_one_body(joints: tuple[str, ...]) -> None:
-    stack = "".join(joint.format(0.4 * place, -0.3) for place, joint in enumerate(joints))
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><body pos="0 0 1" quat="0.5 0.1 -0.4 0.2"><joint axis="1 1 1"/>'
-        f'<geom size="0.1"/><body pos="0.3 0.2 0.1" quat="0.3 0.5 0.4 -0.2">{stack}'
-        '<geom size="0.1"/><body pos="0.2 0 0.3"><joint/><geom size="0.1"/></body>'
-        # A neighbour with one joint of the first type is in a group with the first of the stack.
-        f'</body><body pos="-0.3 0 0">{joints[0].format(1, 0.2)}<geom size="0.1"/></body>'
-        "</body></worldbody></mujoco>"
-    )
-    _assert_velocities_are_mujoco_s(model, *_random_state(model, 20))
+    ]:
+        stack = "".join(joint.format(0.4 * place, -0.3) for place, joint in enumerate(joints))
+        model = mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><body pos="0 0 1" quat="0.5 0.1 -0.4 0.2"><joint axis="1 1 1"/>'
+            f'<geom size="0.1"/><body pos="0.3 0.2 0.1" quat="0.3 0.5 0.4 -0.2">{stack}'
+            '<geom size="0.1"/><body pos="0.2 0 0.3"><joint/><geom size="0.1"/></body>'
+            # A neighbour has one joint of the first type.
+            f'</body><body pos="-0.3 0 0">{joints[0].format(1, 0.2)}<geom size="0.1"/></body>'
+            "</body></worldbody></mujoco>"
+        )
+        _assert_velocities_are_mujoco_s(model, *_random_state(model, 20))
 
 
 def test_two_bars_by_hand() -> None:
@@ -104,16 +100,3 @@ def test_two_bars_by_hand() -> None:
     np.testing.assert_allclose(ang_vel[0], [[0, 0, 1], [0, 0, 5], [0, 0, 5]], atol=1e-6)
     # 2 m away at 1 rad/s: 2 m/s along y. 3 m further along y at 5 rad/s: 15 m/s along -x more.
     np.testing.assert_allclose(lin_vel[0], [[0, 0, 0], [0, 2, 0], [-15, 2, 0]], atol=5e-6)
-
-
-@pytest.mark.parametrize("first", [0, 13])
-def test_a_state_does_not_depend_on_those_beside_it(humanoid_model, first: int) -> None:
-    # Resets compute a few states, steps all of them: the same bytes either way.
-    qpos, qvel = _random_state(humanoid_model, 37)
-    some = slice(first, first + 5)
-    for alone, among in zip(
-        _velocities(humanoid_model, qpos[some], qvel[some]),
-        _velocities(humanoid_model, qpos, qvel),
-        strict=True,
-    ):
-        assert alone.tobytes() == among[some].tobytes()

@@ -29,12 +29,7 @@ _TIMEOUT_S = 30.0
 
 
 class Browser:
-    """Chromium with one page. Use it in a `with` statement.
-
-    Args:
-        profile: an empty folder.
-        url: of the page.
-    """
+    """Chromium with one page. Use it in a `with` statement."""
 
     def __init__(self, profile: Path, url: str) -> None:
         assert CHROMIUM is not None

@@ -37,20 +37,6 @@ def test_it_goes_beside_a_character_that_imitates_perfectly(env):
             assert np.abs(pose[7:] - qpos[7:]).max() < 0.05, (episode, step)
 
 
-def test_steps_may_be_left_out(env):
-    overlay, read = ReferenceOverlay(env, env.simulation.model), PoseReader(env)
-    for step in range(0, 40, 3):
-        env.progress_buf[:] = step + 1
-        put_into_clip(env, step * env.dt)
-        qpos = read(0)
-        assert np.abs(overlay.pose(qpos)[7:] - qpos[7:]).max() < 0.05
-
-
-def test_a_task_without_reference_motions_has_no_overlay(make_env):
-    env = make_env("task=Cartpole", "num_envs=1")
-    assert ReferenceOverlay.for_task(env, env.simulation.model) is None
-
-
 def test_it_is_a_translucent_robot(env):
     model = env.simulation.model
     scene = mujoco.MjvScene(model, 100)
@@ -62,8 +48,3 @@ def test_it_is_a_translucent_robot(env):
     assert {round(float(geom.rgba[3]), 2) for geom in geoms} == {0.35}
     places = np.array([geom.pos for geom in geoms])
     np.testing.assert_allclose(places[:, :2].mean(axis=0), (3.0, 1.0), atol=0.2)
-
-
-def test_a_model_without_joints_may_have_an_overlay():
-    """A page makes its overlay with its first picture, before a reference is known."""
-    assert RobotOverlay(mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>"))

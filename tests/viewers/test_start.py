@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig
 
-from isaacgymenvs_lite import runner
+from isaacgymenvs_lite import registration, runner
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.errors import ConfigError, MissingPackageError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import RenderingError
 from isaacgymenvs_lite.runner import run
 from isaacgymenvs_lite.viewers import start
-from isaacgymenvs_lite.viewers.video_capture import make_video_folder
 from tests.tiny import CONFIG, NOT_MEASURED, ONE_THREAD, TINY_AMP, TINY_SAC
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
@@ -34,26 +31,20 @@ pytestmark = pytest.mark.usefixtures("gl", "small_pictures")
 
 
 @pytest.fixture
-def in_tmp(tmp_path: Path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def no_training(monkeypatch) -> None:
     """Fail when an agent is made."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("a training began")
 
-    monkeypatch.setattr(runner, "build_runner", refuse)
+    monkeypatch.setattr(registration, "build_runner", refuse)
 
 
 def cfg_of(*overrides: str) -> DictConfig:
     return compose([*SIZE, *overrides])
 
 
-@pytest.mark.parametrize("agent", [PPO, SAC, AMP, HRL], ids=["ppo", "sac", "amp", "hrl"])
+@pytest.mark.parametrize("agent", [SAC, AMP, HRL], ids=["sac", "amp", "hrl"])
 def test_a_training_is_recorded(agent, in_tmp):
     run(cfg_of(*agent, *VIDEOS))
     (run_folder,) = (in_tmp / "runs").iterdir()
@@ -85,20 +76,6 @@ def test_videos_do_not_go_through_a_link_in_the_run_of_a_checkpoint(in_tmp):
         run(cfg_of("task=Cartpole", "test=True", f"checkpoint={checkpoint}", *VIDEOS))
 
 
-def test_without_videos_there_is_no_folder_for_them(in_tmp):
-    run(cfg_of(*PPO))
-    assert not list(in_tmp.glob("runs/*/videos"))
-
-
-@pytest.mark.usefixtures("no_training")
-def test_a_folder_that_cannot_be_written_is_refused(in_tmp):
-    (in_tmp / "runs" / "mine").mkdir(parents=True)
-    (in_tmp / "runs" / "mine" / "videos").write_text("in the way")
-    with pytest.raises(ConfigError, match="cannot write the video folder") as caught:
-        make_video_folder(in_tmp / "runs" / "mine" / "videos")
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.usefixtures("no_training")
 def test_a_machine_that_cannot_draw_is_found_before_the_task_is_made(in_tmp, monkeypatch):
     def fail() -> str:
@@ -109,19 +86,6 @@ def test_a_machine_that_cannot_draw_is_found_before_the_task_is_made(in_tmp, mon
     with pytest.raises(RenderingError):
         run(cfg_of(*PPO, *VIDEOS))
     assert not list(in_tmp.iterdir())
-
-
-@pytest.mark.usefixtures("no_training")
-def test_a_missing_encoder_is_found_before_the_task_is_made(in_tmp, monkeypatch):
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util,
-        "find_spec",
-        lambda name, *more: None if name == "av" else found(name, *more),
-    )
-    monkeypatch.setattr(runner, "make_from_config", lambda *_, **__: pytest.fail("a task"))
-    with pytest.raises(MissingPackageError, match=r"isaacgymenvs-lite\[video\]"):
-        run(cfg_of(*PPO, *VIDEOS))
 
 
 class ClosedWindow:

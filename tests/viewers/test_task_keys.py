@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.viewers.task_keys import KEY_NAMES, TaskKeys
 from tests.viewers.conftest import KeyedTask
@@ -15,16 +13,10 @@ def test_the_names_are_those_that_tasks_expect():
     assert all(f"`{name}`" in documented for name in KEY_NAMES[:5])
 
 
-@pytest.mark.parametrize("name", ["", "A", "é", "up\n", "escape", "upup", "__class__", "\ufffd"])
-def test_other_names_are_dropped(name):
-    task = KeyedTask()
-    keys = TaskKeys(task)
-    keys.press(name)
-    keys.press("up")
-    assert task.pressed == ["up"]
-
-
-def test_a_training_gets_none():
-    task = KeyedTask()
-    TaskKeys(task, are_passed=False).press("up")
-    assert task.pressed == []
+def test_other_names_are_dropped():
+    for name in ["", "A", "é", "up\n", "escape", "upup", "__class__", "\ufffd"]:
+        task = KeyedTask()
+        keys = TaskKeys(task)
+        keys.press(name)
+        keys.press("up")
+        assert task.pressed == ["up"]

@@ -1,24 +1,18 @@
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
-from isaacgymenvs_lite.viewers import video_writer
 from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoJob, VideoWriter
+from isaacgymenvs_lite.viewers.video_writer import VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
-# Base files that are not meant to run.
-TASKS = sorted(
-    {path.stem for path in (cfg_dir() / "task").glob("*.yaml")}
-    - {"Classic", "HumanoidRandomization", "RobotRandomization"}  # what other files share
-)
+# One task of each kind: a fixed base, rough ground, loose objects, a humanoid, a robot.
+TASKS = ["Cartpole", "AnymalTerrain", "BallBalance", "HumanoidStrike", "RobotAMPVelocity"]
 
 
 def play(env, capture: VideoCapture, num_steps: int) -> None:
@@ -38,8 +32,8 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.usefixtures("gl", "small_pictures")
 @pytest.mark.parametrize("task", TASKS)
-def test_every_task_can_be_recorded(task, make_env, tmp_path):
-    env = make_env(f"task={task}", *(["train=" + task] if "SAC" in task else []), "num_envs=2")
+def test_a_task_is_recorded(task, make_env, tmp_path):
+    env = make_env(f"task={task}", "num_envs=2")
     capture = VideoCapture(env, VideoWriter(), tmp_path, every=100, length=12)
     play(env, capture, 12)
     (path,) = tmp_path.iterdir()
@@ -55,14 +49,6 @@ def test_videos_start_at_regular_intervals(make_env, tmp_path):
     assert names(tmp_path) == [f"rl-video-step-{step}.mp4" for step in (0, 10, 5)]
     lengths = {path.stem[-2:]: len(frames_of(path)[0]) for path in tmp_path.iterdir()}
     assert lengths == {"-0": 3, "-5": 3, "10": 2}  # the last one was cut short by the end
-
-
-@pytest.mark.usefixtures("gl", "small_pictures")
-def test_an_older_video_stays(make_env, tmp_path):
-    env = make_env("task=Cartpole", "num_envs=1")
-    for _ in range(2):
-        play(env, VideoCapture(env, VideoWriter(), tmp_path, every=9, length=2), 2)
-    assert names(tmp_path) == ["rl-video-step-0-2.mp4", "rl-video-step-0.mp4"]
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")
@@ -95,24 +81,6 @@ def test_the_camera_follows_unless_it_is_switched_off(follow, make_env, tmp_path
     middle = frames[1, 40:100, 65:95].astype(int)
     coloured = (middle.max(axis=2) - middle.min(axis=2) > 70).mean()
     assert (coloured > 0.1) == follow
-
-
-def test_too_many_videos_are_left_out_with_one_line(make_env, tmp_path, monkeypatch, caplog):
-    env = make_env("task=Cartpole", "num_envs=1")
-    may_draw = threading.Event()
-
-    def write_late(job: VideoJob) -> Path:
-        assert may_draw.wait(30.0)
-        return job.path
-
-    monkeypatch.setattr(video_writer, "write_video", write_late)
-    capture = VideoCapture(env, VideoWriter(), tmp_path, every=1, length=1)
-    for _ in range(20):
-        capture.after_step()
-    may_draw.set()
-    capture.close()
-    assert [record.levelname for record in caplog.records].count("WARNING") == 1
-    assert "raise capture_video_freq" in caplog.text
 
 
 @pytest.mark.usefixtures("gl", "small_pictures")

@@ -13,9 +13,8 @@ import torch
 import yaml
 
 from isaacgymenvs_lite.workflows.__main__ import main
-from isaacgymenvs_lite.workflows.agent_files import load_agent_file
 from isaacgymenvs_lite.workflows.library import LIBRARIES
-from isaacgymenvs_lite.workflows.training import play_episodes, task_session
+from isaacgymenvs_lite.workflows.training import play_episodes
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask
 
 # rsl_rl normalises no returns, and takes longer.
@@ -64,70 +63,6 @@ def test_an_interrupted_training_is_saved(library, run_play, tmp_path, monkeypat
     words = ["--task", "Cartpole", "--logs", str(tmp_path / "logs"), *SMALL]
     assert main([library.name, "train", *words]) == 130
     assert "episodes: 4, " in run_play(library, *SMALL, "--use_last_checkpoint")
-
-
-# Without normalisers, so that the networks' inputs are rows of the observations or states.
-RAW = {
-    "sb3": ("agent.vec_normalize=null",),
-    "skrl": ("agent.normalize_observations=False",),
-    "rsl_rl": ("agent.actor.obs_normalization=False", "agent.critic.obs_normalization=False"),
-}
-NETWORKS = {
-    "sb3": lambda agent: (
-        agent.model.policy.mlp_extractor.policy_net,
-        agent.model.policy.mlp_extractor.value_net,
-    ),
-    "skrl": lambda agent: (agent.agent.models["policy"].layers, agent.agent.models["value"].layers),
-    "rsl_rl": lambda agent: (agent.runner.alg.actor.mlp, agent.runner.alg.critic.mlp),
-}
-
-
-def rows(batches: list[torch.Tensor]) -> set[tuple[float, ...]]:
-    return {tuple(row) for batch in batches for row in batch.flatten(0, -2).tolist()}
-
-
-def test_critics_see_the_states_without_noise(library, tmp_path, monkeypatch):
-    """Policies see observations only; Stable-Baselines3 has one input for both networks."""
-    given: dict[str, list[torch.Tensor]] = {"obs": [], "states": []}
-
-    def keep(observations: dict[str, torch.Tensor]) -> None:
-        for name, batches in given.items():
-            batches.append(observations[name].clone())
-
-    reset, step = AutoresetTask.reset, AutoresetTask.step
-
-    def kept_reset(self, seed=None):
-        observations = reset(self, seed)
-        keep(observations)
-        return observations
-
-    def kept_step(self, actions):
-        transition = step(self, actions)
-        keep(transition.observations)
-        if transition.final_observations is not None:
-            keep(transition.final_observations)
-        return transition
-
-    monkeypatch.setattr(AutoresetTask, "reset", kept_reset)
-    monkeypatch.setattr(AutoresetTask, "step", kept_step)
-    words = ["num_envs=4", "num_threads=1", "rl_device=cpu", "task.task.randomize=True"]
-    words.append("task.env.asymmetric_observations=True")
-    content = load_agent_file(library.name, "Ant", "", RAW[library.name])
-    content["max_iterations"] = 1
-    with task_session("Ant", ["seed=1", *words], plays=False) as session:
-        agent = library.make_agent(session.task, content, "cpu", 1)
-        seen: tuple[list[torch.Tensor], list[torch.Tensor]] = ([], [])
-        for network, inputs in zip(NETWORKS[library.name](agent), seen, strict=True):
-            network.register_forward_pre_hook(
-                lambda _, arguments, inputs=inputs: inputs.append(arguments[0].detach().clone())
-            )
-        agent.learn(tmp_path)
-    observations, states = rows(given["obs"]), rows(given["states"])
-    policy_inputs, critic_inputs = rows(seen[0]), rows(seen[1])
-    assert policy_inputs <= observations
-    assert len(policy_inputs - states) >= 4 * 20  # all of a rollout but resets have noise
-    assert critic_inputs <= (observations if library.name == "sb3" else states)
-    assert len(critic_inputs) >= 4 * 20
 
 
 def test_a_checkpoint_is_gone_on_from_and_played_and_others_are_one_line(
@@ -180,22 +115,6 @@ def test_mistakes_are_one_line(library, run_train, fails, tmp_path):
     assert "is missing" in line("--agent", str(unknown))
 
 
-def test_the_log_can_be_written_less_often(run_train, tmp_path):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    pytest.importorskip("stable_baselines3")
-    steps = []
-    for interval in ("128", "512"):  # a rollout is 32 x 4 frames
-        logs = tmp_path / interval
-        words = ("--max_iterations", "8", "--log_interval", interval)
-        run_train(LIBRARIES["sb3"], *SMALL, *words, "--logs", str(logs))
-        (folder,) = (logs / "sb3" / "Cartpole").iterdir()
-        events = EventAccumulator(str(folder))
-        events.Reload()
-        steps.append(len(events.Scalars("time/fps")))
-    assert steps[0] > 2 * steps[1] > 0
-
-
 def test_videos_are_written(gl, library, run_train, tmp_path):
     words = ("--video", "--video_length", "6", "--video_interval", "20")
     run_train(library, *SMALL, "--max_iterations", "1", *words)
@@ -208,40 +127,10 @@ def test_videos_are_written(gl, library, run_train, tmp_path):
     assert (np.abs(frames[5].astype(int) - frames[0]) > 30).any()
 
 
-def test_a_played_checkpoint_can_be_recorded(gl, library, run_train, run_play, tmp_path):
-    run_train(library, *SMALL, "--max_iterations", "1")
-    printed = run_play(library, *SMALL, "--use_last_checkpoint", "--video", "--video_length", "4")
-    assert "episodes: 4, " in printed
-    (video,) = (folder_of(tmp_path, library) / "videos").iterdir()
-    assert re.fullmatch(r"play_.*-step-0\.mp4", video.name)
-
-
 def test_a_library_that_is_not_installed_is_one_line(library, run_train, fails, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     line = fails(run_train, library, *SMALL)
     assert f"needs the package {library.package}, which is not installed; pip install" in line
-
-
-WRONG_VALUES = {
-    "sb3": ("agent.policy.net_arch=5", "agent.ppo.gamma=high", "agent.ppo.normalize_advantage=2"),
-    "skrl": ("agent.ppo.grad_norm_clip=null", "agent.ppo.learning_rate=abc", "agent.ppo=3"),
-    "rsl_rl": ("agent.actor.activation=foo", "agent.actor.hidden_dims=[a]", "agent.algorithm=3"),
-}
-
-
-def test_values_that_the_library_refuses_are_one_line(library, run_train, fails):
-    for word in WRONG_VALUES[library.name]:
-        line = fails(run_train, library, *SMALL, "--max_iterations", "1", word)
-        assert line.startswith("error: agent")
-
-
-def test_arguments_that_the_file_does_not_name_can_be_given(library, run_train):
-    word = {
-        "sb3": "agent.ppo.clip_range_vf=0.2",
-        "skrl": "agent.ppo.entropy_loss_scale=0.001",
-        "rsl_rl": "agent.algorithm.normalize_advantage_per_mini_batch=True",
-    }
-    run_train(library, *SMALL, "--max_iterations", "1", word[library.name])
 
 
 def test_the_last_model_of_sb3_is_where_isaac_lab_has_it(run_train, tmp_path):

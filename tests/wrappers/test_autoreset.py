@@ -5,9 +5,7 @@ import math
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.wrappers.autoreset import AutoresetTask, Transition
-from isaacgymenvs_lite.wrappers.gymnasium_env import GymnasiumVectorEnv
 
 # One of each manner: in the next step, on request, within the step.
 TASKS = ["Cartpole", "HumanoidAMP", "AnymalTerrain"]
@@ -73,17 +71,6 @@ def test_the_first_action_of_an_episode_counts(make_cartpole):
     assert (after[:, 1] > before[:, 1] + 1.0).all()
 
 
-def test_a_fall_in_the_last_step_is_no_truncation(make_cartpole):
-    env = AutoresetTask(make_cartpole(), "a test")
-    env.reset()
-    sim, ids = env.task.simulation, torch.tensor([2])
-    lying = torch.tensor([[0.0, 3.0]])
-    sim.write_state(ids, torch.zeros(1, 13), lying, torch.zeros(1, 2))
-    step = let_time_run_out(env)
-    assert step.terminated.tolist() == [False, False, True, False, False, False]
-    assert step.truncated.tolist() == [True, True, False, True, True, True]
-
-
 def test_an_amp_observation_is_of_the_steps_end(make_task):
     env = AutoresetTask(make_task("HumanoidAMP", "task.env.stateInit=Random"), "a test")
     env.reset()
@@ -112,22 +99,6 @@ def test_a_task_that_resets_within_the_step_observes_the_end_too(make_task):
     assert (step.observations["obs"][:2, -12:] == 0.0).all()
     assert torch.allclose(step.observations["obs"][2:, -12:], actions[2:])
     assert any(name.startswith("episode/rew_") for name in step.scalars)
-
-
-def test_without_an_adapter_such_a_task_observes_once(make_task):
-    task = make_task("AnymalTerrain")
-    task.reset()
-    task.progress_buf[:] = task.max_episode_length - 2
-    task.step(task.zero_actions())
-    assert task.final_observations() == {}
-
-
-def test_asymmetric_states_have_ends_too(make_cartpole):
-    env = AutoresetTask(make_cartpole("task.env.asymmetric_observations=True"), "a test")
-    assert env.reset()["states"].shape == (6, 4)
-    step = let_time_run_out(env)
-    assert step.final_observations["states"].shape == (6, 4)
-    assert not torch.equal(step.final_observations["states"], step.observations["states"])
 
 
 def test_returns_and_lengths_are_those_of_the_steps(make_cartpole):
@@ -173,16 +144,6 @@ def test_a_seed_makes_a_course_that_nobody_else_disturbs(make_task, name):
     assert all(torch.equal(a, b) for a, b in zip(first, course(), strict=True))
 
 
-def test_a_seeded_environment_leaves_others_their_numbers(make_cartpole):
-    env = AutoresetTask(make_cartpole(), "a test")
-    torch.manual_seed(5)
-    expected = torch.rand(4)
-    torch.manual_seed(5)
-    env.reset(seed=7)
-    let_time_run_out(env)
-    assert torch.equal(torch.rand(4), expected)
-
-
 def test_stepping_in_inference_mode_leaves_a_task_that_can_be_changed(make_task):
     """As rsl_rl does."""
     env = AutoresetTask(make_task("AnymalTerrain"), "a test")
@@ -191,18 +152,3 @@ def test_stepping_in_inference_mode_leaves_a_task_that_can_be_changed(make_task)
         run(env, 2)
     assert not env.step(env.task.zero_actions()).rewards.is_inference()
     let_time_run_out(env)
-
-
-def test_actions_of_another_shape_are_refused(make_cartpole):
-    env = AutoresetTask(make_cartpole(), "a test")
-    env.reset()
-    with pytest.raises(ConfigError, match=r"actions of shape \(6,\): expected \(6, 1\)"):
-        env.step(torch.zeros(6))
-
-
-def test_adapters_go_around_tasks_only(make_cartpole):
-    task = make_cartpole()
-    with pytest.raises(WrapperError, match=r"X: got GymnasiumVectorEnv.*another wrapper already"):
-        AutoresetTask(GymnasiumVectorEnv(task), "X")
-    with pytest.raises(WrapperError, match=r"X: got str, expected a task as .*make\(task=\.\.\.\)"):
-        AutoresetTask("Cartpole", "X")

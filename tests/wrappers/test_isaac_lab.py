@@ -19,6 +19,7 @@ from isaacgymenvs_lite.errors import ConfigError, WrapperError
 from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper, process_sb3_cfg
 
 
+@pytest.mark.slow
 def test_a_script_trains(gl, tmp_path):
     script = Path(__file__).with_name("isaac_lab_script.py")
     command = [sys.executable, str(script), "Cartpole", str(tmp_path)]
@@ -71,14 +72,11 @@ def test_a_configuration_of_isaac_lab_is_refused():
         gymnasium.make("Isaac-Cartpole-v0", cfg=object())
 
 
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
+def test_an_agent_file_that_cannot_be_used():
+    for keys, message in [
         ({"learning_rate": "lin_fast"}, "expected a number, or lin_ and a number"),
         ({"policy_kwargs": "dict(activation_fn=nn.system)"}, "expected the name of an activation"),
         ({"policy_kwargs": "open('harm', 'w')"}, "nothing of it is run"),
-    ],
-)
-def test_an_agent_file_that_cannot_be_used(keys, message):
-    with pytest.raises(ConfigError, match=message):
-        process_sb3_cfg(keys, 4)
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            process_sb3_cfg(keys, 4)

@@ -38,13 +38,6 @@ def test_an_episode_is_recorded(gl, tmp_path):
     assert all(picture.std() > 5 for picture in pictures)
 
 
-def test_the_episodes_that_gymnasium_records():
-    from isaacgymenvs_lite.wrappers.record_video import is_cube_or_thousandth
-
-    recorded = [episode for episode in range(2500) if is_cube_or_thousandth(episode)]
-    assert recorded == [*(i**3 for i in range(10)), 1000, 2000]
-
-
 def test_all_environments_are_recorded_in_one_picture(gl, tmp_path):
     envs = gymnasium.make_vec("IsaacGymEnvsLite/Cartpole-v0", num_envs=4, render_mode="rgb_array")
     envs = RecordVectorVideo(

@@ -69,12 +69,6 @@ def make_env(monkeypatch):
     return make
 
 
-def test_the_registered_creator_makes_the_task(make_env):
-    env = make_env(seed=3)
-    assert isinstance(env.env, StubTask)
-    assert env.env.kwargs == {"seed": 3}
-
-
 def test_calls_pass_through_unchanged(make_env):
     env = make_env()
     actions = torch.ones(2, 3)
@@ -116,16 +110,6 @@ def test_the_first_reset_done_chooses_resets_on_request(make_env):
     obs, *_ = env.step(torch.ones(2, 3))
     assert [name for name, _ in env.env.calls] == ["reset_done", "step"]
     assert torch.equal(obs["obs"], torch.full((2, 3), 2.0))
-
-
-def test_spaces_of_a_plain_task(make_env):
-    env = make_env()
-    assert env.get_number_of_agents() == 2
-    assert env.get_env_info() == {
-        "observation_space": StubTask.observation_space,
-        "action_space": StubTask.action_space,
-        "agents": 2,
-    }
 
 
 def test_spaces_of_a_task_with_references_and_privileged_states(make_env):

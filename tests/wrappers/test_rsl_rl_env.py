@@ -3,8 +3,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import WrapperError
-
 pytest.importorskip("rsl_rl")
 from rsl_rl.env import VecEnv
 
@@ -57,15 +55,3 @@ def test_a_fall_is_no_time_out(env):
 def test_states_are_the_critics_group(make_cartpole):
     env = RslRlVecEnvWrapper(make_cartpole("task.env.asymmetric_observations=True"))
     assert env.get_observations()["critic"].shape == (NUM_ENVS, 4)
-
-
-def test_infos_of_the_task_are_in_the_extras(make_task):
-    env = RslRlVecEnvWrapper(make_task("HumanoidAMP"))
-    *_, extras = env.step(env.task.zero_actions())
-    assert extras["amp_obs"].shape == (NUM_ENVS, 210)
-    assert extras["log"] == {"diverged_simulations": 0.0}
-
-
-def test_a_wrong_order_is_an_error(env):
-    with pytest.raises(WrapperError, match=r"RslRlVecEnvWrapper: got .* wrap the task itself"):
-        RslRlVecEnvWrapper(env)

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError, WrapperError
-
 pytest.importorskip("stable_baselines3")
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from isaacgymenvs_lite.wrappers import GymnasiumEnv, Sb3VecEnvWrapper
+from isaacgymenvs_lite.wrappers import Sb3VecEnvWrapper
 
 NUM_ENVS = 6
 
@@ -87,15 +85,6 @@ def _own_return(env: Sb3VecEnvWrapper, info: dict) -> float:
     return float(episodes.returns[place])
 
 
-def test_infos_of_the_task_are_in_each_info(make_task):
-    env = Sb3VecEnvWrapper(make_task("HumanoidAMP"))
-    env.reset()
-    *_, infos = env.step(np.zeros((NUM_ENVS, 28)))
-    rows = np.stack([info["amp_obs"] for info in infos])
-    assert np.array_equal(rows, env.stepper.last_step.per_env["amp_obs"].numpy())
-    assert infos[0]["log"] == {"diverged_simulations": 0.0}
-
-
 def test_a_seed_repeats_the_first_observations(env):
     env.seed(3)
     first = env.reset()
@@ -103,15 +92,6 @@ def test_a_seed_repeats_the_first_observations(env):
     assert not np.array_equal(env.reset(), first)
     env.seed(3)
     assert np.array_equal(env.reset(), first)
-
-
-def test_the_task_answers_for_its_environments(env):
-    assert env.get_attr("max_episode_length", [1, 2]) == [500, 500]
-    assert env.env_method("zero_actions", indices=0)[0].shape == (NUM_ENVS, 1)
-    env.set_attr("max_episode_length", 50)
-    assert env.task.max_episode_length == 50
-    with pytest.raises(ConfigError, match="the environments are one task; leave indices out"):
-        env.set_attr("max_episode_length", 50, indices=[0])
 
 
 def test_the_librarys_algorithms_and_evaluation_take_it(env, recwarn):
@@ -122,15 +102,3 @@ def test_the_librarys_algorithms_and_evaluation_take_it(env, recwarn):
     env.set_attr("max_episode_length", 20)
     _, lengths = evaluate_policy(model, normalized, 6, return_episode_rewards=True)
     assert all(2 < length <= 19 for length in lengths)
-
-
-def test_pictures_are_tiled(gl, make_cartpole):
-    env = Sb3VecEnvWrapper(make_cartpole(num_envs=4), render_mode="rgb_array")
-    env.reset()
-    assert env.render().shape == (480, 640, 3)
-
-
-def test_a_wrong_order_is_an_error(env, make_cartpole):
-    for wrapped in (env, VecNormalize(env), GymnasiumEnv(make_cartpole(num_envs=1))):
-        with pytest.raises(WrapperError, match=r"Sb3VecEnvWrapper: got .* wrap the task itself"):
-            Sb3VecEnvWrapper(wrapped)

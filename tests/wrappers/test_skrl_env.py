@@ -3,8 +3,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import WrapperError
-
 pytest.importorskip("skrl")
 from skrl.envs.wrappers.torch import Wrapper
 
@@ -64,16 +62,3 @@ def test_infos_for_all_environments_are_logged_by_trainers(make_task):
     amp.reset()
     *_, infos = amp.step(amp.task.zero_actions())
     assert infos["amp_obs"].shape == (NUM_ENVS, 210)
-
-
-def test_pictures_only_with_a_render_mode(gl, make_cartpole, env):
-    env.reset()
-    assert env.render() is None
-    drawn = SkrlVecEnvWrapper(make_cartpole(num_envs=2), render_mode="rgb_array")
-    drawn.reset()
-    assert len(drawn.render()) == 2
-
-
-def test_a_wrong_order_is_an_error(env):
-    with pytest.raises(WrapperError, match=r"SkrlVecEnvWrapper: got .* wrap the task itself"):
-        SkrlVecEnvWrapper(env)

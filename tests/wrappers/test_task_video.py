@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.wrappers.task_video import TaskVideo
 from tests.viewers.conftest import assert_is_a_video, frames_of
 from tests.wrappers.conftest import MakeTask
@@ -61,13 +60,6 @@ def test_episodes_of_environment_0(make_cartpole: MakeTask, tmp_path: Path) -> N
     assert lengths["pole-episode-2"] == (ends[2] if len(ends) > 2 else 60) - ends[1]
 
 
-def test_without_a_trigger_the_first_episodes_are_recorded(
-    make_cartpole: MakeTask, tmp_path: Path
-) -> None:
-    _play(TaskVideo(make_cartpole(), tmp_path), 3)
-    assert _lengths(tmp_path) == {"rl-video-episode-0": 3}
-
-
 def test_everything_else_is_the_task_s(make_cartpole: MakeTask, tmp_path: Path) -> None:
     env = make_cartpole()
     recorded = TaskVideo(env, tmp_path, step_trigger=lambda step: False)
@@ -80,12 +72,3 @@ def test_everything_else_is_the_task_s(make_cartpole: MakeTask, tmp_path: Path) 
         _ = recorded.no_such_thing
     recorded.close()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_mistakes_are_found_before_the_first_step(make_cartpole: MakeTask, tmp_path: Path) -> None:
-    env = make_cartpole()
-    with pytest.raises(ConfigError, match="expected episode_trigger or step_trigger, got both"):
-        TaskVideo(env, tmp_path, bool, bool)
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="cannot write the video folder"):
-        TaskVideo(env, tmp_path / "file" / "videos")

@@ -1,14 +1,8 @@
-"""What readers and writers of clips share: limits, errors, JSON, files that appear in one step.
-
-A reader works within `reading`, which is the one place where what a broken file raises becomes an
-error for the user.
-"""
+"""What readers and writers of clips share: one boundary for errors, and atomic writing."""
 
 from __future__ import annotations
 
 import json
-import re
-import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,14 +13,6 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError, UserError, one_line
 from isaacgymenvs_lite.utils import files
-
-MAX_BINARY_BYTES = 2**28
-"""Of a file of arrays, and of what its archive holds."""
-MAX_TEXT_BYTES = 2**25
-"""Of a table or a motion capture; its numbers take many times as much memory while it is read."""
-_NUMBERS = re.compile(r"[\s,.\deE+-]+")
-# An empty list takes 2 bytes of text and 64 of memory; a clip has a list for each 60 bytes.
-_MAX_JSON_BYTES, _MAX_JSON_CONTAINERS = 2**24, 500_000
 
 
 @contextmanager
@@ -47,28 +33,11 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
             yield
     except UserError:
         raise
+    except FileNotFoundError as error:
+        raise MotionFileError(f"{path}: no such file") from error
     except Exception as error:  # numpy, zipfile, pickle, csv and pybvh raise nearly anything
         reason = one_line(error) or type(error).__name__
         raise MotionFileError(f"{path}: is no {kind} that can be read ({reason})") from error
-
-
-def read_bytes(path: str | Path, max_bytes: int) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        MotionFileError: it is missing, no ordinary file, or longer than `max_bytes`.
-        OSError: it cannot be read.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise MotionFileError(f"{path}: no such file")
-    with path.open("rb") as stream:
-        content = stream.read(max_bytes + 1)
-    if len(content) > max_bytes:
-        raise MotionFileError(
-            f"{path}: is longer than {max_bytes // 2**20} MiB; cut it into several clips"
-        )
-    return content
 
 
 def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
@@ -82,30 +51,18 @@ def native_floats(array: npt.NDArray[Any]) -> npt.NDArray[np.floating]:
     return array.astype(np.float32 if is_short else np.float64)
 
 
-def check_text(array: npt.NDArray[np.str_]) -> None:
-    """Raise a ValueError for texts with characters that do not exist; Python cannot handle them."""
-    codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder + "u4")
-    if codes.size and codes.max() > sys.maxunicode:
-        raise ValueError(f"a text with the character 0x{codes.max():x}")
-
-
 def read_json(path: str | Path) -> dict[str, Any]:
     """Return the JSON object in the file at `path`.
 
     Raises:
-        MotionFileError: the file is no JSON text, is too long, or holds no object.
+        MotionFileError: the file is no JSON text, or holds no object.
     """
     with reading(path, "JSON text of a poselib or DeepMimic clip"):
-        text = read_bytes(path, _MAX_JSON_BYTES).decode("utf-8")
-        if text.count("[") + text.count("{") > _MAX_JSON_CONTAINERS:
-            raise ValueError(f"more than {_MAX_JSON_CONTAINERS:,} lists and objects")
-        if _NUMBERS.fullmatch(row := text.partition("\n")[0]):
-            columns = len(row.replace(",", " ").split())
-            raise ValueError(f"a table of {columns} columns, which is read from a .csv with commas")
-        data = json.loads(text)
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(data, dict):
         raise MotionFileError(
-            f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip"
+            f"{path}: holds a JSON {type(data).__name__}, expected the object of a clip; a table of"
+            " numbers is read from a .csv with commas"
         )
     return data
 

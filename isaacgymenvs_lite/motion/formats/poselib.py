@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import MotionFileError, one_line
+from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
@@ -57,11 +57,19 @@ def clip_from_poselib(data: Any, name: str) -> MotionClip:
 
 
 def _clip(data: Any, name: str) -> MotionClip:
-    _check_tag(data, name)
-    tree = _mapping(data, "skeleton_tree", name)
+    tag = data.get("__name__") if isinstance(data, Mapping) else None
+    if tag != _CLIP_TAG:
+        hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
+        found = ", ".join(sorted(str(key) for key in data)) or "nothing"
+        raise MotionFileError(
+            f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
+        )
+    tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
+    if isinstance(fps, Mapping):  # a 0-d array, as in IsaacGymEnvs' clips
+        fps = fps["__ndarray__"]
     clip = MotionClip(
         name=name,
-        fps=_number(data, "fps", name),
+        fps=float(np.asarray(fps).item()),
         body_names=tuple(str(node) for node in np.ravel(_item(tree, "node_names", name))),
         parent_indices=tuple(int(body) for body in _array(tree, "parent_indices", name).ravel()),
         local_translation=native_floats(_array(tree, "local_translation", name)),
@@ -77,18 +85,6 @@ def _clip(data: Any, name: str) -> MotionClip:
     return clip
 
 
-def _check_tag(data: Any, name: str) -> None:
-    if not isinstance(data, Mapping):
-        raise MotionFileError(f"{name}: holds a {type(data).__name__}, expected a {_CLIP_TAG}")
-    tag = data.get("__name__")
-    if tag != _CLIP_TAG:
-        hint = " (a single pose, such as a T-pose, has no duration)" if tag == _POSE_TAG else ""
-        found = ", ".join(sorted(str(key) for key in data)) or "nothing"
-        raise MotionFileError(
-            f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
-        )
-
-
 def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
     if key not in data:
         found = ", ".join(sorted(str(other) for other in data)) or "nothing"
@@ -96,42 +92,18 @@ def _item(data: Mapping[str, Any], key: str, name: str) -> Any:
     return data[key]
 
 
-def _mapping(data: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
-    item = _item(data, key, name)
-    if not isinstance(item, Mapping):
-        raise MotionFileError(f"{name}: {key} is a {type(item).__name__}, expected a dictionary")
-    return item
-
-
 def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
     """Return the array of numbers {arr, context: {dtype}} under `key`, cast to its dtype."""
-    item = _mapping(data, key, name)
+    item = _item(data, key, name)
     stored = _item(item, "arr", name)
-    dtype = _item(_mapping(item, "context", name), "dtype", name)
-    try:
-        if isinstance(stored, Mapping):
-            stored = np.reshape(stored["__ndarray__"], stored["shape"])
-        array = np.asarray(stored)
-        cast_to = np.dtype(str(dtype))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = one_line(error)
-        raise MotionFileError(f"{name}: {key} is no array of numbers ({reason})") from error
+    if isinstance(stored, Mapping):
+        stored = np.reshape(stored["__ndarray__"], stored["shape"])
+    array, cast_to = np.asarray(stored), np.dtype(str(_item(item, "context", name)["dtype"]))
     if array.dtype.kind not in "fiu" or cast_to.kind not in "fiu":
         raise MotionFileError(
-            f"{name}: {key} holds {array.dtype} to be read as {dtype}, expected numbers"
+            f"{name}: {key} holds {array.dtype} to be read as {cast_to}, expected numbers"
         )
     return array.astype(cast_to)
-
-
-def _number(data: Mapping[str, Any], key: str, name: str) -> float:
-    """Return the number under `key`: int, float or, as in IsaacGymEnvs' clips, a 0-d array."""
-    item = _item(data, key, name)
-    if isinstance(item, Mapping):
-        item = item.get("__ndarray__", item)
-    try:
-        return float(np.asarray(item).item())
-    except (TypeError, ValueError, OverflowError) as error:
-        raise MotionFileError(f"{name}: {key} is {item!r}, expected a number") from error
 
 
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
@@ -147,25 +119,13 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
             f"{clip.name}: joints of its skeleton are beside the origins of their bodies, for which"
             " poselib's format has no place; write a .npz file"
         )
-    path = Path(path)
-    content = np.empty((), dtype=object)
-    content[()] = _as_skeleton_motion(clip)
-    stream = io.BytesIO()
-    header = np.lib.format.header_data_from_array_1_0(content)
-    np.lib.format.write_array_header_1_0(stream, header)
-    stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
-    with written_clip(path) as partial:
-        partial.write_bytes(stream.getvalue())
-    return path
-
-
-def _as_skeleton_motion(clip: MotionClip) -> OrderedDict[str, Any]:
     tree = OrderedDict(
         node_names=list(clip.body_names),
         parent_indices=_tagged(clip.parent_indices, "int64"),
         local_translation=_tagged(clip.local_translation, "float32"),
     )
-    return OrderedDict(
+    content = np.empty((), dtype=object)
+    content[()] = OrderedDict(
         rotation=_tagged(clip.local_rotation, "float32"),
         root_translation=_tagged(clip.root_translation, "float32"),
         global_velocity=_tagged(clip.linear_velocity_w, "float32"),
@@ -174,8 +134,15 @@ def _as_skeleton_motion(clip: MotionClip) -> OrderedDict[str, Any]:
         is_local=True,
         # A whole number where it is one: poselib's own scripts index with it.
         fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
-        __name__="SkeletonMotion",
+        __name__=_CLIP_TAG,
     )
+    stream = io.BytesIO()
+    header = np.lib.format.header_data_from_array_1_0(content)
+    np.lib.format.write_array_header_1_0(stream, header)
+    stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
+    with written_clip(Path(path)) as partial:
+        partial.write_bytes(stream.getvalue())
+    return Path(path)
 
 
 def _tagged(array: Any, dtype: str) -> dict[str, Any]:

@@ -14,28 +14,27 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError
-from isaacgymenvs_lite.motion.formats.files import reading, written_clip
+from isaacgymenvs_lite.motion.formats.files import reading
 from isaacgymenvs_lite.motion.formats.joint_csv import (
-    ANGLE_UNITS,
-    COLUMN,
     LENGTH_UNITS,
-    MAX_COLUMN_LENGTH,
-    MAX_COLUMNS,
     POSITION,
     ROTATION,
     TIME,
-    TIME_UNITS,
+    check_columns,
     frame_rate,
+    is_number,
+    joined,
+    read_columns,
+    read_header,
     read_lines,
     read_numbers,
+    write_table,
 )
 from isaacgymenvs_lite.motion.formats.robot_joints import BY_NUMBER
 from isaacgymenvs_lite.motion.joint_clip import JointClip
@@ -61,127 +60,63 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
             length or with something else than finite numbers; unequal time steps.
     """
     with reading(path, "table of a robot's joint angles"):
-        lines, file_fps = read_lines(Path(path))
-        width = len(lines[0])
-        if width == 1:
+        lines, file_fps = read_lines(path)
+        fps = file_fps or fps
+        if len(lines[0]) == 1:
             raise MotionFileError(
                 f"{path}: has one column, expected several with commas between them; the first "
                 f"line begins with '{lines[0][0][:40]}'"
             )
-        if width > MAX_COLUMNS or max(map(len, lines[0])) > MAX_COLUMN_LENGTH:
-            raise MotionFileError(
-                f"{path}: the first line has {width} columns of up to {max(map(len, lines[0]))} "
-                f"characters, expected at most {MAX_COLUMNS} and {MAX_COLUMN_LENGTH}"
-            )
         if is_number(lines[0][0]):
-            table = read_numbers(lines, width, path)
-            return _headerless(table, file_fps or fps or LAFAN1_FPS, path)
-        names, units = _header(lines[0], path)
-        table = read_numbers(lines[1:], width, path)
+            table = read_numbers(lines, len(lines[0]), path)
+            if table.shape[1] <= _ROOT_WIDTH:
+                raise MotionFileError(
+                    f"{path}: has {table.shape[1]} columns and no header, expected root position "
+                    "(3), root quaternion (4) and at least one joint"
+                )
+            position, rotation, dof_pos = np.split(table, (3, _ROOT_WIDTH), axis=1)
+            names = BY_NUMBER.get(dof_pos.shape[1])
+            return JointClip(str(path), fps or LAFAN1_FPS, position, rotation, dof_pos, names)
+        names, units = read_header(lines[0], path)
         if _BONES_POSITION[0] in names:
-            return _bones(names, table, file_fps or fps or BONES_FPS, path)
-        return _own(names, units, table, file_fps or fps, path)
-
-
-def is_number(text: str) -> bool:
-    """Return whether a cell is a number rather than a name of a column."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _headerless(table: FloatArray, fps: float, path: str | Path) -> JointClip:
-    num_dofs = table.shape[1] - _ROOT_WIDTH
-    if num_dofs < 1:
-        raise MotionFileError(
-            f"{path}: has {table.shape[1]} columns and no header, expected root position (3), "
-            "root quaternion (4) and at least one joint"
+            table = read_numbers(lines[1:], len(names), path)
+            return _bones(names, table, fps or BONES_FPS, path)
+        joints = _joints(names, (TIME, *POSITION, *ROTATION), path)
+        column = read_columns(names, units, lines[1:], path)
+        return JointClip(
+            str(path),
+            frame_rate(column, fps, path),
+            joined(column, POSITION),
+            joined(column, ROTATION),
+            joined(column, joints),
+            tuple(joints),
         )
-    position, rotation, dof_pos = np.split(table, (3, _ROOT_WIDTH), axis=1)
-    return JointClip(str(path), fps, position, rotation, dof_pos, BY_NUMBER.get(num_dofs))
 
 
-def _header(cells: list[str], path: str | Path) -> tuple[list[str], list[str | None]]:
-    header = [match for text in cells if (match := COLUMN.fullmatch(text))]
-    if len(header) != len(cells):
-        raise MotionFileError(f"{path}: the header has a column that is not like 'name [unit]'")
-    names = [match["name"] for match in header]
-    double = sorted({name for name in names if names.count(name) > 1})
-    if double:
-        raise MotionFileError(f"{path}: the header names {', '.join(double)} twice")
-    return names, [match["unit"] for match in header]
-
-
-def _require(names: list[str], needed: tuple[str, ...], path: str | Path) -> None:
-    missing = [name for name in needed if name not in names]
-    if missing:
-        raise MotionFileError(
-            f"{path}: the header lacks {', '.join(missing)}; docs/motion_formats.md has the "
-            "columns of robots' clips"
-        )
+def _joints(names: list[str], others: tuple[str, ...], path: str | Path) -> list[str]:
+    """Return the names that are not `others`, of which all but the first must be there, too."""
+    check_columns(names, others[1:], path)
+    joints = [name for name in names if name not in others]
+    if not joints:
+        raise MotionFileError(f"{path}: the header names no joint columns after the root columns")
+    return joints
 
 
 def _bones(names: list[str], table: FloatArray, fps: float, path: str | Path) -> JointClip:
-    _require(names, (*_BONES_POSITION, *_BONES_ROTATION), path)
+    joints = _joints(names, (_BONES_FRAME, *_BONES_POSITION, *_BONES_ROTATION), path)
     column = {name: table[:, i] for i, name in enumerate(names)}
     if _BONES_FRAME in column and not np.all(np.diff(column[_BONES_FRAME]) == 1.0):
         raise MotionFileError(f"{path}: frames are missing, '{_BONES_FRAME}' is not 0, 1, 2, ...")
-    root = {_BONES_FRAME, *_BONES_POSITION, *_BONES_ROTATION}
-    joints = [name for name in names if name not in root]
-    if not joints:
-        raise MotionFileError(f"{path}: the header names no joints behind the root's columns")
     angles = (torch.from_numpy(np.deg2rad(column[name])) for name in _BONES_ROTATION)
     return JointClip(
         str(path),
         fps,
-        np.stack([column[name] for name in _BONES_POSITION], axis=-1) * LENGTH_UNITS["cm"],
+        joined(column, _BONES_POSITION) * LENGTH_UNITS["cm"],
         rotations.quat_from_euler_xyz(*angles).numpy(),
-        np.deg2rad(np.stack([column[name] for name in joints], axis=-1)),
+        np.deg2rad(joined(column, joints)),
         tuple(name.removesuffix("_dof") for name in joints),
         file_quat_order=None,
     )
-
-
-def _own(
-    names: list[str],
-    units: list[str | None],
-    table: FloatArray,
-    fps: float | None,
-    path: str | Path,
-) -> JointClip:
-    _require(names, (*POSITION, *ROTATION), path)
-    column = {}
-    for i, (name, unit) in enumerate(zip(names, units, strict=True)):
-        choices = _units_of(name)
-        if choices and unit not in choices:
-            raise MotionFileError(
-                f"{path}: the column '{name}' has {f'the unit {unit!r}' if unit else 'no unit'}; "
-                f"choices: {', '.join(choices)}"
-            )
-        column[name] = table[:, i] * (choices[unit] if choices and unit else 1.0)
-    if TIME in column:
-        fps = frame_rate(column[TIME], path)
-    if fps is None:
-        raise MotionFileError(
-            f"{path}: has no column 'time [s]'; add one, or the first line '# fps: 30'"
-        )
-    joints = [name for name in names if name not in (TIME, *POSITION, *ROTATION)]
-    if not joints:
-        raise MotionFileError(f"{path}: the header names no joints behind the root's columns")
-    position, rotation, dof_pos = (
-        np.stack([column[name] for name in part], axis=-1) for part in (POSITION, ROTATION, joints)
-    )
-    return JointClip(str(path), fps, position, rotation, dof_pos, tuple(joints))
-
-
-def _units_of(name: str) -> dict[str, float]:
-    if name == TIME:
-        return TIME_UNITS
-    if name in POSITION:
-        return LENGTH_UNITS
-    return {} if name in ROTATION else ANGLE_UNITS
 
 
 def save_robot_csv(path: str | Path, clip: JointClip, header: bool = True) -> Path:
@@ -197,18 +132,7 @@ def save_robot_csv(path: str | Path, clip: JointClip, header: bool = True) -> Pa
         MotionFileError: the clip is not valid or lacks names, or the file cannot be written.
     """
     clip.validate()
-    path = Path(path)
+    if header and clip.joint_names is None:
+        raise MotionFileError(f"{clip.name}: has no names of joints; write it without a header")
     table = np.concatenate((clip.root_pos, clip.root_rot, clip.dof_pos), axis=1, dtype=np.float64)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if header:
-        if clip.joint_names is None:
-            raise MotionFileError(f"{clip.name}: has no names of joints; write it without a header")
-        table = np.concatenate((np.arange(clip.num_frames)[:, None] / clip.fps, table), axis=1)
-        names = (TIME, *POSITION, *ROTATION, *clip.joint_names)
-        units = [next(iter(_units_of(name)), None) for name in names]
-        writer.writerow(f"{n} [{u}]" if u else n for n, u in zip(names, units, strict=True))
-    writer.writerows([f"{value:.12g}" for value in row] for row in table.tolist())
-    with written_clip(path) as partial:
-        partial.write_text(text.getvalue(), encoding="utf-8")
-    return path
+    return write_table(path, table, clip.joint_names if header else None, clip.fps)

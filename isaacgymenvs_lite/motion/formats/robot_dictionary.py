@@ -23,9 +23,8 @@ import numpy as np
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
-from isaacgymenvs_lite.motion.clip import MAX_POSES
 from isaacgymenvs_lite.motion.formats.files import reading
-from isaacgymenvs_lite.motion.formats.npz import check_kind
+from isaacgymenvs_lite.motion.formats.npz import check_kind, one_number
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
 from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -39,8 +38,6 @@ _ROTATION = ("root_rot", "root_rotation", "root_quat")
 _JOINTS = ("dof_pos", "dof", "joint_pos", "dof_positions", "joint_positions", "joint_angles")
 _JOINT_NAMES = ("joint_names", "dof_names")
 _FRAMES, _FPS = "frames", "fps"
-# An array holds joint angles and numbers of the root.
-_MAX_NUMBERS = 2 * MAX_POSES
 
 
 def is_robot_dictionary(path: Path) -> bool:
@@ -66,7 +63,7 @@ def load_robot_dictionary(
         fps: frames per second of a clip without a rate.
 
     Raises:
-        MotionFileError: the file would run code, is damaged, too large, holds something else, or
+        MotionFileError: the file would run code, is damaged, holds something else, or
             has no such motion.
     """
     with reading(path, _EXPECTED):
@@ -109,12 +106,24 @@ def _is_clip(data: Any) -> bool:
 
 
 def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
-    fps = _fps(data, name) if _FPS in data else fps
+    fps = one_number(np.asarray(data[_FPS]), _FPS, name) if _FPS in data else fps
     if fps is None:
         raise MotionFileError(f"{name}: has no fps; give file_fps=, the frames per second")
-    names = next((_texts(data, key, name) for key in _JOINT_NAMES if key in data), None)
-    if not any(key in data for key in _POSITION):
-        return _mimickit(data, name, fps, names)
+    names: tuple[str, ...] | None = None
+    given = next((data[key] for key in _JOINT_NAMES if key in data), None)
+    if given is not None:
+        check_kind(np.asarray(given), "joint_names", "U", name)
+        names = tuple(str(joint) for joint in np.ravel(given))
+    if not any(key in data for key in _POSITION):  # MimicKit's
+        frames = _floats(data, _FRAMES, name)
+        if frames.ndim != 2 or frames.shape[1] < 7:
+            raise MotionFileError(
+                f"{name}: frames has shape {frames.shape}, expected (frames, 6 + joints)"
+            )
+        position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
+        turns = torch.from_numpy(np.ascontiguousarray(exp_map))
+        rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
+        return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
     position_key, rotation_key, joints_key = (
         next(key for key in part if key in data) for part in (_POSITION, _ROTATION, _JOINTS)
     )
@@ -130,46 +139,7 @@ def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
     return JointClip(name, fps, position, rotation, joints, names)
 
 
-def _mimickit(
-    data: Mapping[str, Any], name: str, fps: float, names: tuple[str, ...] | None
-) -> JointClip:
-    frames = _floats(data, _FRAMES, name)
-    if frames.ndim != 2 or frames.shape[1] < 7:
-        raise MotionFileError(
-            f"{name}: frames has shape {frames.shape}, expected (frames, 6 + joints)"
-        )
-    position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
-    turns = torch.from_numpy(np.ascontiguousarray(exp_map))
-    rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
-    return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
-
-
-def _texts(data: Mapping[str, Any], key: str, name: str) -> tuple[str, ...] | None:
-    value = data[key]
-    if value is None:
-        return None
-    items = value.ravel().tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
-        raise MotionFileError(f"{name}: {key} is no list of texts")
-    return tuple(items)
-
-
 def _floats(data: Mapping[str, Any], key: str, name: str) -> FloatArray:
-    value = data[key]
-    if not isinstance(value, np.ndarray):
-        # Of a list with texts or dictionaries numpy makes an array that is far larger.
-        rows = value if isinstance(value, list) else [value]
-        for row in rows:
-            items = row if isinstance(row, list) else [row]
-            if not all(isinstance(item, (int, float)) for item in items):
-                raise MotionFileError(f"{name}: {key} is no array and no list of numbers")
-        value = np.asarray(value)
-    check_kind(value, key, "fiu", name, _MAX_NUMBERS)
+    value = np.asarray(data[key])
+    check_kind(value, key, "fiu", name)
     return value.astype(np.float64)
-
-
-def _fps(data: Mapping[str, Any], name: str) -> float:
-    fps = _floats(data, _FPS, name)
-    if fps.size != 1:
-        raise MotionFileError(f"{name}: fps has shape {fps.shape}, expected one number")
-    return float(fps.item())

@@ -32,7 +32,7 @@ _OFF_TEMPO = 0.02
 # A policy that falls after a second learns to stay up first, at half the tempo if need be: kicks
 # and first steps are slow before they are right. The limits are narrow once the mean episode has
 # lasted the second of these times. Haste is never allowed: a walk that began quick steps did not
-# come back from them (docs/results.md, "Tempo").
+# come back from them.
 _EASED_S = (COMPARED_S, 3.0 * COMPARED_S)
 _SLOWEST_TEMPO = 0.5
 # Over how many episodes of each environment their duration is averaged, about.

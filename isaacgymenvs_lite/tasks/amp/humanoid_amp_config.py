@@ -67,8 +67,8 @@ class HumanoidAMPConfig(TaskConfig):
     clip_tempo: float = setting(0.0, key="clipTempo", minimum=0)
     """This project's: with `clip_deviation`, such an episode also ends where its last second shows
     the clip faster by more than this share, or as much slower; 0: at any tempo. Without a limit
-    walks become quick, short steps (docs/results.md, "Tempo"). Half of the clip's is
-    enough at first, until the mean episode has lasted three seconds."""
+    walks become quick, short steps. Half of the clip's is enough at first, until the mean episode
+    has lasted three seconds."""
     end_with_clip: bool = setting(False, key="endWithClip")
     """This project's: with `clip_deviation`, an episode that starts in a clip whose end is far from
     its start reaches its time limit there. No clip shows what comes next."""
@@ -76,5 +76,5 @@ class HumanoidAMPConfig(TaskConfig):
     """This project's: raise or lower each clip so that its lowest points are on the ground."""
     enforce_effort_limits: bool = setting(False, key="enforceEffortLimits")
     """This project's: limit PD torques to the published motor efforts, as the MJCF lists them.
-    The originals do not limit them; docs/results.md has the cost of the limits."""
+    The originals do not limit them."""
     asset: AssetConfig = field(default_factory=lambda: AssetConfig(OWN_ASSET))

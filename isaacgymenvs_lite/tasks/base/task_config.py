@@ -33,8 +33,8 @@ class EnvConfig:
     num_states: int = setting(0, key="numStates", minimum=0, maximum=_MAX_SIZE)
     num_actions: int = setting(key="numActions", minimum=0, maximum=_MAX_SIZE)
     control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1, maximum=_MAX_STEPS)
-    clip_observations: float = setting(float("inf"), key="clipObservations", above=0, infinite=True)
-    clip_actions: float = setting(float("inf"), key="clipActions", above=0, infinite=True)
+    clip_observations: float = setting(float("inf"), key="clipObservations", above=0)
+    clip_actions: float = setting(float("inf"), key="clipActions", above=0)
 
 
 UNREAD_ENV_KEYS = (*_IGNORED, *keys_of(EnvConfig))
@@ -67,7 +67,7 @@ class PlaneConfig:
 class TaskConfig:
     """Keys of `task.env` that every task reads."""
 
-    clip_actions: float = setting(1.0, key="clipActions", above=0, infinite=True)
+    clip_actions: float = setting(1.0, key="clipActions", above=0)
     """Actions are clamped to this magnitude."""
     control_freq_inv: int = setting(1, key="controlFrequencyInv", minimum=1, maximum=_MAX_STEPS)
     """Simulator calls of `sim.dt` in a control step."""

@@ -1,10 +1,6 @@
 import io
 import os
 import pickle
-import struct
-import subprocess
-import sys
-import tracemalloc
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -13,6 +9,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
+from isaacgymenvs_lite.motion.formats import restricted_pickle
 from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy, load_pickle
 
 
@@ -43,7 +40,7 @@ class Call:
 
 @pytest.mark.parametrize(
     ("protocol", "numpy_module"),
-    [(3, b"numpy.core"), (3, b"numpy._core"), (4, b"numpy._core"), (5, b"numpy._core")],
+    [(3, b"numpy.core"), (5, b"numpy._core")],
 )
 def test_plain_content_comes_back(tmp_path: Path, protocol: int, numpy_module: bytes) -> None:
     content: OrderedDict[str, Any] = OrderedDict(
@@ -65,15 +62,14 @@ def test_plain_content_comes_back(tmp_path: Path, protocol: int, numpy_module: b
     assert loaded["nested"] == content["nested"]
 
 
-@pytest.mark.parametrize("protocol", [0, 2, 3, 4, 5])
-@pytest.mark.parametrize("attack", ["os.system", "builtins.eval", "builtins.exec"])
+@pytest.mark.parametrize("protocol", [0, 3, 5])
+@pytest.mark.parametrize("attack", ["os.system", "builtins.eval"])
 def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: int) -> None:
     marker = tmp_path / "marker"
     touch = f"open({str(marker)!r}, 'w').close()"
     call, name = {
         "os.system": (Call(os.system, f"touch {marker}"), f"{os.system.__module__}.system"),
         "builtins.eval": (Call(eval, touch), "eval"),
-        "builtins.exec": (Call(exec, touch), "exec"),
     }[attack]
     for i, content in enumerate((call, {"rotation": {"arr": call}}, [{"deep": (call,)}])):
         # Alone in the file and inside the array that a clip consists of.
@@ -89,18 +85,7 @@ def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: in
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "numpy load",
-        "numpy.core.multiarray fromfile",
-        "numpy.core.multiarray _reconstruct.__globals__",
-        "numpy ndarray.tofile",
-        "numpy.lib.npyio load",
-        "collections namedtuple",
-        "builtins getattr",
-        "functools partial",
-        "_codecs encode",
-        "isaacgymenvs_lite.errors UserError",
-    ],
+    ["numpy load", "numpy.core.multiarray _reconstruct.__globals__", "builtins getattr"],
 )
 def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
     module, attribute = name.split()
@@ -112,61 +97,40 @@ def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     "program",
     [
-        b"cnumpy\nndarray\n}b.",  # give the class a state
-        b"cnumpy\ndtype\n}b.",
+        b"cnumpy\ndtype\n}b.",  # give the class a state
         b"ccollections\nOrderedDict\n}U\x08__call__K\x01sb.",
-        b"cnumpy.core.multiarray\nscalar\n(N}tb.",
+        b"cnumpy.core.multiarray\nscalar\n(N}U\x0c__defaults__(K\x01K\x02tstb.",
         b"cnumpy\nndarray\n(K\x01tR.",  # an array without content
         # 255 numbers in 0 bytes:
         b"cnumpy\nndarray\n(tR(K\x01(K\xfftcnumpy\ndtype\n(U\x02f8tRI00\nU\x00tb.",
         b"cnumpy\nndarray\n(tRcnumpy\nndarray\n(tRb.",  # an array as state of an array
         b"Pid\n.",  # persistent id
-        b"\x82\x01.",  # extension registry
-        b"K\x01.",
-        b")R.",
         b"",
     ],
 )
-def test_malformed_programs_fail_and_change_nothing(tmp_path: Path, program: bytes) -> None:
+def test_malformed_programs_are_one_line_and_change_nothing(tmp_path: Path, program: bytes) -> None:
     with pytest.raises(MotionFileError) as raised:
         load_object_npy(write_npy(tmp_path / "bad.npy", program))
     assert "\n" not in str(raised.value)
-    good = write_npy(tmp_path / "good.npy", pickled_array({"a": np.arange(3.0)}))
+    good = write_npy(
+        tmp_path / "good.npy", pickled_array({"a": np.arange(3.0), "b": np.float32(2)})
+    )
     np.testing.assert_array_equal(load_object_npy(good)["a"], [0.0, 1.0, 2.0])
+    assert restricted_pickle._scalar.__defaults__ is None
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        # 10 GB in a file of 300 bytes; pickle itself would make room for them
-        ((struct.pack("<Q", 48), struct.pack("<Q", 10**10)), "pickle exhausted before end"),
-        ((b"K\x02K\x03\x86", b"K\x02K\xff\x86"), r"of shape \(2, 255\) in 48 bytes"),
-        ((b"\x8c\x01C", b"\x8c\x01K"), "axes were exchanged"),
-        ((b"\x8c\x02f8", b"\x8c\x02O8"), "an array of type '<O8'"),
-    ],
-)
-def test_buffers_of_protocol_5_that_lie_are_refused(tmp_path: Path, change, message) -> None:
-    pickled = pickle.dumps({"a": np.arange(6.0).reshape(2, 3)}, protocol=5)
-    assert pickled.count(change[0]) == 1
+def test_arrays_of_protocol_5(tmp_path: Path) -> None:
+    arrays = np.arange(24.0).reshape(2, 3, 4, order="F")
     path = tmp_path / "clip.pkl"
-    path.write_bytes(pickled.replace(*change))
-    tracemalloc.start()
-    with pytest.raises(MotionFileError, match=message):
-        load_pickle(path, "clip")
-    assert tracemalloc.get_traced_memory()[1] < 2**29
-    tracemalloc.stop()
-
-
-def test_buffers_beside_the_file_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "clip.pkl"
-    path.write_bytes(pickle.dumps(np.arange(6.0), protocol=5, buffer_callback=[].append))
-    with pytest.raises(MotionFileError, match=r"out-of-band buffers.*without buffer_callback"):
-        load_pickle(path, "clip")
+    path.write_bytes(pickle.dumps({"a": arrays, "turned": arrays.transpose(1, 2, 0)}, protocol=5))
+    loaded = load_pickle(path, "clip")
+    np.testing.assert_array_equal(loaded["a"], arrays)
+    np.testing.assert_array_equal(loaded["turned"], arrays.transpose(1, 2, 0))
 
 
 def test_object_arrays_inside_are_refused(tmp_path: Path) -> None:
     inner = np.array([{}, []], dtype=object)
-    with pytest.raises(MotionFileError, match="an array of objects"):
+    with pytest.raises(MotionFileError, match=r"an array of type .\|O8"):
         load_object_npy(write_npy(tmp_path / "clip.npy", pickled_array({"arr": inner})))
 
 
@@ -177,60 +141,10 @@ def test_truncated_empty_and_other_files(tmp_path: Path) -> None:
         path.write_bytes(whole[:size])
         with pytest.raises(MotionFileError, match="that can be read"):
             load_object_npy(path)
-    path.write_bytes(b"")
-    with pytest.raises(MotionFileError, match="the file is empty"):
-        load_object_npy(path)
-    for content in (b"not numpy at all", whole[:50]):
+    for content in (b"", b"not numpy at all", whole[:50]):
         path.write_bytes(content)
-        with pytest.raises(MotionFileError, match="no readable numpy header"):
+        with pytest.raises(MotionFileError, match="no poselib clip"):
             load_object_npy(path)
     np.save(path, np.zeros((2, 3)))
     with pytest.raises(MotionFileError, match=r"holds an array of float64 of shape \(2, 3\)"):
         load_object_npy(path)
-
-
-def _nested(depth: int) -> bytes:
-    return b")" + b"\x85" * depth  # (((...),),)
-
-
-@pytest.mark.parametrize(
-    "pickled",
-    [
-        # The value with the number 2^30: the unpickler in C makes room for all before it.
-        pytest.param(b"\x80\x02Nr\x00\x00\x00\x40.", id="number of a value"),
-        pytest.param(b"\x80\x02}" + _nested(200_000) + b"Ns.", id="deep key"),
-        pytest.param(b"\x80\x02" + b"]" * 200_000 + b"a" * 199_999 + b".", id="deep list"),
-        pytest.param(b"\x80\x04\x8a\xff" + b"\x01" * 255 + b".", id="long number"),
-        pytest.param(b"\x80\x04\x8e" + b"\xff" * 7 + b"\x00.", id="bytes longer than the file"),
-    ],
-)
-def test_pickles_that_are_made_to_break_a_reader_are_one_line(pickled, tmp_path):
-    """In a process of its own, with 2 GB: a crash of the reader fails the test, not the suite."""
-    path = write_npy(tmp_path / "clip.npy", pickled)
-    script = (
-        "import resource, sys\n"
-        "from isaacgymenvs_lite.motion.formats.restricted_pickle import load_object_npy\n"
-        "resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))\n"
-        "try:\n    load_object_npy(sys.argv[1])\n"
-        "except Exception as error:\n    print(type(error).__name__, error)\n"
-    )
-    command = [sys.executable, "-c", script, str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr[-500:]
-    assert done.stdout.startswith("MotionFileError ")
-    assert len(done.stdout.splitlines()) == 1
-
-
-def test_lists_that_name_each_other_are_not_written_out(tmp_path):
-    """40 lists of ten times the one before: a small file with 10^40 values."""
-    lists: list[Any] = [0]
-    for _ in range(40):
-        lists = [lists] * 10
-    with pytest.raises(MotionFileError, match="more values"):
-        load_object_npy(write_npy(tmp_path / "clip.npy", pickled_array(lists)))
-
-
-def test_an_array_that_is_named_often_is_not_copied_often(tmp_path):
-    content = [np.zeros(10_000)] * 100
-    with pytest.raises(MotionFileError, match="larger than the file"):
-        load_object_npy(write_npy(tmp_path / "clip.npy", pickled_array(content)))

@@ -34,15 +34,6 @@ def test_at_first_they_are_drawn_by_weight_and_evenly():
     torch.testing.assert_close(shares(starts()), expected, atol=0.007, rtol=0.0)
 
 
-def test_moments_are_in_their_bins():
-    adaptive = starts()
-    ids, times_s = adaptive.draw(1000)
-    assert (times_s >= 0.0).all()
-    assert (times_s <= LENGTHS_S[ids]).all()
-    moments = torch.tensor([0, 0, 0, 1, 1]), torch.tensor([0.0, 0.31, 0.5, 0.0, 1.0])
-    assert adaptive.bins_of(*moments).tolist() == [0, 3, 4, 5, 14]
-
-
 def test_where_it_fails_it_starts():
     adaptive = starts()
     failing(adaptive, [2, 9])
@@ -63,9 +54,3 @@ def test_a_late_failure_and_one_that_was_cut_off_are_no_failures_of_the_start():
     adaptive.count(bins, soon + 2, torch.ones(100, dtype=torch.bool))  # fell later
     assert adaptive.failure_rate[7] < 0.1
     assert torch.equal(adaptive.failure_rate[:7], before[:7])
-
-
-def test_a_policy_that_never_fails_starts_evenly():
-    adaptive = starts()
-    adaptive.failure_rate.zero_()
-    assert shares(adaptive).min() > 0.03

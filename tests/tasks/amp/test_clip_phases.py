@@ -67,27 +67,20 @@ def test_the_distance_is_that_of_the_best_turn() -> None:
         )
 
 
-@pytest.mark.parametrize("tempo", [0.5, 0.8, 1.0, 1.3, 2.0])
-@pytest.mark.parametrize("start_s", [0.0, 0.6])
-def test_an_episode_at_its_own_tempo_is_near(tempo: float, start_s: float) -> None:
-    episode = body(times(3 * STEPS, tempo, start_s), turn_rad=2.0)
-    away_m = followed(clip(), episode, start_s)
-    # Half a phase, 1/100 of the circle, is 0.02 m of the three points, and 0.02 m is a tempo off.
-    assert away_m.max() < 0.06
+def test_an_episode_at_its_own_tempo_is_near() -> None:
+    for tempo in [0.5, 0.8, 1.0, 1.3, 2.0]:
+        for start_s in [0.0, 0.6]:
+            episode = body(times(3 * STEPS, tempo, start_s), turn_rad=2.0)
+            away_m = followed(clip(), episode, start_s)
+            # Half a phase is 0.02 m of the three points, and a tempo that is off is 0.02 m.
+            assert away_m.max() < 0.06
 
 
-@pytest.mark.parametrize("tempo", [0.0, 0.25, -1.0])
-def test_one_that_stays_behind_is_far(tempo: float) -> None:
-    away_m = followed(clip(), body(times(2 * STEPS, tempo)))
-    assert away_m[0] < 0.2
-    assert away_m.max() > 0.6
-
-
-def test_a_phase_that_stayed_behind_catches_up() -> None:
-    """After a quarter of the circle at once: a step ahead of the clip, then as fast as the clip."""
-    away_m = followed(clip(), body(times(STEPS, start_s=LENGTH_S / 4)))
-    assert away_m[0] > 0.2
-    assert away_m[5:].max() < 0.06
+def test_one_that_stays_behind_is_far() -> None:
+    for tempo in [0.0, 0.25, -1.0]:
+        away_m = followed(clip(), body(times(2 * STEPS, tempo)))
+        assert away_m[0] < 0.2
+        assert away_m.max() > 0.6
 
 
 def test_at_rest_it_goes_on_at_the_tempo_of_the_clip() -> None:
@@ -165,34 +158,22 @@ def arc(num_phases: int, speed_m_s: float, turn_rad_s: float = 0.0) -> Tensor:
 SECOND = round(COMPARED_S / DT_S) * PHASES_PER_STEP
 
 
-@pytest.mark.parametrize("num_phases", [7, 30, 80])  # a second has 50
-@pytest.mark.parametrize("turn_rad_s", [0.0, 2.0, -0.7])
-def test_a_clip_that_repeats_goes_on_in_its_direction(num_phases: int, turn_rad_s: float) -> None:
-    """Each second of going round a circle is the same chord, over all ends of the clip.
-
-    From the last moment to the first it goes straight on, so that each end may cost one phase's
-    turn.
-    """
-    found = travel_through(arc(num_phases, 1.3, turn_rad_s), SECOND, repeats=True)
-    straight_on_rad = abs(turn_rad_s) * DT_S / PHASES_PER_STEP * math.ceil(SECOND / num_phases)
-    chord = torch.tensor([1.3, 0.0])
-    if turn_rad_s != 0.0:
-        ahead, left = math.sin(turn_rad_s), math.cos(turn_rad_s) - 1.0
-        chord = 1.3 / turn_rad_s * torch.tensor([ahead, left])
-    torch.testing.assert_close(
-        found, chord.expand(num_phases, 2), rtol=0.0, atol=1e-5 + 1.3 * straight_on_rad
-    )
-    assert num_phases < SECOND or torch.allclose(found[SECOND:], chord, atol=1e-5)
-
-
-def test_where_a_clip_that_does_not_repeat_comes_from_is_unknown() -> None:
-    found = travel_through(arc(80, 1.3), SECOND, repeats=False)
-    assert found[:SECOND].isnan().all()
-    torch.testing.assert_close(found[SECOND:], torch.tensor([[1.3, 0.0]]).expand(30, 2))
-
-
-def test_a_clip_of_one_moment_goes_nowhere() -> None:
-    assert travel_through(arc(1, 1.3), SECOND, repeats=True).tolist() == [[0.0, 0.0]]
+def test_a_clip_that_repeats_goes_on_in_its_direction() -> None:
+    """Each second of going round a circle is the same chord, over all ends of the clip."""
+    for num_phases in [7, 30, 80]:
+        for turn_rad_s in [0.0, 2.0, -0.7]:
+            found = travel_through(arc(num_phases, 1.3, turn_rad_s), SECOND, repeats=True)
+            straight_on_rad = (
+                abs(turn_rad_s) * DT_S / PHASES_PER_STEP * math.ceil(SECOND / num_phases)
+            )
+            chord = torch.tensor([1.3, 0.0])
+            if turn_rad_s != 0.0:
+                ahead, left = math.sin(turn_rad_s), math.cos(turn_rad_s) - 1.0
+                chord = 1.3 / turn_rad_s * torch.tensor([ahead, left])
+            torch.testing.assert_close(
+                found, chord.expand(num_phases, 2), rtol=0.0, atol=1e-5 + 1.3 * straight_on_rad
+            )
+            assert num_phases < SECOND or torch.allclose(found[SECOND:], chord, atol=1e-5)
 
 
 def lags_behind(
@@ -215,9 +196,8 @@ def lags_behind(
     return found
 
 
-@pytest.mark.parametrize(
-    ("velocity_w", "expected"),
-    [
+def test_a_second_may_get_less_far_by_a_share_of_the_clips_way() -> None:
+    for velocity_w, expected in [
         ((0.0, 1.0), False),
         ((0.0, 0.6), False),
         ((0.0, 0.4), True),
@@ -226,42 +206,13 @@ def lags_behind(
         ((0.0, 0.0), True),
         ((1.0, 0.0), True),
         ((0.0, -1.0), True),
-    ],
-)
-def test_a_second_may_get_less_far_by_a_share_of_the_clips_way(velocity_w, expected) -> None:
-    assert lags_behind(velocity_w) is expected
-
-
-def test_travel_is_compared_when_a_second_has_passed() -> None:
-    assert round(COMPARED_S / DT_S) == 25
-    assert not lags_behind((0.0, 0.0), steps=25)
-
-
-def test_travel_that_the_clip_does_not_show_is_not_compared() -> None:
-    """Before the first moment of a clip that does not end where it starts."""
-    assert not lags_behind((0.0, 0.0), circles=1.5, tempo=0.6)
-    assert lags_behind((0.0, 0.0), circles=1.5, tempo=1.0)
-    assert lags_behind((0.0, 0.0), circles=2.0, tempo=0.6)
+    ]:
+        assert lags_behind(velocity_w) is expected
 
 
 def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
     assert not lags_behind((0.0, 0.0), clip_speed=0.25)
     assert lags_behind((0.0, 0.0), clip_speed=0.35)
-
-
-def test_episodes_that_are_followed_no_more_may_travel_anywhere() -> None:
-    points = clip()
-    phases = ClipPhases([points], 2, DT_S, 0.3, [arc(len(points), 1.0)], travel_share=0.5)
-    phases.start(torch.arange(2), torch.zeros(2, dtype=torch.int64), torch.zeros(2))
-    at_rest, facing = torch.tensor([0.0, 0.0, 1.0]).expand(2, 3), torch.tensor([FACES_PLUS_Y] * 2)
-    for time_s in times(26):
-        phases.advance(body(time_s[None]).expand(2, -1, -1))
-        found = phases.lags_behind(at_rest, facing)
-    assert found.tolist() == [True, True]
-    phases.stop(torch.tensor([1]))
-    assert phases.lags_behind(at_rest, facing).tolist() == [True, False]
-    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
-    assert phases.lags_behind(at_rest, facing).tolist() == [False, False]
 
 
 def limited_phases(
@@ -298,14 +249,6 @@ def test_episodes_that_end_with_a_clip_are_long_when_they_last_half_of_it() -> N
     assert fallen.min_tempo() == 0.5
 
 
-def test_a_clip_of_two_poses_that_are_far_apart_has_limits() -> None:
-    phases = ClipPhases([clip()[:: STEPS // 2][:2]], 1, DT_S, limit_m=0.3, tempo_share=0.3)
-    assert phases.repeats.tolist() == [False]
-    start_all(phases)
-    assert phases.min_tempo() == 0.5
-    assert phases.current_limit_m() == pytest.approx(0.3)
-
-
 def start_all(phases: ClipPhases) -> None:
     num_envs = len(phases.is_off_tempo())
     zeros = torch.zeros(num_envs)
@@ -322,74 +265,23 @@ def is_off_tempo(tempo: float, share: float = 0.3, episodes_s: float = 5.0) -> l
     return found
 
 
-@pytest.mark.parametrize(
-    ("tempo", "expected"), [(0.5, True), (0.7, True), (0.85, False), (1.2, False), (1.4, True)]
-)
-def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit(tempo: float, expected: bool) -> None:
-    found = is_off_tempo(tempo)
-    assert not any(found[: STEPS - 1])  # less than a second
-    assert all(found[STEPS:]) is any(found) is expected
-    assert not any(is_off_tempo(tempo, share=0.0))
+def test_the_tempo_of_an_episode_may_be_off_up_to_a_limit() -> None:
+    for tempo, expected in [(0.5, True), (0.7, True), (0.85, False), (1.2, False), (1.4, True)]:
+        found = is_off_tempo(tempo)
+        assert not any(found[: STEPS - 1])  # less than a second
+        assert all(found[STEPS:]) is any(found) is expected
+        assert not any(is_off_tempo(tempo, share=0.0))
 
 
-@pytest.mark.parametrize(
-    ("episodes_s", "expected"),
-    # Of a second or less: a half. From there to three seconds it rises evenly to 1 / 1.3.
-    [(0.2, 0.5), (1.0, 0.5), (2.0, 0.635), (3.0, 0.769), (9.0, 0.769)],
-)
-def test_half_of_the_tempo_is_enough_while_episodes_are_short(
-    episodes_s: float, expected: float
-) -> None:
-    # The mean of twelve such episodes is 0.97 of their length.
-    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12))
-    assert phases.min_tempo() == pytest.approx(expected, abs=0.01)  # whole steps: 1 of 50
+def test_half_of_the_tempo_is_enough_while_episodes_are_short() -> None:
+    for episodes_s, expected in [(0.2, 0.5), (1.0, 0.5), (2.0, 0.635), (3.0, 0.769), (9.0, 0.769)]:
+        # The mean of twelve such episodes is 0.97 of their length.
+        phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12))
+        assert phases.min_tempo() == pytest.approx(expected, abs=0.01)  # whole steps: 1 of 50
 
 
-@pytest.mark.parametrize(
-    ("episodes_s", "expected_m"),
-    [(0.2, 0.3), (1.0, 0.3), (2.0, 0.25), (3.0, 0.2), (9.0, 0.2)],
-)
-def test_an_episode_keeps_nearer_to_its_clip_once_episodes_are_long(
-    episodes_s: float, expected_m: float
-) -> None:
-    phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12), final_limit_m=0.2)
-    assert phases.current_limit_m() == pytest.approx(expected_m, abs=0.004)  # whole steps
-    assert limited_phases(episodes_s=episodes_s).current_limit_m() == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize(("tempo", "expected"), [(0.6, False), (1.2, False), (1.4, True)])
-def test_quick_episodes_end_from_the_start_on(tempo: float, expected: bool) -> None:
-    assert any(is_off_tempo(tempo, episodes_s=0.5)) is expected
-
-
-def test_the_limit_of_tempo_never_widens_again() -> None:
-    phases = limited_phases(episodes_s=5.0)
-    for _ in range(20):
-        phases.advance(body(times(1)))
-        start_all(phases)
-    assert phases.min_tempo() == pytest.approx(1 / 1.3)
-
-
-def test_episodes_that_are_followed_no_more_do_not_count_as_long_ones() -> None:
-    phases = ClipPhases([clip()], 1, DT_S, limit_m=0.3, tempo_share=0.3)
-    for _ in range(12):
-        start_all(phases)
-        phases.stop(torch.tensor([0]))
-        for time_s in times(5 * STEPS):
-            phases.advance(body(time_s[None]))
-    start_all(phases)
-    assert phases.min_tempo() == 0.5
-
-
-def test_a_limit_that_is_wider_is_not_narrowed_for_short_episodes() -> None:
-    assert limited_phases(share=1.5, episodes_s=0.2).min_tempo() == 0.4
-
-
-def test_who_is_followed_no_more_may_have_any_tempo() -> None:
-    phases = limited_phases(num_envs=2)
-    for time_s in times(STEPS, 1.6):
-        phases.advance(body(time_s[None]).expand(2, -1, -1))
-    assert phases.is_off_tempo().tolist() == [True, True]
-    phases.stop(torch.tensor([1]))
-    phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
-    assert phases.is_off_tempo().tolist() == [False, False]
+def test_an_episode_keeps_nearer_to_its_clip_once_episodes_are_long() -> None:
+    for episodes_s, expected_m in [(0.2, 0.3), (1.0, 0.3), (2.0, 0.25), (3.0, 0.2), (9.0, 0.2)]:
+        phases = limited_phases(episodes_s=episodes_s / (1.0 - 0.75**12), final_limit_m=0.2)
+        assert phases.current_limit_m() == pytest.approx(expected_m, abs=0.004)  # whole steps
+        assert limited_phases(episodes_s=episodes_s).current_limit_m() == pytest.approx(0.3)

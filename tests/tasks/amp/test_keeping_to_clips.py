@@ -19,7 +19,6 @@ from torch import Tensor
 from isaacgymenvs_lite.evaluation.evaluate import evaluate
 from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.tasks.amp.clip_phases import ClipPhases
 from isaacgymenvs_lite.tasks.amp.humanoid_amp import HumanoidAMP
 from isaacgymenvs_lite.utils.rotations import quat_mul
 
@@ -63,82 +62,35 @@ def test_an_episode_ends_where_it_strays_from_the_clip_that_it_started_in(make_h
     assert _zero_step(task)[2].tolist() == [0, 0, 0, 0]
 
 
-def test_who_has_fallen_did_not_leave_its_clip(make_humanoid) -> None:
-    """The first character lies on its face, where it is as far from the clip as can be."""
-    task = _in_training(make_humanoid, 2, clipDeviation=0.3, stateInit="Start")
-    _zero_step(task)
-    lying = task.simulation.root_states[:1].clone()
-    lying[:, 2:7] = torch.tensor([0.12, 0.0, math.sin(math.pi / 4), 0.0, math.cos(math.pi / 4)])
-    _put_first(task, lying)
-    *_, dones, infos = _zero_step(task)
-    assert dones.tolist() == [1, 0]
-    assert infos["off_clip"].tolist() == [False, False]
-
-
-@pytest.mark.parametrize(
-    ("env", "is_training"),
-    [
+def test_it_goes_on_where_straying_does_not_count(make_humanoid) -> None:
+    for env, is_training in [
         ({}, True),  # off where the task is made without the YAML file
         ({"clipDeviation": 0.8}, True),  # of 0.89 m: more than half a metre
         ({"clipDeviation": 0.3, "stateInit": "Default"}, True),
         ({"clipDeviation": 0.3, "enableEarlyTermination": False}, True),
         ({"clipDeviation": 0.3}, False),  # played, or stepped by a loop that does not say so
         ({"clipDeviation": 0.3, "motion_file": "locomotion"}, True),  # several clips
-    ],
-)
-def test_it_goes_on_where_straying_does_not_count(
-    make_humanoid, env: dict, is_training: bool
-) -> None:
-    torch.manual_seed(3)
-    task = make_humanoid(2, **{"stateInit": "Start", **env})
-    task.is_training = is_training
-    task.reset_done()
-    _raise_first(task)
-    assert _zero_step(task)[2].tolist() == [0, 0]
-
-
-def test_the_limit_of_deviation_is_the_one_of_now(make_humanoid, monkeypatch) -> None:
-    """Half a metre too high is near enough while episodes are short, and too far later."""
-    torch.manual_seed(3)
-    task = make_humanoid(2, clipDeviation=0.8, stateInit="Start")
-    task.is_training = True
-    for limit_m, expected in ((None, [0, 0]), (0.25, [1, 0])):
-        if limit_m is not None:
-            monkeypatch.setattr(ClipPhases, "current_limit_m", lambda _, limit_m=limit_m: limit_m)
-        task.reset()
+    ]:
+        torch.manual_seed(3)
+        task = make_humanoid(2, **{"stateInit": "Start", **env})
+        task.is_training = is_training
+        task.reset_done()
         _raise_first(task)
-        assert _zero_step(task)[2].tolist() == expected
+        assert _zero_step(task)[2].tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(("final", "expected"), [(0.0, 0.34), (0.2, 0.2), (0.5, 0.34)])
-def test_a_final_deviation_never_widens_the_limit(
-    make_humanoid, monkeypatch, final, expected
-) -> None:
-    made = []
-    init = ClipPhases.__init__
-
-    def init_and_note(self: ClipPhases, *args: Any) -> None:
-        made.append(args)
-        init(self, *args)
-
-    monkeypatch.setattr(ClipPhases, "__init__", init_and_note)
-    task = make_humanoid(2, clipDeviation=0.34, clipDeviationFinal=final)
-    ((*_, final_limit_m),) = made
-    assert final_limit_m == pytest.approx(expected * float(task.default_pose()[0][2]))
-
-
-@pytest.mark.parametrize("motion_file", ["walk", "locomotion"])
-def test_only_episodes_that_are_to_keep_to_their_clips_end(make_humanoid, motion_file: str) -> None:
+def test_only_episodes_that_are_to_keep_to_their_clips_end(make_humanoid) -> None:
     """Of several clips, or of one that is left again."""
-    torch.manual_seed(3)
-    task = make_humanoid(2, clipDeviation=0.3, stateInit="Start", motion_file=motion_file)
-    task.is_training = True
-    for followed in (True, False):
-        task.reset()
-        task.leave_clips(torch.tensor([0, 1]))
-        task.keep_to_clips(torch.tensor([0] if followed else []).long())
-        _raise_first(task)
-        assert _zero_step(task)[2].tolist() == [followed, 0]
+    for motion_file in ["walk", "locomotion"]:
+        torch.manual_seed(3)
+        task = make_humanoid(2, clipDeviation=0.3, stateInit="Start", motion_file=motion_file)
+        task.is_training = True
+        for followed in (True, False):
+            task.reset()
+            task.leave_clips(torch.tensor([0, 1]))
+            task.keep_to_clips(torch.tensor([0] if followed else []).long())
+            _raise_first(task)
+            assert _zero_step(task)[2].tolist() == [followed, 0]
 
 
 @pytest.fixture
@@ -191,24 +143,6 @@ def test_an_episode_ends_with_a_clip_that_does_not_return(
     assert steps.max() == most - 1
 
 
-@pytest.mark.parametrize(
-    "env",
-    [
-        {"endWithClip": False},
-        {"clipDeviation": 0.0},
-        {"clipDeviation": 1.0},  # so that its end is near enough
-        {"motion_file": "walk"},
-        {"motion_file": "locomotion"},
-        {"stateInit": "Hybrid"},
-    ],
-)
-def test_it_goes_on_where_no_clip_ends_it(make_humanoid, rising_clip: str, env: dict) -> None:
-    defaults = {"motion_file": rising_clip, "clipDeviation": 0.34, "endWithClip": True}
-    task = make_humanoid(1, **{**defaults, **env})
-    assert task.clip_starts_s is None
-    assert task.max_episode_length == 300
-
-
 def test_what_is_left_of_a_clip_is_measured(make_humanoid, rising_clip: str) -> None:
     """Characters that stay below show less of it; those put where it is show all."""
     keys = {"clipDeviation": 0.34, "endWithClip": True, "enableEarlyTermination": False}
@@ -226,15 +160,6 @@ def test_what_is_left_of_a_clip_is_measured(make_humanoid, rising_clip: str) -> 
     assert followed.motion_shown > 0.8
     assert left.motion_shown < 0.5
     assert followed.no_fall_share == 1.0
-
-
-def test_episodes_that_start_in_no_clip_cannot_keep_to_one(make_humanoid) -> None:
-    task = make_humanoid(2, clipDeviation=0.3, stateInit="Default", motion_file="locomotion")
-    task.is_training = True
-    task.reset()
-    task.keep_to_clips(torch.tensor([0, 1]))
-    _raise_first(task)
-    assert _zero_step(task)[2].tolist() == [0, 0]
 
 
 def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
@@ -258,52 +183,44 @@ def test_a_character_that_stands_strays_from_a_jump(make_humanoid) -> None:
     assert any(stood for _, stood in ended)
 
 
-@pytest.mark.parametrize(("share", "ends"), [(0.5, True), (0.0, False)])
-def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid, share: float, ends: bool) -> None:
+def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid) -> None:
     """Both characters have the poses of the walk; the first goes where it goes, turned about z."""
-    task = _in_training(
-        make_humanoid,
-        2,
-        clipDeviation=0.34,
-        clipTravel=share,
-        stateInit="Start",
-        motion_file="walk",
-    )
-    turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
-    ended = []
-    for step in range(40):
-        time_s = torch.tensor([step * task.control_dt_s])
-        root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, _ = (
-            task.motion_lib.get_motion_state(torch.zeros(1, dtype=torch.int64), time_s)
-        )
-        half_turned = root_pos * torch.tensor([-1.0, -1.0, 1.0])
-        on_the_spot = root_pos * torch.tensor([0.0, 0.0, 1.0])
-        roots = [
-            torch.cat((place, quat_mul(turn, root_rot), -root_vel, -root_ang_vel), dim=-1)
-            for place in (half_turned, on_the_spot)
-        ]
-        both = (torch.cat(roots), dof_pos.expand(2, -1), dof_vel.expand(2, -1))
-        task.simulation.write_state(torch.arange(2), *both)
-        ended.append(_zero_step(task)[2].tolist())
-    assert not any(followed for followed, _ in ended)
-    assert any(stayed for _, stayed in ended) is ends
-    assert not any(stayed for _, stayed in ended[:30])  # a second
+    for share, ends in [(0.5, True), (0.0, False)]:
+        keys = {"clipDeviation": 0.34, "clipTravel": share, "stateInit": "Start"}
+        task = _in_training(make_humanoid, 2, motion_file="walk", **keys)
+        turn = torch.tensor([[0.0, 0.0, 1.0, 0.0]])  # half a turn, xyzw
+        ended = []
+        for step in range(40):
+            time_s = torch.tensor([step * task.control_dt_s])
+            root_pos, root_rot, dof_pos, root_vel, root_ang_vel, dof_vel, _ = (
+                task.motion_lib.get_motion_state(torch.zeros(1, dtype=torch.int64), time_s)
+            )
+            half_turned = root_pos * torch.tensor([-1.0, -1.0, 1.0])
+            on_the_spot = root_pos * torch.tensor([0.0, 0.0, 1.0])
+            roots = [
+                torch.cat((place, quat_mul(turn, root_rot), -root_vel, -root_ang_vel), dim=-1)
+                for place in (half_turned, on_the_spot)
+            ]
+            both = (torch.cat(roots), dof_pos.expand(2, -1), dof_vel.expand(2, -1))
+            task.simulation.write_state(torch.arange(2), *both)
+            ended.append(_zero_step(task)[2].tolist())
+        assert not any(followed for followed, _ in ended)
+        assert any(stayed for _, stayed in ended) is ends
+        assert not any(stayed for _, stayed in ended[:30])  # a second
 
 
-@pytest.mark.parametrize(("share", "ends"), [(0.3, True), (1.5, False), (0.0, False)])
-@pytest.mark.parametrize("tempo", [0.6, 1.5])
-def test_a_walk_strays_by_its_tempo(make_humanoid, tempo: float, share: float, ends: bool) -> None:
+def test_a_walk_strays_by_its_tempo(make_humanoid) -> None:
     """The first character has the poses of the walk at its tempo, the second at another."""
-    task = _in_training(
-        make_humanoid, 2, clipDeviation=0.34, clipTempo=share, stateInit="Start", motion_file="walk"
-    )
-    for _ in range(2):  # long episodes, after which the limit is narrow
-        _show_walk(task, torch.ones(2), 250)
-        task.reset_idx(torch.arange(2))
-    ended = _show_walk(task, torch.tensor([1.0, tempo]), 40)
-    assert not any(at_its_tempo for at_its_tempo, _ in ended)
-    assert any(at_another for _, at_another in ended) is ends
-    assert not any(at_another for _, at_another in ended[:25])  # less than a second
+    for tempo, share, ends in [(0.6, 0.3, True), (1.5, 0.3, True), (1.5, 0.0, False)]:
+        keys = {"clipDeviation": 0.34, "clipTempo": share, "stateInit": "Start"}
+        task = _in_training(make_humanoid, 2, motion_file="walk", **keys)
+        for _ in range(2):  # long episodes, after which the limit is narrow
+            _show_walk(task, torch.ones(2), 250)
+            task.reset_idx(torch.arange(2))
+        ended = _show_walk(task, torch.tensor([1.0, tempo]), 40)
+        assert not any(at_its_tempo for at_its_tempo, _ in ended)
+        assert any(at_another for _, at_another in ended) is ends
+        assert not any(at_another for _, at_another in ended[:25])  # less than a second
 
 
 def _show_walk(task: HumanoidAMP, tempos: Tensor, steps: int) -> list[list[bool]]:

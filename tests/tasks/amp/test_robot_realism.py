@@ -12,9 +12,6 @@ from torch import Tensor
 from isaacgymenvs_lite import make
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.amp.robot_amp import RobotAMP
-from isaacgymenvs_lite.tasks.amp.robot_realism import RealismSettings, check_realism
-from isaacgymenvs_lite.tasks.goals.heading import Heading
 from isaacgymenvs_lite.utils.rotations import quat_rotate_inverse
 from tests.tasks.amp.test_robot_amp import clip, make_walker, walker  # noqa: F401  fixtures
 
@@ -90,19 +87,6 @@ def test_critic_and_discriminator_see_what_they_did(make_walker):  # noqa: F811
             torch.testing.assert_close(newest, results[0][3]["amp_obs"][:, :FULL])
 
 
-def test_a_goal_comes_last_for_policy_and_critic(make_walker, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(RobotAMP, "goal_class", Heading)
-    task = make_walker(**DEPLOYABLE, historySteps=2)
-    started(task)
-    obs = task.step(actions_at(0))[0]
-    goal = task.goal.observe(None)
-    assert task.get_task_obs_size() == 5
-    assert list(task.observation_groups())[-2:] == ["last_action_1", "goal"]
-    assert obs["obs"].shape[1] == 2 * FRAME + 5 == sum(task.observation_groups().values())
-    for name in ("obs", "states"):
-        assert torch.equal(obs[name][:, -5:], goal)
-
-
 def test_noise_is_on_the_policys_frames_and_stays_in_their_history(make_walker):  # noqa: F811
     task = make_walker(**DEPLOYABLE, **NOISE, historySteps=2)
     started(task)
@@ -131,29 +115,6 @@ def test_an_action_takes_effect_after_the_delay(make_walker, controls_of):  # no
     # The critic observes what was chosen last, and the delay.
     assert torch.equal(states[3][:, FULL:-1], actions_at(3))
     assert states[3][:, -1].tolist() == [2.0] * 4
-
-
-def test_pushes_come_when_they_are_due(make_walker):  # noqa: F811
-    task = make_walker(
-        *(4,),
-        **{"pushRobots": True, "pushInterval_s": 0.1, "pushVelocity": 0.5},
-        stateInit="Default",
-        enableEarlyTermination=False,
-    )
-    started(task)
-    root, dof_pos = (state.repeat(4, 1) for state in task.default_pose())
-    root[:, 2] = 10.0  # in free fall nothing else changes the velocity over the ground
-    task.simulation.write_state(torch.arange(4), root, dof_pos, torch.zeros(4, 8))
-    speeds = []
-    for _ in range(7):
-        task.step(torch.zeros(4, 8))
-        speeds.append(task.simulation.root_states[:, 7:9].clone())
-    still, once, twice = speeds[2], speeds[3], speeds[6]
-    assert float(still.abs().max()) < 1e-3
-    torch.testing.assert_close(speeds[5], once, atol=1e-2, rtol=0)
-    for change in (once - still, twice - once):
-        assert 0.1 < float(change.abs().max()) < 0.51
-        assert len(set(change[:, 0].tolist())) == 4
 
 
 def test_robots_differ_from_their_model(walker, clip):  # noqa: F811
@@ -194,12 +155,3 @@ def test_robots_differ_from_their_model(walker, clip):  # noqa: F811
 def test_what_cannot_be(make_walker, env, message):  # noqa: F811
     with pytest.raises(ConfigError, match=message):
         make_walker(**{key: str(value).replace(" ", "") for key, value in env.items()})
-
-
-@pytest.mark.parametrize(
-    ("part", "message"), [("last_action", "choices: root_ang_vel_b"), ("dof_ve", "mean 'dof_vel'")]
-)
-def test_noise_on_no_measured_part(part, message):
-    """In a task file; on a command line such a key is unknown at once."""
-    with pytest.raises(ConfigError, match=message):
-        check_realism(RealismSettings(), {"observationNoise": {part: 1.0}})

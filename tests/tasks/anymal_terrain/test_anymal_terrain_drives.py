@@ -14,21 +14,6 @@ from tests.tasks.anymal_terrain.conftest import DEFAULT_ANGLES, EXACT
 # --- drives and time ------------------------------------------------------------------------
 
 
-def test_a_control_step_is_four_simulator_calls_of_5_ms(make) -> None:
-    task = make()
-    assert task.simulation.substeps == 4
-    assert task.simulation.model.opt.timestep == pytest.approx(0.005)
-    assert task.dt == pytest.approx(0.02)
-    assert task.max_episode_length == 1000
-
-
-def test_as_published_there_is_a_fifth_that_nothing_counts(make) -> None:
-    task = make("task.env.control.extraSimulatorCall=True")
-    assert task.simulation.substeps == 5
-    assert task.dt == pytest.approx(0.02)
-    assert task.max_episode_length == 1000
-
-
 def test_torques_are_those_of_the_pd_formula(make) -> None:
     task = make("task.env.control.decimation=1", *EXACT, num_envs=16)
     task.reset()
@@ -115,20 +100,3 @@ def test_noise_is_for_the_policy_and_not_for_the_critic(make) -> None:
         assert noise.mean(dim=0).abs().max() < 0.1
         assert torch.equal(observations["states"], task.compute_obs())
         observations, *_ = task.step(task.zero_actions())
-
-
-def test_without_noise_the_observation_is_exact(make) -> None:
-    task = make(*EXACT)
-    assert torch.equal(task.reset()["obs"], task.compute_obs())
-
-
-def test_actions_and_observations_are_not_clamped(make) -> None:
-    task = make(*EXACT)
-    task.reset()
-    observed, *_ = task.step(torch.full((4, 12), 9.0))
-    assert (observed["obs"][:, 176:] == 9.0).all()
-
-
-def test_published_names_of_files_stand_for_ours(make) -> None:
-    task = make("task.env.urdfAsset.file=urdf/anymal_c/urdf/anymal_minimal.urdf")
-    assert task.simulation.model.body("base").mass[0] == pytest.approx(27.8029)

@@ -26,25 +26,6 @@ def test_levels_follow_the_distance_walked(make) -> None:
     assert offset.abs().max() <= 0.5
 
 
-def test_levels_stay_where_an_episode_was_ended_from_outside(make) -> None:
-    task = make(*EXACT)
-    task.curriculum.levels[:] = 1
-    task.reset()
-    for _ in range(3):
-        task.step(task.zero_actions())
-    task.reset()
-    assert task.curriculum.levels.tolist() == [1] * 4
-    # Nor do they move again where one ended and the next has not made a step.
-    task.commands[:, 0] = 1.0
-    task.progress_buf[:2] = 998
-    *_, dones, _ = task.step(task.zero_actions())
-    assert dones.tolist() == [1, 1, 0, 0]
-    assert task.curriculum.levels.tolist() == [0, 0, 1, 1]
-    task.curriculum.levels[:] = 2
-    task.reset()
-    assert task.curriculum.levels.tolist() == [2] * 4
-
-
 def test_a_diverged_robot_is_not_promoted(make) -> None:
     task = make(*EXACT)
     task.curriculum.levels[:] = 1

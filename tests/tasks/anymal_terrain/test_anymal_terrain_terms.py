@@ -54,9 +54,8 @@ _FEET[:, 1, 0] = torch.tensor([9.0, 0.0, 2.0])  # stands
 _FEET[:, 2, 0] = torch.tensor([0.0, 4.9, 0.0])  # hardly touched
 
 
-@pytest.mark.parametrize(
-    ("changes", "name", "expected"),
-    [
+def test_terms() -> None:
+    for changes, name, expected in [
         ({"motion": _MOVING}, "lin_vel_xy", math.exp(-(0.5**2 + 0.2**2) / 0.25)),
         ({"motion": _MOVING}, "ang_vel_z", 0.5 * math.exp(-(0.1**2) / 0.25)),
         ({"motion": _MOVING}, "lin_vel_z", -4.0 * 0.09),
@@ -69,30 +68,23 @@ _FEET[:, 2, 0] = torch.tensor([0.0, 4.9, 0.0])  # hardly touched
         ({"foot_forces": _FEET}, "stumble", -3.0),
         ({"last_actions": torch.full((12, 1), 0.5)}, "action_rate", -0.01 * 3.0),
         ({"dof_offset": torch.arange(-5.0, 7.0)[:, None]}, "hip", -4.0 * (5 + 2 + 1 + 4)),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_terms(changes: dict, name: str, expected: float) -> None:
-    terms = compute_anymal_terrain_reward(_still()._replace(**changes), _CFG, 0.02)
-    assert terms[name].item() == pytest.approx(expected * 0.02, rel=1e-5)
-    # The others are those of a robot that does as it is told.
-    others = {"lin_vel_xy": 0.02, "ang_vel_z": 0.01}
-    if "motion" not in changes:
-        for other in set(TERM_NAMES) - {name}:
-            assert terms[other].item() == pytest.approx(others.get(other, 0.0), abs=1e-8), other
+    ]:
+        terms = compute_anymal_terrain_reward(_still()._replace(**changes), _CFG, 0.02)
+        assert terms[name].item() == pytest.approx(expected * 0.02, rel=1e-5)
+        # The others are those of a robot that does as it is told.
+        others = {"lin_vel_xy": 0.02, "ang_vel_z": 0.01}
+        if "motion" not in changes:
+            for other in set(TERM_NAMES) - {name}:
+                assert terms[other].item() == pytest.approx(others.get(other, 0.0), abs=1e-8), other
 
 
-def test_the_names_of_the_terms() -> None:
-    assert tuple(compute_anymal_terrain_reward(_still(), _CFG, 0.02)) == TERM_NAMES
-
-
-@pytest.mark.parametrize(("speed", "counts"), [(0.11, True), (0.09, False)])
-def test_air_time_counts_where_a_robot_shall_walk(speed: float, counts: bool) -> None:
-    step = _still()._replace(
-        commands=_columns(0.0, -speed, 1.0, 0.0), air_time_beyond_s=torch.tensor([0.3])
-    )
-    terms = compute_anymal_terrain_reward(step, _CFG, 0.02)
-    assert terms["air_time"].item() == pytest.approx(0.006 if counts else 0.0)
+def test_air_time_counts_where_a_robot_shall_walk() -> None:
+    for speed, counts in [(0.11, True), (0.09, False)]:
+        step = _still()._replace(
+            commands=_columns(0.0, -speed, 1.0, 0.0), air_time_beyond_s=torch.tensor([0.3])
+        )
+        terms = compute_anymal_terrain_reward(step, _CFG, 0.02)
+        assert terms["air_time"].item() == pytest.approx(0.006 if counts else 0.0)
 
 
 def test_air_time_is_paid_at_the_landing() -> None:

@@ -101,28 +101,3 @@ def test_the_arm_with_the_shield_below_32_cm_is_a_fall(make_ase, two_steps) -> N
     assert two_steps(task) == ([0], [0])
     assert task.simulation.body_pos[0, LEFT_LOWER_ARM, 2] < 0.32
     assert task.simulation.contact_forces[0, SHIELD].abs().max() > 0.1
-
-
-def test_contact_bodies_may_touch_the_floor(make_ase, two_steps) -> None:
-    task = make_ase(1, stateInit="Default", contactBodies=list(make_ase(1).simulation.body_names))
-    task.reset()
-    _pose(task, *ON_ITS_BACK)
-    assert two_steps(task) == ([0], [0])
-
-
-def test_without_early_termination_only_time_ends_an_episode(make_ase, two_steps) -> None:
-    task = make_ase(1, stateInit="Default", enableEarlyTermination=False, episodeLength=4)
-    task.reset()
-    _pose(task, *ON_ITS_BACK)
-    assert two_steps(task) == ([0], [0])
-    *_, dones, infos = task.step(task.zero_actions())
-    assert (dones.tolist(), infos["terminate"].tolist()) == ([1], [0])
-    assert infos["time_outs"].tolist() == [True]
-
-
-@pytest.mark.parametrize("goal", ["heading", "strike"])
-def test_a_fall_ends_episodes_with_a_goal_too(make_ase, two_steps, goal: str) -> None:
-    task = make_ase(1, stateInit="Default", goal=goal)
-    task.reset()
-    _pose(task, *ON_ITS_BACK)
-    assert two_steps(task) == ([0], [1])

@@ -54,11 +54,6 @@ def test_reach_shows_the_point(make_ase) -> None:
     assert point.centre_w == pytest.approx(task.goal.tar_pos[1].tolist())
 
 
-@pytest.mark.parametrize("goal", ["none", "strike"])
-def test_other_goals_show_nothing_or_are_things(make_ase, goal: str) -> None:
-    assert start(make_ase, goal).markers(0) == ()
-
-
 def test_a_recorder_keeps_the_marks_of_its_environments(make_ase) -> None:
     task = start(make_ase, "heading")
     recorder = PoseRecorder(task, num_steps=2, env_ids=(1, 0))

@@ -7,8 +7,6 @@ import math
 import pytest
 import torch
 
-from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.tasks.ase.humanoid_ase import HumanoidASE, HumanoidHeading, HumanoidReach
 from isaacgymenvs_lite.tasks.goals.heading import (
     compute_heading_observations,
@@ -48,20 +46,20 @@ def test_the_first_observation_shows_the_goal_of_its_episode(make_ase) -> None:
     torch.testing.assert_close(observed[:, -5:], expected, rtol=0.0, atol=ATOL)
 
 
-@pytest.mark.parametrize("goal", [*TIMED_GOALS, "strike"])
-def test_a_reset_draws_for_its_environments_only(make_ase, goal: str) -> None:
-    torch.manual_seed(0)
-    task = make_ase(4, goal=goal, stateInit="Default")
-    task.reset_done()
-    _random_step(task)
-    size = task.get_task_obs_size()
-    before = task.goal.observe(None).clone()
-    task.reset_buf[2] = 1
-    observed, done_ids = task.reset_done()
-    assert done_ids.tolist() == [2]
-    changed = (task.goal.observe(None) != before).any(dim=-1)
-    assert changed.tolist() == [False, False, True, False]
-    torch.testing.assert_close(observed["obs"][:, -size:], task.goal.observe(None))
+def test_a_reset_draws_for_its_environments_only(make_ase) -> None:
+    for goal in [*TIMED_GOALS, "strike"]:
+        torch.manual_seed(0)
+        task = make_ase(4, goal=goal, stateInit="Default")
+        task.reset_done()
+        _random_step(task)
+        size = task.get_task_obs_size()
+        before = task.goal.observe(None).clone()
+        task.reset_buf[2] = 1
+        observed, done_ids = task.reset_done()
+        assert done_ids.tolist() == [2]
+        changed = (task.goal.observe(None) != before).any(dim=-1)
+        assert changed.tolist() == [False, False, True, False]
+        torch.testing.assert_close(observed["obs"][:, -size:], task.goal.observe(None))
 
 
 @timed_goals
@@ -83,111 +81,34 @@ def test_a_goal_lasts_for_a_number_of_steps_inside_its_range(make_ase, goal: str
     assert set(lasted) == {3, 4}
 
 
-def test_a_goal_in_the_middle_of_an_episode_is_observed_after_its_first_step(make_ase) -> None:
-    task = make_ase(4, goal="heading", headingChangeStepsMin=1, headingChangeStepsMax=2)
-    task.reset_done()
-    _random_step(task)
-    before = _goal_of(task)
-    observed = _random_step(task)[0]["obs"]
-    assert (_goal_of(task) != before).any(dim=-1).all()
-    torch.testing.assert_close(observed[:, -5:], task.goal.observe(None), rtol=0.0, atol=ATOL)
-
-
-@pytest.mark.parametrize("goal", [*TIMED_GOALS, "strike"])
-def test_seeds_reproduce_goals(make_ase, goal: str) -> None:
-    def course(seed: int) -> list[bytes]:
-        torch.manual_seed(seed)
-        limits = {"tarChangeStepsMin": 1, "tarChangeStepsMax": 3}
-        task = make_ase(4, goal=goal, **limits)
-        observed = [task.reset_done()[0]["obs"]]
-        observed += [_random_step(task)[0]["obs"] for _ in range(4)]
-        size = task.get_task_obs_size()
-        return [values[:, -size:].numpy().tobytes() for values in observed]
-
-    first = course(0)
-    assert course(0) == first
-    assert course(1) != first
-
-
 # --- rewards ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("goal", ["heading", "location", "strike"])
-def test_the_reward_uses_the_way_of_the_whole_control_step(make_ase, goal: str) -> None:
-    torch.manual_seed(0)
-    # Starts in the clip walk at 1 m/s, so that the velocity counts.
-    task = make_ase(8, goal=goal, stateInit="Random", tarSpeedMin=0.0, tarSpeedMax=2.0)
-    task.reset_done()
-    asked, sim = task.goal, task.simulation
-    for _ in range(3):
-        before = sim.root_states[:, :3].clone()
-        rewards = _random_step(task)[1]
-        pos, rot = sim.root_states[:, :3], sim.root_states[:, 3:7]
-        if goal == "heading":
-            wanted = (asked.tar_dir, asked.tar_speed, asked.tar_face_dir)
-            expected = compute_heading_reward(pos, before, rot, *wanted, DT)
-        elif goal == "location":
-            expected = compute_location_reward(pos, before, rot, asked.tar_pos, 1.0, DT)
-        else:
-            box = sim.object_states[:, 0]
-            expected = compute_strike_reward(box[:, :3], box[:, 3:7], pos, before, DT)
-        # Velocities are differences of float32 positions of about 1 m over 1/30 s.
-        torch.testing.assert_close(rewards, expected, rtol=0.0, atol=2e-5)
-        assert rewards.unique().numel() > 1
-
-
-def test_without_a_goal_the_reward_is_one(make_ase) -> None:
-    task = make_ase(3)
-    task.reset_done()
-    assert _random_step(task)[1].tolist() == [1.0, 1.0, 1.0]
+def test_the_reward_uses_the_way_of_the_whole_control_step(make_ase) -> None:
+    for goal in ["heading", "location", "strike"]:
+        torch.manual_seed(0)
+        # Starts in the clip walk at 1 m/s, so that the velocity counts.
+        task = make_ase(8, goal=goal, stateInit="Random", tarSpeedMin=0.0, tarSpeedMax=2.0)
+        task.reset_done()
+        asked, sim = task.goal, task.simulation
+        for _ in range(3):
+            before = sim.root_states[:, :3].clone()
+            rewards = _random_step(task)[1]
+            pos, rot = sim.root_states[:, :3], sim.root_states[:, 3:7]
+            if goal == "heading":
+                wanted = (asked.tar_dir, asked.tar_speed, asked.tar_face_dir)
+                expected = compute_heading_reward(pos, before, rot, *wanted, DT)
+            elif goal == "location":
+                expected = compute_location_reward(pos, before, rot, asked.tar_pos, 1.0, DT)
+            else:
+                box = sim.object_states[:, 0]
+                expected = compute_strike_reward(box[:, :3], box[:, 3:7], pos, before, DT)
+            # Velocities are differences of float32 positions of about 1 m over 1/30 s.
+            torch.testing.assert_close(rewards, expected, rtol=0.0, atol=2e-5)
+            assert rewards.unique().numel() > 1
 
 
 # --- settings ---------------------------------------------------------------------------------
-
-
-def test_numbers_of_the_yaml_file_reach_the_goal(walk_clip) -> None:
-    cfg = compose(
-        [
-            *("task=HumanoidHeading", "num_envs=4", f"task.env.motion_file={walk_clip}"),
-            *("task.env.tarSpeedMin=3", "task.env.tarSpeedMax=3.0", "num_threads=1"),
-            "task.env.enableRandHeading=False",
-        ]
-    )
-    task = make_from_config(cfg, sim_device="cpu", rl_device="cpu")
-    observed = task.reset_done()[0]["obs"]
-    task.close()
-    # stateInit is Default there: everybody faces +x, where it is to go and to face.
-    expected = torch.tensor([[1.0, 0.0, 3.0, 1.0, 0.0]]).repeat(4, 1)
-    torch.testing.assert_close(observed[:, -5:], expected, rtol=0.0, atol=ATOL)
-
-
-def test_null_stands_for_the_goal_s_own_number(make_ase) -> None:
-    heading = make_ase(
-        1, goal="heading", tarSpeedMin=None, tarSpeedMax=None, headingChangeStepsMin=None
-    ).goal.settings
-    assert (heading.tar_speed_min, heading.tar_speed_max) == (1.5, 1.6)
-    assert (heading.change_steps_min, heading.change_steps_max) == (100, 200)
-    steps = {"tarChangeStepsMin": None, "tarChangeStepsMax": None, "tarDistMax": None}
-    location, reach = (make_ase(1, goal=g, **steps).goal.settings for g in ("location", "reach"))
-    # The same keys have other defaults in other goals.
-    assert (location.change_steps_min, location.change_steps_max) == (100, 200)
-    assert (reach.change_steps_min, reach.change_steps_max) == (50, 100)
-    assert (location.tar_dist_max, reach.tar_dist_max) == (10.0, 1.0)
-    assert (reach.tar_height_min, reach.tar_height_max) == (0.2, 2.0)
-    assert location.tar_speed == 1.0
-
-
-def test_the_time_of_a_goal_by_default(make_ase) -> None:
-    torch.manual_seed(0)
-    task = make_ase(16, goal="heading")
-    env_ids = torch.arange(16)
-    ends = []
-    for _ in range(20):
-        task.goal.reset(env_ids)
-        ends += task.goal.change_steps.tolist()
-    # 320 draws of 100 numbers: that one end is missed by 5 has a probability of 1e-7.
-    assert 100 <= min(ends) < 105
-    assert 195 < max(ends) < 200
 
 
 # --- where points are -------------------------------------------------------------------------
@@ -253,36 +174,33 @@ def test_points_to_reach_lie_about_the_origin(make_ase) -> None:
 # --- reach ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("armed", "name", "expected"),
-    [
+def test_the_body_to_reach_with(make_ase) -> None:
+    for armed, name, expected in [
         (False, "", "right_hand"),
         (False, None, "right_hand"),
         (True, "", "sword"),
         (True, "left_foot", "left_foot"),
-    ],
-)
-def test_the_body_to_reach_with(make_ase, armed: bool, name: str | None, expected: str) -> None:
-    task = make_ase(2, cls=HumanoidReach, armed=armed, reachBodyName=name)
-    task.reset_done()
-    rewards = _random_step(task)[1]
-    sim = task.simulation
-    body = sim.body_pos[:, sim.body_names.index(expected)]
-    distance2 = (task.goal.tar_pos - body).square().sum(-1)
-    torch.testing.assert_close(rewards, torch.exp(-4.0 * distance2), rtol=0.0, atol=ATOL)
+    ]:
+        task = make_ase(2, cls=HumanoidReach, armed=armed, reachBodyName=name)
+        task.reset_done()
+        rewards = _random_step(task)[1]
+        sim = task.simulation
+        body = sim.body_pos[:, sim.body_names.index(expected)]
+        distance2 = (task.goal.tar_pos - body).square().sum(-1)
+        torch.testing.assert_close(rewards, torch.exp(-4.0 * distance2), rtol=0.0, atol=ATOL)
 
 
-@pytest.mark.parametrize("relative", [False, True])
-def test_where_the_point_is_told(make_ase, relative: bool) -> None:
-    task = make_ase(1, goal="reach", reachObsRelative=relative)
-    task.reset_done()
-    task.goal.tar_pos[0] = torch.tensor([2.0, 3.0, 1.5])
-    root = torch.zeros(1, 13)
-    # A quarter turn to the left: what is at +y is ahead.
-    root[0, :7] = torch.tensor([1.0, 1.0, 0.9, 0.0, 0.0, 0.5**0.5, 0.5**0.5])
-    zeros = torch.zeros(1, 28)
-    task.simulation.write_state(torch.tensor([0]), root, zeros, zeros)
-    seen = task.goal.observe(None)
-    # The height is the one above the ground in both.
-    expected = [[2.0, -1.0, 1.5]] if relative else [[3.0, -2.0, 1.5]]
-    torch.testing.assert_close(seen, torch.tensor(expected), rtol=0.0, atol=ATOL)
+def test_where_the_point_is_told(make_ase) -> None:
+    for relative in [False, True]:
+        task = make_ase(1, goal="reach", reachObsRelative=relative)
+        task.reset_done()
+        task.goal.tar_pos[0] = torch.tensor([2.0, 3.0, 1.5])
+        root = torch.zeros(1, 13)
+        # A quarter turn to the left: what is at +y is ahead.
+        root[0, :7] = torch.tensor([1.0, 1.0, 0.9, 0.0, 0.0, 0.5**0.5, 0.5**0.5])
+        zeros = torch.zeros(1, 28)
+        task.simulation.write_state(torch.tensor([0]), root, zeros, zeros)
+        seen = task.goal.observe(None)
+        # The height is the one above the ground in both.
+        expected = [[2.0, -1.0, 1.5]] if relative else [[3.0, -2.0, 1.5]]
+        torch.testing.assert_close(seen, torch.tensor(expected), rtol=0.0, atol=ATOL)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.tasks.ase.humanoid_perturb import HumanoidPerturb, throw_steps
+from isaacgymenvs_lite.tasks.ase.humanoid_perturb import HumanoidPerturb
 
 # Control steps of the specification's throws; the twelfth box is the large one.
 THROWS = (60, 67, 77, 112, 114, 116, 119, 121, 123, 126, 128, 188, 488)
@@ -57,20 +57,7 @@ def test_the_boxes_of_the_specification(make) -> None:
         np.testing.assert_allclose(sim.model.dof_damping[first : first + 6], expected)
 
 
-def test_boxes_wait_far_away(make) -> None:
-    task = make(2)
-    task.reset()
-    boxes = task.simulation.object_states
-    expected = torch.tensor([[200.0 + i, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0] for i in range(13)])
-    torch.testing.assert_close(boxes[..., :7], expected.expand(2, 13, 7))
-    assert (boxes[..., 7:] == 0.0).all()
-
-
 # --- when -------------------------------------------------------------------------------------
-
-
-def test_times_of_the_throws() -> None:
-    assert throw_steps() == THROWS
 
 
 def test_boxes_are_thrown_in_their_order_and_time(make, throws_of) -> None:
@@ -86,17 +73,6 @@ def test_boxes_are_thrown_in_their_order_and_time(make, throws_of) -> None:
     times = [(progress, boxes) for progress, boxes, _ in thrown]
     expected = [(step, [box]) for box, step in enumerate(THROWS) if step != 77]
     assert times == [*expected, (489 + 60, [0]), (489 + 188, [LARGE])]
-
-
-def test_the_first_throw_of_an_episode(make, throws_of) -> None:
-    task = make(1, sim={"substeps": 1})
-    task.reset()
-    thrown = throws_of(task)
-    for _ in range(60):
-        task.step(task.zero_actions())
-    assert thrown == []
-    task.step(task.zero_actions())
-    assert [(progress, boxes) for progress, boxes, _ in thrown] == [(60, [0])]
 
 
 # --- from where and how fast ------------------------------------------------------------------
@@ -145,55 +121,21 @@ def test_a_throw_is_aimed_at_the_torso(make, throws_of) -> None:
     assert missed.max() < 0.6
 
 
-def test_a_thrown_box_hits_the_character(make, hold_pose) -> None:
-    torch.manual_seed(0)
-    task = make(8)
-    task.reset()
-    actions = hold_pose(task)
-
-    def fastest_torso() -> torch.Tensor:
-        """Largest speed of the torsos (N,) m/s in 0.2 s."""
-        speeds = torch.zeros(8)
-        for _ in range(6):
-            task.step(actions)
-            speed = task.simulation.body_lin_vel[:, 1].norm(dim=-1)
-            speeds = torch.maximum(speeds, speed)
-        return speeds
-
-    swaying = fastest_torso()
-    task.reset()
-    # Five metres at 30 m/s are five control steps. 1.6 kg at 30 m/s have the momentum of the whole
-    # character at 1 m/s; some boxes are aimed past the torso.
-    task.throw(0)
-    assert (fastest_torso() > swaying.max() + 0.3).sum() >= 6
-
-
 # --- ends of episodes -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("enable_early_termination", [False, True])
-def test_only_time_ends_an_episode(make, enable_early_termination: bool) -> None:
-    task = make(2, episodeLength=6, enableEarlyTermination=enable_early_termination)
-    task.reset()
-    root = torch.zeros(1, 13)
-    root[0, 2:7] = torch.tensor([0.085, 0.0, -(0.5**0.5), 0.0, 0.5**0.5])  # on its back
-    zeros = torch.zeros(1, 28)
-    task.simulation.write_state(torch.tensor([1]), root, zeros, zeros)
-    seen = []
-    for _ in range(5):
-        *_, dones, infos = task.step(task.zero_actions())
-        assert infos["terminate"].tolist() == [0, 0]
-        assert infos["time_outs"].tolist() == [bool(done) for done in dones]
-        seen.append(dones.tolist())
-    assert seen == [[0, 0]] * 4 + [[1, 1]]
-
-
-def test_a_diverged_simulation_ends_its_episode(make) -> None:
-    task = make(2)
-    task.reset()
-    zeros = torch.zeros(1, 28)
-    root = task.simulation.root_states[:1].clone()
-    task.simulation.write_state(torch.tensor([0]), root, zeros, zeros * float("nan"))
-    *_, dones, infos = task.step(task.zero_actions())
-    assert dones.tolist() == infos["diverged"].long().tolist() == [1, 0]
-    assert infos["diverged_simulations"] == 1
+def test_only_time_ends_an_episode(make) -> None:
+    for enable_early_termination in [False, True]:
+        task = make(2, episodeLength=6, enableEarlyTermination=enable_early_termination)
+        task.reset()
+        root = torch.zeros(1, 13)
+        root[0, 2:7] = torch.tensor([0.085, 0.0, -(0.5**0.5), 0.0, 0.5**0.5])  # on its back
+        zeros = torch.zeros(1, 28)
+        task.simulation.write_state(torch.tensor([1]), root, zeros, zeros)
+        seen = []
+        for _ in range(5):
+            *_, dones, infos = task.step(task.zero_actions())
+            assert infos["terminate"].tolist() == [0, 0]
+            assert infos["time_outs"].tolist() == [bool(done) for done in dones]
+            seen.append(dones.tolist())
+        assert seen == [[0, 0]] * 4 + [[1, 1]]

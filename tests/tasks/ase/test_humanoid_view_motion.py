@@ -76,13 +76,6 @@ def test_the_state_is_that_of_the_clip_whatever_the_actions(make) -> None:
         assert observations["obs"][:, 0].tolist() == pytest.approx([height] * 2, abs=1e-5)
 
 
-def test_each_environment_starts_with_its_clip(make, three_clips: Path) -> None:
-    task = make(5, motion_file=str(three_clips))
-    task.reset_done()
-    task.step(task.zero_actions())
-    _shows(task, [0, 1, 2, 0, 1], [STEP_S] * 5)
-
-
 def test_a_clip_is_followed_by_the_one_after_those_of_the_others(make, three_clips: Path) -> None:
     # Two environments: 0, 2, 1, 0 and 1, 0, 2.
     task = make(2, motion_file=str(three_clips))
@@ -102,25 +95,6 @@ def test_a_clip_is_followed_by_the_one_after_those_of_the_others(make, three_cli
     assert ends[1] == [middle, middle + short, middle + short + long]
 
 
-def test_the_next_clip_begins_at_once(make, three_clips: Path) -> None:
-    task = make(1, motion_file=str(three_clips))
-    task.reset_done()
-    for _ in range(STEPS[0]):
-        task.step(task.zero_actions())
-    observed = task.reset_done()[0]["obs"]
-    _shows(task, [1], [0.0])
-    assert float(observed[0, 0]) == pytest.approx(0.88, abs=1e-6)
-    task.step(task.zero_actions())
-    _shows(task, [1], [STEP_S])
-
-
-def test_asking_twice_for_the_first_episode_skips_no_clip(make, three_clips: Path) -> None:
-    task = make(2, motion_file=str(three_clips))
-    task.reset()
-    task.reset()
-    _shows(task, [0, 1], [0.0, 0.0])
-
-
 def test_nothing_but_the_end_of_the_clip_ends_an_episode(make) -> None:
     # Neither a height that counts as a fall anywhere nor the time limit.
     heights = {"terminationHeight": 5.0, "contactBodies": []}
@@ -130,12 +104,6 @@ def test_nothing_but_the_end_of_the_clip_ends_an_episode(make) -> None:
         *_, dones, infos = task.step(task.zero_actions())
         assert dones.tolist() == infos["terminate"].tolist() == [0, 0]
         assert infos["time_outs"].tolist() == [False, False]
-
-
-def test_bodies_do_not_touch_each_other(make) -> None:
-    model = make(1).simulation.model
-    assert not model.geom_contype.any()
-    assert not model.geom_conaffinity.any()
 
 
 def test_playback_has_the_task_s_time_and_the_simulator_half_of_it(make) -> None:
@@ -148,13 +116,3 @@ def test_playback_has_the_task_s_time_and_the_simulator_half_of_it(make) -> None
     slow.step(slow.zero_actions())
     assert slow.dt == pytest.approx(0.04)
     _shows(slow, [0], [0.04])
-
-
-def test_a_configuration_can_be_used_twice(humanoid_cfg) -> None:
-    cfg = humanoid_cfg(1, sim={"dt": 1.0 / 60.0}, controlFrequencyInv=2)
-    for _ in range(2):
-        task = HumanoidViewMotion(cfg, "cpu", "cpu", -1, True)
-        task.reset_done()
-        task.step(task.zero_actions())
-        _shows(task, [0], [STEP_S])
-        task.close()

@@ -76,16 +76,16 @@ def test_every_task_of_ase_has_its_files_here() -> None:
     assert set(TASK_FILES) == of_ase
 
 
-@pytest.mark.parametrize("task", TASK_FILES)
-def test_a_task_file_composes_with_its_train_file(task: str) -> None:
-    agent, goal, state_init = TASK_FILES[task]
-    cfg = compose([f"task={task}", "num_envs=6"])
-    check_config(cfg)
-    assert (cfg.task.name, cfg.train.params.algo.name) == (task, agent)
-    assert cfg.task.env.numEnvs == cfg.train.params.config.num_actors == 6
-    assert (cfg.task.env.goal, cfg.task.env.stateInit) == (goal, state_init)
-    assert cfg.task.sim.dt == pytest.approx(1.0 / 60.0, abs=1e-15)
-    assert cfg.task.sim.substeps == 2
+def test_a_task_file_composes_with_its_train_file() -> None:
+    for task in TASK_FILES:
+        agent, goal, state_init = TASK_FILES[task]
+        cfg = compose([f"task={task}", "num_envs=6"])
+        check_config(cfg)
+        assert (cfg.task.name, cfg.train.params.algo.name) == (task, agent)
+        assert cfg.task.env.numEnvs == cfg.train.params.config.num_actors == 6
+        assert (cfg.task.env.goal, cfg.task.env.stateInit) == (goal, state_init)
+        assert cfg.task.sim.dt == pytest.approx(1.0 / 60.0, abs=1e-15)
+        assert cfg.task.sim.substeps == 2
 
 
 def test_the_goal_follows_the_agent() -> None:
@@ -113,13 +113,16 @@ def test_values_of_the_file_are_the_defaults_in_the_code() -> None:
     }
 
 
-@pytest.mark.parametrize("task", ["HumanoidASE", "HumanoidASEGetup"])
-def test_skills_are_learned_on_a_cpu_in_short_episodes_and_played_in_long_ones(task: str) -> None:
-    learned, played = _env(f"task={task}"), _env(f"task={task}", "test=True", "checkpoint=x.pth")
-    assert [learned[key] for key in ("episodeLength", "hybridInitProb")] == [150, 0.75]
-    assert played["episodeLength"] == 300
-    for train in ("HumanoidASEHRLPPO", "HumanoidASETaskPPO"):
-        assert _env(f"task={task}", f"train={train}")["episodeLength"] == 300
+def test_skills_are_learned_on_a_cpu_in_short_episodes_and_played_in_long_ones() -> None:
+    for task in ["HumanoidASE", "HumanoidASEGetup"]:
+        learned, played = (
+            _env(f"task={task}"),
+            _env(f"task={task}", "test=True", "checkpoint=x.pth"),
+        )
+        assert [learned[key] for key in ("episodeLength", "hybridInitProb")] == [150, 0.75]
+        assert played["episodeLength"] == 300
+        for train in ("HumanoidASEHRLPPO", "HumanoidASETaskPPO"):
+            assert _env(f"task={task}", f"train={train}")["episodeLength"] == 300
 
 
 def test_values_of_the_file_are_ase_s() -> None:
@@ -141,9 +144,8 @@ SWORD_AND_SHIELD = {
 TIMED = {"enableTaskObs": True, "tarChangeStepsMin": 100, "tarChangeStepsMax": 200}
 
 
-@pytest.mark.parametrize(
-    ("cls", "keys", "num_obs"),
-    [
+def test_ase_s_flat_files_work(make_ase, monkeypatch: pytest.MonkeyPatch, caplog) -> None:
+    for cls, keys, num_obs in [
         (
             HumanoidHeading,
             {
@@ -179,15 +181,11 @@ TIMED = {"enableTaskObs": True, "tarChangeStepsMin": 100, "tarChangeStepsMax": 2
             },
             253,
         ),
-    ],
-)
-def test_ase_s_flat_files_work(
-    make_ase, monkeypatch: pytest.MonkeyPatch, caplog, cls, keys, num_obs: int
-) -> None:
-    schema.LOGGED_KEYS.clear()
-    env = {"stateInit": "Default", **PUBLISHED, **SWORD_AND_SHIELD, **keys}
-    task = make_ase(1, cls=cls, armed=True, **env)
-    assert task.num_obs == num_obs
-    assert task.num_amp_obs == 1400
-    # Every key is read, or known to be without effect.
-    assert not [message for message in caplog.messages if "nothing reads" in message]
+    ]:
+        schema.LOGGED_KEYS.clear()
+        env = {"stateInit": "Default", **PUBLISHED, **SWORD_AND_SHIELD, **keys}
+        task = make_ase(1, cls=cls, armed=True, **env)
+        assert task.num_obs == num_obs
+        assert task.num_amp_obs == 1400
+        # Every key is read, or known to be without effect.
+        assert not [message for message in caplog.messages if "nothing reads" in message]

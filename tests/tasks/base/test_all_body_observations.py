@@ -49,36 +49,18 @@ def expected(bodies: tuple[np.ndarray, ...], keep_root_heading: bool, height: bo
     return np.stack(rows)
 
 
-@pytest.mark.parametrize("local_root_obs", [True, False])
-@pytest.mark.parametrize("height", [True, False])
-def test_against_an_independent_formula(bodies, local_root_obs, height):
-    found = observed(bodies, local_root_obs, height)
-    assert found.shape == (N, sum(all_body_observation_groups(B).values()))
-    # float32 rotations of numbers of about 1
-    np.testing.assert_allclose(found, expected(bodies, local_root_obs, height), atol=2e-6)
+def test_against_an_independent_formula(bodies):
+    for local_root_obs in [True, False]:
+        for height in [True, False]:
+            found = observed(bodies, local_root_obs, height)
+            assert found.shape == (N, sum(all_body_observation_groups(B).values()))
+            # float32 rotations of numbers of about 1
+            np.testing.assert_allclose(found, expected(bodies, local_root_obs, height), atol=2e-6)
 
 
 def test_sizes_of_the_published_characters():
     sizes = [sum(all_body_observation_groups(bodies).values()) for bodies in (15, 17)]
     assert sizes == [223, 253]
-
-
-def test_place_and_heading_of_the_character_play_no_part(bodies):
-    pos, rot, lin, ang = bodies
-    turn = Rotation.from_euler("z", 1.234)
-    turned_rot = (turn * Rotation.from_quat(rot.reshape(-1, 4))).as_quat().reshape(N, B, 4)
-    moved = (
-        turn.apply(pos.reshape(-1, 3)).reshape(N, B, 3) + np.array([5.0, -3.0, 0.0]),
-        turned_rot,
-        turn.apply(lin.reshape(-1, 3)).reshape(N, B, 3),
-        turn.apply(ang.reshape(-1, 3)).reshape(N, B, 3),
-    )
-    np.testing.assert_allclose(observed(moved, False), observed(bodies, False), atol=5e-6)
-    # with the root's heading kept, only its own six numbers tell
-    differ = np.abs(observed(moved, True) - observed(bodies, True)).max(axis=0) > 1e-3
-    first = 1 + 3 * (B - 1)
-    assert differ.nonzero()[0].min() >= first
-    assert differ.nonzero()[0].max() < first + 6
 
 
 def test_the_example_of_a_rotation():

@@ -39,13 +39,13 @@ def _after_a_step(kp: float, kv: float, equality: str = "") -> mujoco.MjData:
     return data
 
 
-@pytest.mark.parametrize(("kp", "kv"), [(4000.0, 100.0), (1000.0, 0.0), (1e7, 0.0), (0.0, 50.0)])
-def test_a_drive_acts_on_the_state_after_the_step(kp: float, kv: float) -> None:
-    inertia = 2.0 + _STEP_S * kv + _STEP_S**2 * kp
-    expected = (2.0 * 0.5 + _STEP_S * kp * 0.1) / inertia
-    data = _after_a_step(kp, kv)
-    assert data.qvel[0] == pytest.approx(expected, rel=1e-9)
-    assert data.qpos[0] == pytest.approx(_STEP_S * expected, rel=1e-9)
+def test_a_drive_acts_on_the_state_after_the_step() -> None:
+    for kp, kv in [(4000.0, 100.0), (1000.0, 0.0), (1e7, 0.0), (0.0, 50.0)]:
+        inertia = 2.0 + _STEP_S * kv + _STEP_S**2 * kp
+        expected = (2.0 * 0.5 + _STEP_S * kp * 0.1) / inertia
+        data = _after_a_step(kp, kv)
+        assert data.qvel[0] == pytest.approx(expected, rel=1e-9)
+        assert data.qpos[0] == pytest.approx(_STEP_S * expected, rel=1e-9)
 
 
 def test_motors_and_what_is_not_driven_are_left_alone() -> None:

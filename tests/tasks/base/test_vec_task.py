@@ -165,50 +165,26 @@ def test_sizes_spaces_and_first_buffers(make_cart: MakeCart) -> None:
         assert (buffer == value).all(), name
 
 
-@pytest.mark.parametrize("num_envs", [0, -1])
-def test_no_environments(num_envs: int) -> None:
-    with pytest.raises(ConfigError, match=rf"numEnvs: got {num_envs}, expected a whole number of"):
-        PushedCart(_config(numEnvs=num_envs))
-
-
-@pytest.mark.parametrize(("section", "key"), [("env", "numEnvs"), ("sim", "dt")])
-def test_a_missing_number_is_named(section: str, key: str) -> None:
-    config = _config()
-    del config[section][key]
-    with pytest.raises(ConfigError, match=key):
-        PushedCart(config)
-
-
-def test_an_unknown_up_axis_lists_the_choices() -> None:
-    config = _config()
-    config["sim"]["up_axis"] = "x"
-    with pytest.raises(ConfigError, match=r"task\.sim\.up_axis: got 'x', expected one of y, z"):
-        PushedCart(config)
-
-
-def test_tasks_stand_side_by_side(make_cart: MakeCart) -> None:
-    first, second = make_cart(), make_cart()
-    _push(first)
-    _close(first.simulation.dof_vel, FIRST_SPEED)
-    _close(second.simulation.dof_vel, 0.0)
+def test_no_environments() -> None:
+    for num_envs in [0, -1]:
+        with pytest.raises(
+            ConfigError, match=rf"numEnvs: got {num_envs}, expected a whole number of"
+        ):
+            PushedCart(_config(numEnvs=num_envs))
 
 
 # --- devices ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("sim_device", "gpu_pipeline"), [("cuda:0", True), ("cpu", True), ("cuda:1", False)]
-)
-def test_physics_stays_on_the_cpu_and_says_so(
-    sim_device: str, gpu_pipeline: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    config = _config()
-    config["sim"]["use_gpu_pipeline"] = gpu_pipeline
-    with caplog.at_level(logging.INFO):
-        cart = PushedCart(config, sim_device=sim_device)
-    assert cart.device == torch.device("cpu")
-    assert any(f"sim_device={sim_device}" in message for message in caplog.messages)
-    cart.close()
+def test_physics_stays_on_the_cpu_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    for sim_device, gpu_pipeline in [("cuda:0", True), ("cpu", True), ("cuda:1", False)]:
+        config = _config()
+        config["sim"]["use_gpu_pipeline"] = gpu_pipeline
+        with caplog.at_level(logging.INFO):
+            cart = PushedCart(config, sim_device=sim_device)
+        assert cart.device == torch.device("cpu")
+        assert any(f"sim_device={sim_device}" in message for message in caplog.messages)
+        cart.close()
 
 
 def test_what_a_step_returns_lies_on_the_rl_device(make_cart: MakeCart) -> None:
@@ -233,28 +209,7 @@ def test_what_a_step_returns_lies_on_the_rl_device(make_cart: MakeCart) -> None:
     assert cart.obs_buf.device.type == "cpu"
 
 
-@pytest.mark.parametrize(
-    ("headless", "sensors", "expected"), [(True, False, -1), (True, True, 2), (False, False, 2)]
-)
-def test_graphics_device(make_cart: MakeCart, headless: bool, sensors: bool, expected: int) -> None:
-    cart = make_cart({"headless": headless, "graphics_device_id": 2}, enableCameraSensors=sensors)
-    assert cart.graphics_device_id == expected
-
-
 # --- a step -----------------------------------------------------------------------------------
-
-
-def test_order_of_a_step(make_cart: MakeCart) -> None:
-    cart = make_cart()
-    assert cart.events == ["create_sim"]
-    _push(cart)
-    assert cart.events[1:] == [
-        "pre, control_steps 0",
-        "simulate",
-        "post, control_steps 0",
-        "infos, control_steps 1",
-    ]
-    assert cart.control_steps == 1
 
 
 def test_a_control_step_simulates_its_time(make_cart: MakeCart) -> None:
@@ -288,11 +243,6 @@ def test_observations_are_clamped_but_not_their_buffer(make_cart: MakeCart) -> N
     _close(cart.states_buf[0, 0], 100.0 * FIRST_MOVE_M)
 
 
-def test_states_are_absent_without_numstates(make_cart: MakeCart) -> None:
-    observations, *_ = make_cart().step(torch.zeros(3, 1))
-    assert list(observations) == ["obs"]
-
-
 def test_what_a_step_returned_is_not_touched_by_the_next(make_cart: MakeCart) -> None:
     cart = make_cart()
     observed, rewards, dones, infos = _push(cart)
@@ -309,13 +259,6 @@ def test_what_a_step_returned_is_not_touched_by_the_next(make_cart: MakeCart) ->
         tensor.fill_(77)
     for buffer in (cart.obs_buf, cart.rew_buf, cart.reset_buf):
         assert not (buffer == 77).any()
-
-
-def test_infos_are_the_same_dictionary_at_every_step(make_cart: MakeCart) -> None:
-    cart = make_cart()
-    *_, first = _push(cart)
-    *_, second = _push(cart)
-    assert first is second is cart.extras
 
 
 # --- ends of episodes -------------------------------------------------------------------------
@@ -347,22 +290,6 @@ def test_a_failure_is_no_time_out(make_cart: MakeCart) -> None:
     *_, dones, infos = _push(cart)
     assert dones.tolist() == [1, 1, 1]
     assert infos["time_outs"].tolist() == [False, True, True]
-
-
-def test_no_time_out_where_the_task_goes_on(make_cart: MakeCart) -> None:
-    class Patient(PushedCart):
-        def post_physics_step(self) -> None:
-            super().post_physics_step()
-            self.reset_buf[1] = 0  # at the time limit, too
-
-    cart = Patient(_config())
-    cart.progress_buf[:] = 10
-    assert cart.compute_time_outs().all()
-    *_, dones, infos = _push(cart)
-    assert dones.tolist() == [1, 0, 1]
-    assert infos["time_outs"].tolist() == [True, False, True]
-    assert cart.done_buf.tolist() == [Done.TIME_OUT, Done.RUNNING, Done.TIME_OUT]
-    cart.close()
 
 
 def test_an_end_before_the_limit_is_a_failure(make_cart: MakeCart) -> None:
@@ -536,34 +463,7 @@ def test_a_reset_on_request_observes(make_lively) -> None:
     assert (cart.done_buf == Done.RUNNING).all()
 
 
-def test_an_action_may_count_as_zero_at_a_reset(make_lively) -> None:
-    cart = make_lively(ResetMode.BEFORE_PHYSICS, zero_action_at_reset=True)
-    _push(cart)
-    cart.events.clear()
-    _push(cart)
-    assert cart.events[:2] == ["reset [1]", "controls [1.0, 0.0, 1.0]"]
-    assert cart.actions.flatten().tolist() == [1.0, 0.0, 1.0]
-
-
-def test_a_missing_method_is_named() -> None:
-    class Cart(VecTask):
-        pass
-
-    with pytest.raises(NotImplementedError, match=r"Cart has no create_sim\(\).*own_task\.md"):
-        Cart(_config(), "cpu", "cpu", -1, True)
-
-
 # --- hooks of trainers ------------------------------------------------------------------------
-
-
-def test_hooks_of_trainers(make_cart: MakeCart) -> None:
-    cart = make_cart()
-    assert cart.total_train_env_frames == 0
-    cart.set_train_info(1234, "whatever", more=1)
-    assert cart.total_train_env_frames == 1234
-    assert cart.get_env_state() is None
-    cart.set_env_state({"anything": 1})
-    assert torch.equal(cart.zero_actions(), torch.zeros(3, 1))
 
 
 @pytest.mark.usefixtures("gl")
@@ -577,32 +477,6 @@ def test_a_picture_is_drawn_of_the_present_state(make_cart: MakeCart) -> None:
     for _ in range(EPISODE_LENGTH):
         _push(cart, 1000.0)
     assert (cart.render() != first).any()
-
-
-def test_who_watches_is_told_to_show_and_a_window_is_no_picture(make_cart: MakeCart) -> None:
-    class Shown:
-        shows = 0
-
-        def render(self) -> None:
-            self.shows += 1
-
-        def close(self) -> None: ...
-
-    cart, shown = make_cart(), Shown()
-    cart.headless = False
-    cart.listeners.append(shown)
-    assert (cart.render(), cart.render(mode="human")) == (None, None)
-    assert shown.shows == 2
-    with pytest.raises(ConfigError, match=r"unknown mode of render 'rgb'.*human, rgb_array"):
-        cart.render("rgb")
-
-
-def test_a_closed_task_cannot_be_stepped(make_cart: MakeCart) -> None:
-    cart = make_cart()
-    cart.close()
-    cart.close()
-    with pytest.raises(RuntimeError, match="closed"):
-        _push(cart)
 
 
 def _close(actual: Tensor, expected: float | list[float]) -> None:

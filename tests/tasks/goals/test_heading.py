@@ -44,18 +44,9 @@ def test_reward_of_the_specification(case) -> None:
     assert float(found) == pytest.approx(0.888913, abs=ATOL)
 
 
-def test_the_wanted_motion_earns_everything() -> None:
-    assert reward((1.5, 0.0)) == pytest.approx(1.0)
-
-
-def test_going_backward_earns_the_facing_only() -> None:
-    assert reward((-0.1, 0.0)) == pytest.approx(0.3)
-
-
-def test_facing_away_earns_the_velocity_only() -> None:
-    assert reward((1.5, 0.0), rot=(0.0, 0.0, 1.0, 0.0)) == pytest.approx(0.7)
-
-
-def test_speed_aside_costs() -> None:
-    # 0.7 exp(-0.25 * 0.1 * 2^2) + 0.3
+def test_what_is_paid() -> None:
+    assert reward((1.5, 0.0)) == pytest.approx(1.0)  # as wanted
+    assert reward((-0.1, 0.0)) == pytest.approx(0.3)  # backward: the facing alone
+    assert reward((1.5, 0.0), rot=(0.0, 0.0, 1.0, 0.0)) == pytest.approx(0.7)  # faces away
+    # Sideways: 0.7 exp(-0.25 * 0.1 * 2^2) + 0.3
     assert reward((1.5, 2.0)) == pytest.approx(0.7 * math.exp(-0.1) + 0.3)

@@ -1,1 +1,0 @@
-"""Broken and hostile files against the readers: python -m benchmarks.fuzz."""

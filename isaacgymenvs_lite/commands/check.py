@@ -1,0 +1,357 @@
+"""Checks a task or train file and describes its training, without training; or the installation.
+
+    isaacgymenvs-lite check FILE.yaml [task=<name>] [key=value ...]
+    isaacgymenvs-lite check                    # versions and what works, for an issue
+
+FILE is a path, or the name of a file in cfg/train or cfg/task. A train file is checked with the
+task that its name begins with, or with `task=`. The command lists the algorithm, the network,
+samples and length, the keys that have no effect here, and what would be changed to fit. A mistake
+is one line, as in train.py, with exit code 2; this includes files of published tasks that this
+project lacks, and train files of an unknown task. For a task file without a class here, everything
+but `task.env` is checked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import logging
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
+from isaacgymenvs_lite.config.launch import CheckedConfig, read_config
+from isaacgymenvs_lite.config.notes import cpu_defaults_note, keys_without_effect
+from isaacgymenvs_lite.config.published_names import (
+    longest_task,
+    missing_choice,
+    missing_task,
+    task_in_name,
+)
+from isaacgymenvs_lite.config.rl_games_settings import UNREAD_KEYS
+from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
+from isaacgymenvs_lite.config.train_files import compose_file
+from isaacgymenvs_lite.config.train_params import (
+    check_env_name,
+    checkpoint_in_file,
+    prepare_train_params,
+)
+from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
+from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
+from isaacgymenvs_lite.schema import select
+
+EXIT_DOES_NOT_WORK = 1
+# For train files without a task in their name, such as ASE's: the task by the algorithm.
+_TASKS_OF_ALGORITHMS = {
+    "HumanoidAMP": ("amp", "amp_continuous", "amp_agent"),
+    "HumanoidASE": ("ase", "gen_amp", "hrl", "hrl_continuous"),
+}
+_DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
+_NO_EFFECT = "no effect here"
+_GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check the file that the command line names, or the installation; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="isaacgymenvs-lite check",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", nargs="?", help="a task or train file, or its name")
+    parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
+    args = parser.parse_args(arguments)
+    if args.file is None:
+        from isaacgymenvs_lite.commands.installation import describe_installation  # torch, MuJoCo
+
+        lines, works = describe_installation()
+        sys.stdout.write("\n".join([*lines, ""]))
+        return 0 if works else EXIT_DOES_NOT_WORK
+    try:
+        sys.stdout.write("\n".join([*describe(args.file, args.settings), ""]))
+    except UserError as error:
+        parser.exit(EXIT_USER_ERROR, f"error: {error}\n")
+    return 0
+
+
+def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
+    """Return a description of the file, line by line.
+
+    Args:
+        file: path or name of a task or train file.
+        overrides: further words of train.py's command line.
+
+    Raises:
+        UserError: train.py would refuse the file.
+    """
+    path = _find(file)
+    with _log_lines() as logged:
+        _refuse_missing_task(path, overrides)
+        kind, content = _kind(path)
+        words = [f"{kind}={path}", *overrides]
+        guessed = kind == "train" and not any(word.startswith("task=") for word in overrides)
+        if guessed:
+            words.insert(0, f"task={_task_of(path, content)}")
+        has_train = kind == "train" or any(word.startswith("train=") for word in overrides)
+        if not has_train:
+            train = _train_file_of(path, str(content.get("name") or ""))
+            words.append(f"train={train or ANY_TRAIN_FILE}")
+            has_train = train is not None
+        config = read_config(compose(words))
+        task = str(config.tree["task"]["name"])
+        lines = [_title(path, kind, task, guessed)]
+        known = kind == "train" or _has_class(task)
+        if known:
+            lines += _describe_composed(config, kind, has_train)
+        else:
+            lines += _describe_unknown(config.tree)
+    for line in dict.fromkeys(logged):
+        lines.append(f"note: {line}")
+    checked = "it" if known else "the rest of it"
+    if any(line.startswith((_NO_EFFECT, "note: nothing reads")) for line in lines):
+        return [*lines, f"{checked} can be used; the keys without effect are named above"]
+    return [*lines, f"nothing is wrong with {checked}"]
+
+
+def _has_class(task: str) -> bool:
+    from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
+
+    return is_task(task)
+
+
+def _describe_unknown(tree: dict[str, Any]) -> list[str]:
+    """Return the description of a task file without the class of the task."""
+    lines = [
+        f"the class of '{tree['task']['name']}' is not here, so that the keys of task.env are not"
+        " checked; install the package that has it, or register it in a script (docs/own_task.md)"
+    ]
+    if unread := keys_without_effect(tree):
+        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
+    return lines
+
+
+def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
+    # torch, MuJoCo and rl_games: once the configuration is known to compose
+    from isaacgymenvs_lite.checkpoints.files import resolve_checkpoint
+    from isaacgymenvs_lite.env_factory import make_from_config
+    from isaacgymenvs_lite.registration import build_runner, known_names
+
+    tree = config.tree
+    num_envs = int(tree["task"]["env"]["numEnvs"])
+    small = copy.deepcopy(tree)
+    small["task"]["env"]["numEnvs"] = 2
+    task = make_from_config(small, sim_device="cpu", rl_device="cpu")
+    try:
+        lines = _task_lines(num_envs, task)
+        params = prepare_train_params(
+            tree,
+            num_envs=num_envs,
+            seed=1,
+            num_agents=task.num_agents,
+            num_states=task.num_states,
+            names=known_names(build_runner()),
+        )
+        check_env_name(params)
+    finally:
+        task.close()
+    if has_train:
+        lines += _train_lines(params)
+    if path := checkpoint_in_file(tree):
+        lines.append(f"goes on from {resolve_checkpoint(path, 'runs', tree['task']['name'])}")
+    unread = keys_without_effect(tree) if kind == "task" else _unread_train_keys(tree)
+    if unread:
+        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
+    if note := cpu_defaults_note(config.cfg):
+        lines.append(note)
+    return lines
+
+
+def _find(file: str) -> Path:
+    given = user_path(file)
+    if given.is_file():
+        return given.resolve()
+    named = [cfg_dir() / group / f"{given.stem}.yaml" for group in ("train", "task")]
+    for path in named:
+        if given.name == file and path.is_file():
+            return path
+    for group in ("train", "task"):
+        if published := missing_choice(group, given.stem):
+            raise ConfigError(f"{file}: no such file; {published}")
+    files = [path for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
+    names = [path.stem for path in files if path.stem not in PARTS]
+    raise ConfigError(
+        f"{file}: no such file, and no name of a file in {cfg_dir() / 'train'} or"
+        f" {cfg_dir() / 'task'}{suggest(given.stem, names)}"
+    )
+
+
+def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
+    """Refuse the file of a published task that this project lacks, before more of it is read.
+
+    Raises:
+        ConfigError: it is one, and there is no `task=` to check it with.
+    """
+    if any(word.startswith("task=") for word in overrides):
+        return
+    content = read_yaml(path)
+    name = str(content.get("name") or "") if "params" not in content else ""
+    missing = missing_task(name) if name else None
+    if missing is None and (not name or name == path.stem):
+        missing = missing_task(path.stem) or missing_task(_run_name(content))
+    if missing:
+        raise ConfigError(f"{path.name} is not checked: {missing}")
+
+
+def _kind(path: Path) -> tuple[str, DictConfig]:
+    written = read_yaml(path)
+    groups = [group for key, group in _GROUPS.items() if key in written]
+    content = compose_file(path, groups[0] if groups else "train")
+    if "params" in content:
+        return "train", content
+    if "env" in content:
+        return "task", content
+    raise ConfigError(
+        f"{path} is neither a train file (a mapping below 'params') nor a task file ('name', 'env',"
+        " 'sim')"
+    )
+
+
+def _task_of(path: Path, content: DictConfig) -> str:
+    """Return the task of a train file, or the path of its task file.
+
+    The task is found by the file's name and the name of its runs: MyRobotPPO.yaml, whose runs are
+    called MyRobot, belongs neither to a task Robot nor to a task My.
+
+    Raises:
+        ConfigError: there is no such task.
+    """
+    names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
+    named, run = task_in_name(path.stem), _run_name(content)
+    capital = re.match(r"[A-Z]", named)  # MyRobot; ASE's files are called amp_humanoid
+    of_its_own = is_foreign(path) and capital and run == named and named not in names
+    if not of_its_own and (task := longest_task(path.stem, names)):
+        return task
+    beside = path.parent.parent / "task" / f"{named}.yaml"
+    if beside.is_file():
+        return str(beside)
+    algorithm = _written(content, "params.algo.name")
+    for task, algorithms in _TASKS_OF_ALGORITHMS.items():
+        if algorithm in algorithms and not capital:
+            return task
+    if run in names:
+        return run
+    raise ConfigError(
+        f"{path.name} belongs to none of the tasks here; choose one to check it with, task=<name>:"
+        f" {', '.join(sorted(names))}"
+    )
+
+
+def _train_file_of(path: Path, name: str) -> str | None:
+    """Return the train file that goes with a task file, None if there is none."""
+    for train in (f"{path.stem}PPO", path.stem, f"{name}PPO"):  # HumanoidSAC.yaml has both
+        if (cfg_dir() / "train" / f"{train}.yaml").is_file():
+            return train
+    beside = path.parent.parent / "train" / f"{path.stem}PPO.yaml"
+    return str(beside) if beside.is_file() else None
+
+
+def _run_name(content: DictConfig) -> str:
+    """Return the name that the runs of a train file have by default, '' if it says none."""
+    written = _written(content, "params.config.name")
+    text = "" if written is None else str(written)
+    found = _DEFAULT_NAME.match(text)
+    return found[1] if found else text
+
+
+def _written(content: DictConfig, path: str) -> Any:
+    return select(OmegaConf.to_container(content, resolve=False), path)
+
+
+def _title(path: Path, kind: str, task: str, guessed: bool) -> str:
+    if kind == "task":
+        return f"{path.name}: a task file, of the task {task}"
+    hint = "; task=<name> checks it with another" if guessed else ""
+    return f"{path.name}: a train file, checked with task={task}{hint}"
+
+
+def _task_lines(num_envs: int, task: Any) -> list[str]:
+    states = f", {task.num_states} privileged observations" if task.num_states else ""
+    return [
+        f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
+        f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
+        f" {num_envs:,} environments"
+    ]
+
+
+def _train_lines(params: Mapping[str, Any]) -> list[str]:
+    config, network = params["config"], params["network"]
+    names = f"{params['algo']['name']}, model {params['model']['name']}"
+    lines = [f"algorithm: {names}", f"network: {_network_line(network)}"]
+    if config.get("central_value_config"):
+        critic = config["central_value_config"].get("network", {})
+        lines.append(f"asymmetric critic: {_network_line(critic)}")
+    envs, epochs = config["num_actors"], config.get("max_epochs", -1)
+    steps = config.get("horizon_length") or config.get("num_steps_per_episode", 1)
+    samples = envs * steps
+    line = f"samples: {envs:,} environments x {steps} steps = {samples:,} in an epoch"
+    if "minibatch_size" in config:
+        count = samples // config["minibatch_size"]
+        line += (
+            f"; {config['mini_epochs']} times {count} minibatches of {config['minibatch_size']:,}"
+        )
+    elif "batch_size" in config:
+        line += f"; batches of {config['batch_size']:,} from the replay buffer"
+    lines.append(line)
+    length = "no limit" if epochs < 0 else f"{epochs:,} epochs, {epochs * samples:,} steps"
+    lines.append(f"length: {length}")
+    return lines
+
+
+def _network_line(network: Mapping[str, Any]) -> str:
+    parts = [str(network.get("name", ""))]
+    mlp = network.get("mlp") or {}
+    if mlp:
+        units = ", ".join(str(units) for units in mlp.get("units", []))
+        parts.append(f"[{units}] {mlp.get('activation', '')}")
+    if rnn := network.get("rnn"):
+        parts.append(f"{rnn.get('name')} of {rnn.get('units')} units")
+    if network.get("separate"):
+        parts.append("actor and critic share no layers")
+    return ", ".join(parts)
+
+
+def _unread_train_keys(tree: dict[str, Any]) -> list[str]:
+    config = tree["train"]["params"]["config"]
+    return [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in config]
+
+
+@contextmanager
+def _log_lines() -> Iterator[list[str]]:
+    """Collect the log messages of the package instead of showing them."""
+    lines: list[str] = []
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines.append(record.getMessage())
+
+    logger = logging.getLogger("isaacgymenvs_lite")
+    former = (logger.level, logger.propagate)
+    collector = Collector(logging.INFO)
+    logger.addHandler(collector)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield lines
+    finally:
+        logger.removeHandler(collector)
+        logger.level, logger.propagate = former
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,272 @@
+"""Plays the shipped policies and records videos: isaacgymenvs-lite demo [key=value ...].
+
+    isaacgymenvs-lite demo                            # asks which; demo/<name>.mp4
+    isaacgymenvs-lite demo policies=[walk] seconds=10
+    isaacgymenvs-lite demo format=webp seconds=2      # small: a moving picture for a page
+    isaacgymenvs-lite demo format=png seconds=1       # eight poses
+
+For a policy that imitates, the reference clip is on the left (in a .png above) and the policy on
+the right. The pose error is measured over 16 episodes of 10 s that start anywhere in the clip; the
+video shows the first one. For skills, policies with a goal and the classic tasks, the video shows
+the first three of 16 episodes, and the goals; skills start from the default pose. The best policies
+come first. Without a terminal to ask in, all policies are shown whose clips are installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from omegaconf import DictConfig
+
+from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
+from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
+from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.config.compose import compose
+from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
+from isaacgymenvs_lite.errors import ConfigError, unknown
+from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
+from isaacgymenvs_lite.motion.strip import draw_poses, save_png
+from isaacgymenvs_lite.rendering.gl import ensure_gl
+from isaacgymenvs_lite.rendering.markers import Marker
+from isaacgymenvs_lite.rendering.tracks import PoseRecorder, Track
+from isaacgymenvs_lite.rendering.video import draw_tracks, save_video
+from isaacgymenvs_lite.runner import load_player
+from isaacgymenvs_lite.schema import setting
+from isaacgymenvs_lite.viewers.reference_overlay import reference_track
+
+log = logging.getLogger(__name__)
+
+_EPISODES = 16
+_EPISODE_STEPS = 300
+_SEED = 1
+_LABELS = ("reference clip", "policy")
+# Networks of policies that do not follow a clip, and how many of their episodes to show.
+_SKILL_NETWORKS = ("gen_amp", "ase", "hrl")
+_SHOWN_EPISODES = 3
+_POSES_OF_A_STRIP = 8
+# What the README shows comes first.
+_BEST_FIRST = (
+    *("backflip", "spinkick", "g1_walk", "walk", "heading", "cartwheel", "run", "g1_velocity"),
+    *("getup", "locomotion_skills", "anymal", "humanoid", "ant"),
+)
+# A panel's width and height in pixels, and how many control steps pass from frame to frame.
+_SIZES = {"mp4": (320, 480, 1), "webp": (200, 300, 2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoSettings:
+    """Arguments of the command."""
+
+    policies: tuple[str, ...] = setting([])
+    """Names of shipped policies; []: those chosen in the terminal, or all."""
+    seconds: float = setting(5.0, above=0, maximum=60)
+    """Time to show."""
+    format: str = setting("mp4", choices=(*_SIZES, "png"))
+    """mp4, webp (animated) or png (a strip of poses)."""
+    out: str = setting("demo")
+    """Folder for the files; made if it does not exist."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What a policy did in the demo.
+
+    Attributes:
+        model: of the character.
+        dt_s: control step.
+        tracks: (T, nq) each: the clip, from the policy's first pose on, and the policy; or the
+            policy in several environments.
+        labels: of the tracks; empty for none.
+        markers: shown at each time of each track, such as goals; empty for none.
+        summary: the result over all environments, for users.
+    """
+
+    model: mujoco.MjModel
+    dt_s: float
+    tracks: tuple[Track, ...]
+    labels: tuple[str, ...]
+    markers: tuple[tuple[tuple[Marker, ...], ...], ...]
+    summary: str
+
+
+def run_demo(settings: DemoSettings) -> list[Path]:
+    """Play, measure and record policies; return the files, one for each.
+
+    Raises:
+        UserError: no such policy, no way to draw or encode, a folder that cannot be written.
+    """
+    names = _names(settings.policies, _best_first(shipped_policy_infos()))
+    ensure_gl()  # fails before the play
+    folder = Path(settings.out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"out={settings.out}: cannot be made ({error.strerror})") from error
+    files = []
+    for number, name in enumerate(names, start=1):
+        log.info("%s, %d of %d: playing and drawing", name, number, len(names))
+        performance = perform(name, settings.seconds)
+        path = save_performance(performance, folder / f"{name}.{settings.format}")
+        size_kib = path.stat().st_size / 1024
+        log.info("%s: %s", name, performance.summary)
+        log.info("%s: wrote %s, %.0f KiB", name, path, size_kib)
+        files.append(path)
+    return files
+
+
+def _best_first(infos: Mapping[str, PolicyInfo]) -> dict[str, PolicyInfo]:
+    known = [name for name in _BEST_FIRST if name in infos]
+    return {name: infos[name] for name in (*known, *infos)}
+
+
+def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
+    """Return the policies to show: those wanted, or chosen, or all that can be played.
+
+    Raises:
+        ConfigError: there is none, or none of a wanted name.
+    """
+    if not infos:
+        raise ConfigError(
+            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
+        )
+    if not wanted and sys.stdin.isatty():
+        wanted = ask(infos)
+    for name in wanted:
+        if name not in infos:
+            raise ConfigError(unknown("policy", name, infos))
+    if wanted:
+        return list(wanted)
+    lacks = {name: info.missing() for name, info in infos.items()}
+    for name in filter(lacks.get, infos):
+        log.info("%s is left out: %s", name, lacks[name])
+    return [name for name in infos if not lacks[name]]
+
+
+def ask(infos: Mapping[str, PolicyInfo]) -> list[str]:
+    """Show the policies in a terminal and return those that the user names; [] for all."""
+    numbers = {str(number): name for number, name in enumerate(infos, start=1)}
+    for number, name in numbers.items():
+        sys.stdout.write(f"{number:>4}  {name:20}{infos[name]}\n")
+    try:
+        words: list[str] = re.findall(
+            r"[^\s,]+", input("Which ones, by number or name? Enter: all  ")
+        )
+    except EOFError:
+        return []
+    return [numbers.get(word, word) for word in words]
+
+
+def perform(name: str, seconds: float) -> Performance:
+    """Play a shipped policy with its mean actions, and record it.
+
+    Args:
+        name: of the policy.
+        seconds: time to record; less if all environments fall before.
+
+    Raises:
+        UserError: the policy cannot be played.
+    """
+    cfg, num_steps = _tree(name, seconds)
+    with load_player(cfg) as player:
+        env = player.env
+        imitates = _imitates(env, cfg)
+        recorder = PoseRecorder(env, num_steps, range(1 if imitates else _SHOWN_EPISODES))
+        result = evaluate(env, player.act, env.num_envs, on_step=lambda *_: recorder.step())
+        tracks = recorder.tracks()
+        if imitates:
+            tracks.insert(0, reference_track(env, tracks[0]))
+        return Performance(
+            env.simulation.model,
+            env.dt,
+            tuple(tracks),
+            _LABELS if imitates else (),
+            () if imitates else tuple(recorder.markers()),
+            f"{result.num_episodes} episodes: {result.imitation}"
+            if imitates
+            else _summary(result, cfg),
+        )
+
+
+def _tree(name: str, seconds: float) -> tuple[DictConfig, int]:
+    """Return the configuration that plays a policy, and the control steps to record."""
+    fixed = (
+        "test=True",
+        f"checkpoint={name}",
+        f"num_envs={_EPISODES}",
+        f"seed={_SEED}",
+        "rl_device=cpu",
+        "num_threads=1",  # so few humanoids are slower on more
+    )
+    cfg = compose([*playing_overrides(name), *fixed])
+    env = cfg.task.env
+    num_steps = max(1, round(seconds / (cfg.task.sim.dt * env.controlFrequencyInv)))
+    if "stateInit" in env:  # it has reference motions
+        env.stateInit = "Default" if _has_skills(cfg) else "Random"
+        env.episodeLength = max(_EPISODE_STEPS, num_steps + 1)
+    if "fallInitProb" in env:  # it gets up
+        env.fallInitProb, env.recoveryEpisodeProb = 1.0, 0.0
+    return cfg, num_steps
+
+
+def _imitates(env: Any, cfg: DictConfig) -> bool:
+    """Return whether a policy follows the clip, without a goal."""
+    has_goal = env.get_task_obs_size() > 0
+    return not has_goal and not _has_skills(cfg) and fits(env, ReferenceEnv)
+
+
+def _has_skills(cfg: DictConfig) -> bool:
+    return cfg.train.params.network.name in _SKILL_NETWORKS
+
+
+def _summary(result: EvaluationResult, cfg: DictConfig) -> str:
+    if result.imitation is None:  # a classic task
+        return f"return {result.reward:.1f} in {result.steps:.0f} steps"
+    parts = [f"{name} {error:.3f}" for name, error in result.goal_errors.items()]
+    if cfg.train.params.network.name == "hrl":  # skills have no task
+        parts.append(f"task reward {result.reward / result.steps:.2f} per step")
+    return ", ".join((*parts, result.imitation.falls()))
+
+
+def save_performance(performance: Performance, path: Path) -> Path:
+    """Draw a policy beside its clip, as a video (.mp4, .webp) or a strip of poses (.png).
+
+    Raises:
+        UserError: the file cannot be drawn, encoded or written.
+    """
+    tracks = performance.tracks
+    kind = path.suffix.removeprefix(".")
+    if kind == "png":
+        times = np.linspace(0, len(tracks[0]), _POSES_OF_A_STRIP, endpoint=False)
+        rows = [draw_poses(performance.model, track[times.astype(int)]) for track in tracks]
+        return save_png(path, np.concatenate(rows))
+    width, height, stride = _SIZES[kind]
+    images = draw_tracks(
+        performance.model,
+        [track[::stride] for track in tracks],
+        performance.labels,
+        markers=performance.markers[::stride],
+        width=width,
+        height=height,
+    )
+    return save_video(path, images, 1.0 / (performance.dt_s * stride))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite demo", description=__doc__)
+    return run_command(parser, DemoSettings, run_demo, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
