@@ -176,21 +176,15 @@ def test_a_clip_that_repeats_goes_on_in_its_direction() -> None:
             assert num_phases < SECOND or torch.allclose(found[SECOND:], chord, atol=1e-5)
 
 
-def lags_behind(
-    velocity_w: tuple[float, float],
-    clip_speed: float = 1.0,
-    steps: int = 26,
-    circles: float = 1.0,
-    tempo: float = 1.0,
-) -> bool:
-    """Whether a root that faces +y is behind after some steps; its clip goes ahead."""
-    points = clip(circles * LENGTH_S)
+def lags_behind(velocity_w: tuple[float, float], clip_speed: float = 1.0) -> bool:
+    """Whether a root that faces +y is behind after a second and a step; its clip goes ahead."""
+    points = clip()
     roots = arc(len(points), clip_speed)
     phases = ClipPhases([points], 1, DT_S, 0.3, [roots], travel_share=0.5)
     phases.start(torch.tensor([0]), torch.tensor([0]), torch.tensor([0.0]))
     found = False
-    for time_s, place_s in zip(times(steps), tempo * times(steps), strict=True):
-        phases.advance(body(place_s[None]))
+    for time_s in times(26):
+        phases.advance(body(time_s[None]))
         root = torch.tensor([[*velocity_w, 0.0]]) * time_s + torch.tensor([[3.0, 4.0, 1.0]])
         found = bool(phases.lags_behind(root, torch.tensor([FACES_PLUS_Y])))
     return found
@@ -216,7 +210,6 @@ def test_where_the_clip_hardly_travels_resting_is_no_fault() -> None:
 
 
 def limited_phases(
-    num_envs: int = 1,
     share: float = 0.3,
     episodes_s: float = 5.0,
     final_limit_m: float | None = None,
@@ -225,7 +218,7 @@ def limited_phases(
     """Phases with limits, after many episodes of that length; the next ones begin."""
     phases = ClipPhases(
         [clip(length_s)],
-        num_envs,
+        1,
         DT_S,
         limit_m=0.3,
         tempo_share=share,
@@ -234,7 +227,7 @@ def limited_phases(
     for _ in range(12):
         start_all(phases)
         for time_s in times(round(episodes_s / DT_S)):
-            phases.advance(body(time_s[None]).expand(num_envs, -1, -1))
+            phases.advance(body(time_s[None]))
     start_all(phases)
     return phases
 
@@ -255,9 +248,9 @@ def start_all(phases: ClipPhases) -> None:
     phases.start(torch.arange(num_envs), zeros.long(), zeros)
 
 
-def is_off_tempo(tempo: float, share: float = 0.3, episodes_s: float = 5.0) -> list[bool]:
+def is_off_tempo(tempo: float, share: float = 0.3) -> list[bool]:
     """Whether an episode at a tempo of its own is too fast or too slow, step by step."""
-    phases = limited_phases(share=share, episodes_s=episodes_s)
+    phases = limited_phases(share=share)
     found = []
     for time_s in times(3 * STEPS, tempo):
         phases.advance(body(time_s[None]))
