@@ -61,7 +61,7 @@ train: install
 	$(BIN)/python train.py task=HumanoidAMP $(ARGS)
 
 demo: $(VENV)/.installed-video
-	$(BIN)/python -m isaacgymenvs_lite.demo $(ARGS)
+	$(BIN)/python -m isaacgymenvs_lite demo $(ARGS)
 
 # pyright needs one CPU for half a minute: it runs beside the tests, and its lines come after theirs.
 test: ruff

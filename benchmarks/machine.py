@@ -8,7 +8,7 @@ import platform
 import mujoco
 import torch
 
-from isaacgymenvs_lite.installation import cpu_name
+from isaacgymenvs_lite.commands.installation import cpu_name
 
 
 def describe_machine() -> str:

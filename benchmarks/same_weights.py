@@ -38,7 +38,7 @@ def weights_hash(checkout: Path, words: tuple[str, ...]) -> str:
             check=True,
             capture_output=True,
         )
-        newest = max(Path(folder).rglob("*.pth"), key=lambda file: file.stat().st_mtime_ns)
+        newest = max(Path(folder).rglob("nn/*.pth"), key=lambda file: file.stat().st_mtime_ns)
         state = torch.load(newest, map_location="cpu", weights_only=True)
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors_in(state)):

@@ -16,8 +16,8 @@ from isaacgymenvs_lite.typed_command import CONSOLE_SCRIPT, PACKAGE
 COMMANDS = {
     "train": "train",
     "play": "train",
-    "demo": "demo",
-    "check": "check",
+    "demo": "commands.demo",
+    "check": "commands.check",
     "convert": "motion.convert",
     "view": "motion.view",
     "plot": "motion.plot",
@@ -27,9 +27,9 @@ COMMANDS = {
     "export": "export",
     "report": "report",
     "replay": "simulation.replay",
-    "policies": "policies",
+    "policies": "commands.policies",
     "workflows": "workflows",
-    "alias": "alias",
+    "alias": "commands.alias",
 }
 """Name -> module that `python -m` runs, in the order in which a user meets them."""
 PLAY = "Plays a policy: checkpoint=last, a file, or the name of a shipped one"

@@ -67,11 +67,12 @@ from isaacgymenvs_lite.pbt.observer import (
     run_suffix,
 )
 from isaacgymenvs_lite.pbt.restart import RestartRequest
-from isaacgymenvs_lite.run import MeasurementObserver, TrainingObservers
 from isaacgymenvs_lite.run.divergence import DivergenceFiles
 from isaacgymenvs_lite.run.folder import RunFolder, run_of_checkpoint
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 from isaacgymenvs_lite.run.memory import check_training_memory
 from isaacgymenvs_lite.run.objective import POSE_ERROR, Objective, objective_of
+from isaacgymenvs_lite.run.observers import TrainingObservers
 from isaacgymenvs_lite.run.stop_request import StopRequest
 from isaacgymenvs_lite.schema import leaves, select
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask

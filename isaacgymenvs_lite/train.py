@@ -46,7 +46,7 @@ from isaacgymenvs_lite.errors import (
 )
 from isaacgymenvs_lite.paths import check_working_folder
 from isaacgymenvs_lite.pbt.restart import RestartRequest, start_again
-from isaacgymenvs_lite.sweep import Summary, check_words, is_sweep, run_job, waiting_for_jobs
+from isaacgymenvs_lite.run.sweep import Summary, check_words, is_sweep, run_job, waiting_for_jobs
 from isaacgymenvs_lite.typed_command import TypedCommand, words_of_job
 
 log = logging.getLogger(__name__)

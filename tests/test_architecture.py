@@ -23,16 +23,7 @@ LAYERS = (
     *("env_interface", "gymnasium_ids"),
     *("tasks", "evaluation", "run", "checkpoints", "learning", "pbt", "viewers"),
     *("env_factory", "wrappers", "registration", "runner"),
-    *(
-        "installation",
-        "check",
-        "policies",
-        "demo",
-        "sweep",
-        "train",
-        "isaacgymenvs_compat",
-        "alias",
-    ),
+    *("train", "isaacgymenvs_compat", "commands"),
     *("report", "export", "workflows", "__main__"),
 )
 # Pairs that do not import each other, although their layers would allow it, directly or through

@@ -185,7 +185,7 @@ def check_make(words: Sequence[str]) -> None:
     for setting in settings:
         arguments = shlex.split(setting.removeprefix("ARGS="))
         if target == "demo":
-            check_module("isaacgymenvs_lite.demo", arguments)
+            check_module("isaacgymenvs_lite.commands.demo", arguments)
         else:
             assert target == "train", f"make {target} {setting}: how is it checked?"
             check_train(["task=HumanoidAMP", *arguments])

@@ -21,7 +21,6 @@ from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, folder_of_checkpoint, newest, runs_below
-from isaacgymenvs_lite.run.lock import FolderInUseError
 from isaacgymenvs_lite.schema import select
 from isaacgymenvs_lite.typed_command import package_command
 from isaacgymenvs_lite.utils.files import atomic_write
@@ -67,7 +66,7 @@ def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
         folder.make_again()
         write_atomically(path, state)
         saved = path
-    except (OSError, FolderInUseError) as error:
+    except OSError as error:
         saved = _rescue(path, state, folder, error)
     folder.save_failed = saved is None
     log.debug("saved %s", saved)
@@ -92,9 +91,7 @@ def write_atomically(path: Path, state: dict[str, Any]) -> None:
             raise OSError("the disk is full or broken") from error
 
 
-def _rescue(
-    path: Path, state: dict[str, Any], folder: RunFolder, error: OSError | FolderInUseError
-) -> Path | None:
+def _rescue(path: Path, state: dict[str, Any], folder: RunFolder, error: OSError) -> Path | None:
     """Write a checkpoint to the place of rescue; return its path, None if that fails, too."""
     try:
         rescued = folder.make_rescue() / path.name
@@ -104,21 +101,17 @@ def _rescue(
             "cannot write the checkpoint %s (%s), nor below the temporary folder (%s); training"
             " goes on, free some space before the next save",
             path,
-            _reason(error),
-            _reason(second_error),
+            error.strerror or error,
+            second_error.strerror or second_error,
         )
         return None
     log.error(
         "cannot write the checkpoint %s (%s); saved %s instead, training goes on",
         path,
-        _reason(error),
+        error.strerror or error,
         rescued,
     )
     return rescued
-
-
-def _reason(error: OSError | FolderInUseError) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def plain_numbers(value: Any) -> Any:

@@ -128,7 +128,7 @@ def read_policy_info(path: Path) -> PolicyInfo:
     if not isinstance(info, Mapping) or set(info) != names:
         raise CheckpointError(
             f"{path}: is no packed policy of this version; make one with python -m"
-            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+            " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     try:
         return read_section(PolicyInfo, info, "policy")

@@ -21,14 +21,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isaacgymenvs_lite.checkpoints.archive import ArchiveError, read_archive
+from isaacgymenvs_lite.checkpoints.archive import read_archive
 from isaacgymenvs_lite.checkpoints.files import (
     load_checkpoint,
     newest_run,
     plain_numbers,
     write_atomically,
 )
-from isaacgymenvs_lite.errors import CheckpointError
+from isaacgymenvs_lite.errors import CheckpointError, one_line
 from isaacgymenvs_lite.paths import user_path
 from isaacgymenvs_lite.run.folder import RunFolder, newest, run_of_checkpoint
 
@@ -142,7 +142,7 @@ def _files_of(path: Path, rank: int) -> tuple[Path, Path]:
 
 
 def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> TrainingState:
-    """Return what a file holds: a training state, or a plain checkpoint.
+    """Return the content of a file: a training state, or a plain checkpoint.
 
     Args:
         path: file of the main process.
@@ -150,7 +150,7 @@ def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> Tr
         num_processes: that train now.
 
     Raises:
-        CheckpointError: it is missing or damaged, or no checkpoint.
+        CheckpointError: the file is missing or damaged, or no checkpoint.
     """
     checkpoint = load_checkpoint(path)
     entry = checkpoint.pop(KEY, None)
@@ -160,14 +160,18 @@ def read_training_state(path: Path, rank: int = 0, num_processes: int = 1) -> Tr
     former_processes = entry.get("num_processes", 1)
     if former_processes != num_processes:
         return TrainingState(checkpoint, memory, None, former_processes)
-    file, buffers = _files_of(path, rank)
+    file, buffers_file = _files_of(path, rank)
     if rank > 0:
-        entry = _read_archive(file, "all processes need the run folder on a disk they share")
-        entry = entry.get(KEY) if isinstance(entry, dict) else None
-        memory = _memory_of(entry, file)
-        if not isinstance(entry, dict) or entry.get("token") != token:
+        hint = "all processes need the run folder on a disk they share"
+        own = _read_archive(file, hint).get(KEY, {})
+        memory = _memory_of(own, file)
+        if own.get("token") != token:
             raise CheckpointError(f"resume={file}: is not of the same training state as {path}")
-    return TrainingState(checkpoint, memory, _read_buffers(buffers, token), num_processes)
+    buffers = None
+    if buffers_file.is_file():
+        content = _read_archive(buffers_file, "remove it to go on with empty replay buffers")
+        buffers = content.get("buffers") if content.get("token") == token else None
+    return TrainingState(checkpoint, memory, buffers, num_processes)
 
 
 def _memory_of(entry: Any, path: Path) -> dict[str, Any]:
@@ -176,29 +180,16 @@ def _memory_of(entry: Any, path: Path) -> dict[str, Any]:
             f"resume={path}: its training state is of another version; start a run with its"
             f" networks: checkpoint={path}"
         )
-    memory = entry.get("memory")
-    if not isinstance(memory, dict):
-        raise CheckpointError(f"resume={path}: damaged: its training state has no content")
-    return memory
+    return entry["memory"]
 
 
-def _read_buffers(file: Path, token: Any) -> dict[str, Any] | None:
-    """Return the buffers that were written with a state; None if there are none."""
-    if not file.is_file():
-        return None
-    content = _read_archive(file, "remove it to go on with empty replay buffers")
-    buffers = content.get("buffers") if isinstance(content, dict) else None
-    return buffers if isinstance(buffers, dict) and content.get("token") == token else None
-
-
-def _read_archive(file: Path, hint: str) -> Any:
+def _read_archive(file: Path, hint: str) -> dict[str, Any]:
     try:
-        return read_archive(file)
+        return dict(read_archive(file))
     except OSError as error:
         raise CheckpointError(f"resume={file}: {error.strerror}; {hint}") from error
     except Exception as error:  # a damaged file may raise anything in the reader
-        reason = f" ({error})" if isinstance(error, ArchiveError) else ""
-        raise CheckpointError(f"resume={file}: damaged{reason}; {hint}") from error
+        raise CheckpointError(f"resume={file}: damaged ({one_line(error)}); {hint}") from error
 
 
 def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.isaacgymenvs_compat.utils import set_seed
-from isaacgymenvs_lite.run import MultiObserver
-from isaacgymenvs_lite.run import TaskScalarsObserver as RLGPUAlgoObserver
+from isaacgymenvs_lite.run.observers import MultiObserver
+from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver as RLGPUAlgoObserver
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 

@@ -5,28 +5,13 @@ Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Cha
 
 In the order of an epoch: the rollout stores `amp_obs` of each step, the discriminator rewards them,
 demonstrations and replayed rows are drawn, each minibatch trains policy and discriminator together,
-and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops and its hooks.
-Hooks that this agent adds, for agents with other rewards or rows:
-
-| hook | what it is for | overridden by |
-|---|---|---|
-| `_fetch_tracking_demo`, `_tracking_latents` | what a warm start learns from | GenAMP |
-| `_store_demos` | which demonstrations enter the buffer | GenAMP |
-| `_fetch_amp_obs_demo` | AMP observations of the reference motions | - |
-| `_preproc_amp_obs` | from AMP observations to inputs of the discriminator | - |
-| `_calc_amp_rewards`, `_calc_disc_rewards`, `_eval_disc` | reward terms | - |
-| `_reward_latents` | inputs of the rewards beside `amp_obs` | GenAMP |
-| `_combine_rewards` | the sum of the reward terms | GenAMP |
-| `_demo_disc_batch`, `_agent_disc_batch` | real and fake rows for the discriminator | GenAMP |
-| `_replayed_disc_batch` | more fake rows, from earlier rollouts | GenAMP |
-| `_log_rewards` | scalars of the reward terms | GenAMP |
-| `_disc_loss`, `_disc_loss_neg`, `_disc_loss_pos` | the discriminator's loss | - |
-| `_compute_disc_acc` | its logged accuracies | - |
+and the rollout's `amp_obs` enter the replay buffer. `common_agent` has the loops.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -41,13 +26,9 @@ from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
 from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    DiscriminatorTrainer,
-    LossFunctions,
-    StyleRewards,
-    accuracies,
+    StyleDiscriminator,
+    StyleLosses,
     disc_obs_size,
-    scheduled_grad_penalty,
-    upright_progress,
 )
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
@@ -63,10 +44,13 @@ log = logging.getLogger(__name__)
 
 # How much an epoch changes `AMPAgent.staying_up`: half of a change in 14 epochs.
 _PER_EPOCH = 0.05
+# Mean lengths of training episodes, as shares of the time limit, at which a policy begins to stay
+# up, and stays up; exploration makes policies fall that would not fall without.
+_BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 _AMP_OBS_KINDS = ("amp_obs", "amp_obs_replay", "amp_obs_demo")
 
 
-class AMPAgent(StyleRewards, CommonAgent):
+class AMPAgent(StyleLosses, CommonAgent):
     """The agent of `algo: name: amp_continuous` or `amp`, with the logistic style reward.
 
     A script that registers this class as `amp_agent`, as IsaacGymEnvs does, gets the same reward;
@@ -76,16 +60,15 @@ class AMPAgent(StyleRewards, CommonAgent):
         default_disc_reward: the style reward when the key `disc_reward` is absent.
         params_class: the keys that it reads beside PPO's.
         env_contract: the members that it needs of a task.
-        discriminator: buffers, normaliser, loss and reward.
+        discriminator: its network, normaliser and reward.
         frozen_until: last epoch in which the actor does not learn, after a warm start.
         staying_up: how far the policy has learned to stay up, 0 to 1, smoothed over epochs.
     """
 
-    discriminator: DiscriminatorTrainer
     frozen_until = 0
     staying_up = 0.0
     stored = ("frozen_until", "staying_up")
-    stored_buffers = ("demo_buffer", "replay_buffer")
+    stored_buffers = ("_amp_obs_demo_buffer", "_amp_replay_buffer")
     default_disc_reward = "logistic"
     params_class: ClassVar[type[AMPParams]] = AMPParams
     env_contract: ClassVar[Any] = AMPEnv
@@ -143,13 +126,12 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _build_modules(self) -> None:
         super()._build_modules()
-        self.discriminator = DiscriminatorTrainer(
+        self.discriminator = StyleDiscriminator(
             self.model.a2c_network,
             self._amp_obs_size,
             self._amp,
             self.default_disc_reward,
             self.ppo_device,
-            preprocess=lambda amp_obs: self._preproc_amp_obs(amp_obs),
         )
         # A subclass' loss as published has three arguments and computes the gradient itself.
         self._disc_loss_takes_gradient = accepts(self._disc_loss, 4)
@@ -179,33 +161,12 @@ class AMPAgent(StyleRewards, CommonAgent):
                 self.horizon_length, self.num_actors, device=self.ppo_device
             )
             self.tensor_list += ["rand_action_mask"]
-        self.discriminator.make_buffers()
-
-    @property
-    def _amp_obs_demo_buffer(self) -> ReplayBuffer:
-        return self.discriminator.demo_buffer
-
-    @_amp_obs_demo_buffer.setter
-    def _amp_obs_demo_buffer(self, buffer: ReplayBuffer) -> None:
-        self.discriminator.demo_buffer = buffer
-
-    @property
-    def _amp_replay_buffer(self) -> ReplayBuffer:
-        return self.discriminator.replay_buffer
-
-    @_amp_replay_buffer.setter
-    def _amp_replay_buffer(self, buffer: ReplayBuffer) -> None:
-        self.discriminator.replay_buffer = buffer
-
-    @property
-    def demo_buffer(self) -> ReplayBuffer:
-        """Demonstrations: AMP observations of the reference motions."""
-        return self._amp_obs_demo_buffer
-
-    @property
-    def replay_buffer(self) -> ReplayBuffer:
-        """AMP observations of earlier policies."""
-        return self._amp_replay_buffer
+        # Demonstrations: AMP observations of the reference motions.
+        self._amp_obs_demo_buffer = ReplayBuffer(
+            self._amp.amp_obs_demo_buffer_size, self.ppo_device
+        )
+        # AMP observations of earlier policies.
+        self._amp_replay_buffer = ReplayBuffer(self._amp.amp_replay_buffer_size, self.ppo_device)
 
     def _build_rand_action_probs(self) -> None:
         """Set `_rand_action_probs` (N,), the probability of exploration noise per environment."""
@@ -259,7 +220,9 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _init_amp_demo_buf(self) -> None:
         """Fill the buffer of demonstrations."""
-        self.discriminator.fill_demo_buffer(self._store_demos)
+        size = self._amp_obs_demo_buffer.get_buffer_size()
+        for _ in range(math.ceil(size / self._amp.amp_batch_size)):
+            self._store_demos()
 
     def _update_amp_demos(self) -> None:
         """Add new demonstrations to the buffer; called once per epoch."""
@@ -267,7 +230,7 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _store_demos(self) -> None:
         demos = self._fetch_amp_obs_demo(self._amp.amp_batch_size)
-        self.discriminator.store_demos({"amp_obs": demos})
+        self._amp_obs_demo_buffer.store({"amp_obs": self.discriminator.truncate(demos)})
 
     def _fetch_amp_obs_demo(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, F) of the reference motions."""
@@ -298,7 +261,8 @@ class AMPAgent(StyleRewards, CommonAgent):
 
     def _combine_rewards(self, task_rewards: Tensor, amp_rewards: dict[str, Tensor]) -> Tensor:
         """Return task_reward_w * task + disc_reward_w * style, (..., 1)."""
-        return self.discriminator.total_reward(task_rewards, amp_rewards["disc_rewards"])
+        style_rewards = self._amp.disc_reward_w * amp_rewards["disc_rewards"]
+        return self._amp.task_reward_w * task_rewards + style_rewards
 
     # --- update ----------------------------------------------------------------------------
 
@@ -308,12 +272,15 @@ class AMPAgent(StyleRewards, CommonAgent):
         self._schedule_grad_penalty()
         self._update_amp_demos()
         rows = len(batch_dict["amp_obs"])
-        batch_dict |= self._demo_disc_batch(self.discriminator.sample_demos(rows))
+        batch_dict |= self._demo_disc_batch(self._amp_obs_demo_buffer.sample(rows))
         for name, values in self._replayed_disc_batch(batch_dict).items():
             batch_dict[name.replace("amp_obs", "amp_obs_replay", 1)] = values
 
     def _schedule_grad_penalty(self) -> None:
-        """Let the gradient penalty follow how long episodes last, if it has a final value."""
+        """Lower the gradient penalty as episodes become longer, if it has a final value.
+
+        From `disc_grad_penalty` to `disc_grad_penalty_final` by a constant factor.
+        """
         final, max_steps = self._amp.disc_grad_penalty_final, self._max_episode_steps
         if final is None or max_steps is None:
             return
@@ -322,9 +289,12 @@ class AMPAgent(StyleRewards, CommonAgent):
         sums = torch.tensor([episodes, episodes * self.game_lengths.get_mean().item()])
         episodes, steps = current_group().sum_(sums).tolist()
         if episodes > 0:
-            now = upright_progress(steps / episodes / max_steps)
+            share = steps / episodes / max_steps
+            now = (share - _BEGINS_TO_STAY_UP) / (_STAYS_UP - _BEGINS_TO_STAY_UP)
+            now = min(max(now, 0.0), 1.0)
             self.staying_up += _PER_EPOCH * (now - self.staying_up)
-        weight = scheduled_grad_penalty(self._amp.disc_grad_penalty, final, self.staying_up)
+        first, progress = self._amp.disc_grad_penalty, self.staying_up
+        weight = float(first ** (1.0 - progress) * min(first, final) ** progress)
         self.discriminator.grad_penalty = weight
         self.train_log.add({"disc_grad_penalty_weight": torch.tensor(weight)})
 
@@ -337,8 +307,11 @@ class AMPAgent(StyleRewards, CommonAgent):
         return {"amp_obs": batch_dict["amp_obs"]}
 
     def _replayed_disc_batch(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
-        """Return more fake rows, as many and with the same names: of earlier rollouts."""
-        return self.discriminator.sample_replay(self._agent_disc_batch(batch_dict))
+        """Return as many fake rows of earlier rollouts; before the first update the same rows."""
+        fakes = self._agent_disc_batch(batch_dict)
+        if self._amp_replay_buffer.get_total_count() == 0:
+            return fakes
+        return self._amp_replay_buffer.sample(len(fakes["amp_obs"]))
 
     def _log_rewards(self) -> None:
         task, style = self._rollout_rewards["task_rewards"], self._rollout_rewards["disc_rewards"]
@@ -367,10 +340,10 @@ class AMPAgent(StyleRewards, CommonAgent):
             mask = input_dict["rand_action_mask"]
             share = current_group().mean(mask.mean())  # of rows that explored
             rows["row_weights"] = mask / share.clamp(min=1.0 / len(mask))
-        for name in _AMP_OBS_KINDS:
-            noise = self.discriminator.sample_noise(input_dict[name])
-            if noise is not None:
-                rows[f"{name}_noise"] = noise
+        if self._amp.disc_input_noise > 0.0:
+            for name in _AMP_OBS_KINDS:
+                noise = torch.randn_like(input_dict[name])
+                rows[f"{name}_noise"] = self._amp.disc_input_noise * noise
         return rows
 
     def _extra_dataset(self, batch_dict: dict[str, Any]) -> dict[str, Tensor]:
@@ -414,47 +387,14 @@ class AMPAgent(StyleRewards, CommonAgent):
             name: (weights.get(name, 0.0), value.mean()) for name, value in info.items()
         }
 
-    def _disc_loss(
-        self,
-        disc_agent_logit: Tensor,
-        disc_demo_logit: Tensor,
-        obs_demo: Tensor,
-        disc_demo_gradient: Tensor | None = None,
-    ) -> dict[str, Tensor]:
-        """Return the discriminator's loss and its parts; see `DiscriminatorTrainer.loss`.
-
-        Several threads call it, as `_extra_losses`. With the published three arguments the
-        gradient of `disc_demo_logit` by `obs_demo` is computed here.
-        """
-        return self.discriminator.loss(
-            disc_agent_logit,
-            disc_demo_logit,
-            obs_demo,
-            disc_demo_gradient,
-            LossFunctions(self._disc_loss_neg, self._disc_loss_pos, self._compute_disc_acc),
-        )
-
-    def _disc_loss_neg(self, disc_logits: Tensor) -> Tensor:
-        """Return the mean loss of logits (n, 1) of the policy's observations."""
-        return self.discriminator.loss_neg(disc_logits)
-
-    def _disc_loss_pos(self, disc_logits: Tensor) -> Tensor:
-        """Return the mean loss of logits (n, 1) of demonstrations."""
-        return self.discriminator.loss_pos(disc_logits)
-
-    def _compute_disc_acc(
-        self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return the shares of fakes and of demonstrations that are classified correctly."""
-        return accuracies(disc_agent_logit, disc_demo_logit)
-
     def _after_update(self, batch_dict: dict[str, Any]) -> None:
         """Store the policy's AMP observations: all until the buffer is full, then a few."""
         self._store_replay_amp_obs(**self._agent_disc_batch(batch_dict))
 
     def _store_replay_amp_obs(self, amp_obs: Tensor, **others: Tensor) -> None:
         """Store AMP observations (n, F), and other columns of the same rows."""
-        self.discriminator.store_replay({"amp_obs": amp_obs, **others})
+        rows = {"amp_obs": amp_obs, **others}
+        self._amp_replay_buffer.store_some(rows, self._amp.amp_replay_keep_prob)
 
     def _record_train_batch_info(
         self, batch_dict: dict[str, Any], train_info: dict[str, Any]

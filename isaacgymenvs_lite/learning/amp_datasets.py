@@ -7,7 +7,6 @@ from typing import Any
 
 import torch
 from rl_games.common.datasets import PPODataset
-from torch import Tensor
 
 from isaacgymenvs_lite.learning.published_names import PublishedNames
 
@@ -63,14 +62,6 @@ class AMPDataset(PublishedNames, PPODataset):
         super().update_values_dict(values_dict)
         if len(self._idx_buf) != self.batch_size:
             self._shuffle_idx_buf()
-
-    def update_mu_sigma(self, mu: Tensor, sigma: Tensor) -> None:
-        """Not supported: minibatches are random rows, which cannot be written back in order.
-
-        Raises:
-            NotImplementedError: always.
-        """
-        raise NotImplementedError("AMPDataset keeps the rollout's mu and sigma")
 
     def _get_item(self, idx: int) -> dict[str, Any]:
         rows = self._idx_buf[idx * self.minibatch_size : (idx + 1) * self.minibatch_size]

@@ -53,7 +53,6 @@ class AMPPlayerContinuous(StyleRewards, CommonPlayer):
             self._amp,
             self.default_disc_reward,
             self.device,
-            preprocess=lambda amp_obs: self._preproc_amp_obs(amp_obs),
         )
 
     def _build_net_config(self) -> dict[str, Any]:

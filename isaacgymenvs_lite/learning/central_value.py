@@ -13,7 +13,6 @@ from rl_games.algos_torch.central_value import CentralValueTrain
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor, parallelize
-from isaacgymenvs_lite.learning.diverged import fit_dataset
 from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 
 
@@ -78,11 +77,3 @@ def take_models(agent: Any, device: str | torch.device, precision: Any) -> Netwo
     if agent.normalize_value:
         agent.value_mean_std = models[-1].value_mean_std
     return executors[0]
-
-
-def fit_datasets(agent: Any, num_rows: int) -> None:
-    """Let the minibatches of an agent, and of its asymmetric critic, share `num_rows` rows."""
-    fit_dataset(agent.dataset, num_rows, agent.num_minibatches)
-    if agent.has_central_value:
-        central = agent.central_value_net
-        fit_dataset(central.dataset, num_rows, central.num_minibatches)

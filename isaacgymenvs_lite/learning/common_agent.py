@@ -2,50 +2,9 @@
 
 From top to bottom: constructor, rollout, bootstrap, update, loss, logging, checkpoint. rl_games'
 `train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are rl_games'.
-Agents override hooks, never the loops:
-
-| hook | what it is for | overridden by |
-|---|---|---|
-| `_complete_section` | which configurations the constructor takes | HRL |
-| `load_networks` | how the network is chosen | HRL |
-| `_load_config_params` | the agent's own keys | AMP, GenAMP, HRL |
-| `_setup_action_space` | number and limits of the actions | HRL |
-| `_build_net_config` | arguments of the networks | AMP, GenAMP |
-| `_build_modules` | what is built on the networks | AMP, GenAMP |
-| `_parameter_groups` | parameters with a learning rate of their own | AMP |
-| `init_tensors` | rollout buffers | AMP, GenAMP, HRL |
-| `_init_train` | work before the first epoch | AMP |
-| `_frozen_parameters` | what does not learn in an epoch | AMP |
-| `env_reset` | the first reset | GenAMP |
-| `_env_reset_done` | the reset of ended episodes | - |
-| `_after_reset`, `_before_step` | work where episodes start, and before policy steps | GenAMP |
-| `get_action_values` | exploration | AMP, HRL |
-| `_policy_inputs` | inputs of the networks beside the observation | GenAMP |
-| `preprocess_actions` | from the policy's actions to the environment's | HRL |
-| `env_step` | a step of the environment | HRL |
-| `_needs_next_value` | rows whose V(s') the next policy call does not give | GenAMP |
-| `_eval_critic` | the critic that V(s') comes from, an asymmetric one if there is any | - |
-| `_record_step` | what to keep of a step | AMP, GenAMP, HRL |
-| `_track_episodes` | what episodes earn, for logs and the best checkpoint | HRL |
-| `_total_rewards` | rewards beside the task's | AMP, HRL |
-| `mean_policy` | the policy for another task | HRL |
-| `_evaluation_inputs` | `_policy_inputs` for another task | GenAMP |
-| `_before_update` | work before the gradient steps | AMP, HRL |
-| `_after_update` | work after them | AMP |
-| `_calc_advs` | how advantages are normalised | AMP |
-| `_extra_dataset`, `_dataset_row_limits` | more rows in the training set | AMP, GenAMP |
-| `_normalizer_inputs` | rows that update the running statistics | AMP |
-| `_minibatch_extras` | rows that need the whole minibatch | AMP, GenAMP |
-| `_training_inputs` | inputs of the model beside the observation | AMP, GenAMP |
-| `_actor_loss`, `_critic_loss`, `bound_loss` | PPO's loss terms | - |
-| `_extra_losses` | loss terms beside PPO's | AMP, GenAMP |
-| `_record_train_batch_info` | what to log of an epoch | AMP, GenAMP, HRL |
-| `_log_train_info` | how it is logged | - |
-| `_parts`, `get_stats_weights`, `set_stats_weights` | more modules in checkpoints | AMP |
-| `get_full_state_weights`, `set_full_state_weights` | other entries of checkpoints | HRL |
-
-A hook that the agents of IsaacGymEnvs or ASE have too has their name and arguments;
-`published_names` lists the others of theirs. N environments, horizon H, batch B = N * H.
+Agents override the methods that the loops call, never the loops. A method that the agents of
+IsaacGymEnvs or ASE have too has their name and arguments; `published_names` lists the others of
+theirs. N environments, horizon H, batch B = N * H.
 """
 
 from __future__ import annotations
@@ -65,13 +24,9 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in, failures
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning import losses
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.central_value import (
-    fit_datasets,
-    make_central_value,
-    take_models,
-)
+from isaacgymenvs_lite.learning.central_value import make_central_value, take_models
 from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
-from isaacgymenvs_lite.learning.diverged import RolloutMask, take_rows
+from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_datasets, take_rows
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
 from isaacgymenvs_lite.learning.published_names import (
     AGENT_NAMES,
@@ -79,14 +34,11 @@ from isaacgymenvs_lite.learning.published_names import (
     is_overridden,
 )
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
-from isaacgymenvs_lite.learning.training_log import EpisodeStatistics, TrainingLog
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
 """{name: (weight, term)}: terms are numbers, means over rows or the same for all of them. Their
 weighted sum is the loss, their names are what is logged; a weight of 0 only logs."""
-
-_UNSUPPORTED_KEYS = ("normalize_rms_advantage", "self_play_config", "use_action_masks")
 
 
 class CommonAgent(ExplainedNames, PPOSafeguards):
@@ -114,7 +66,9 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     replaced: ClassVar[dict[str, str]] = AGENT_NAMES
     scalars: ClassVar[dict[str, str]] = {"actor_clip_frac": "info/clip_frac"}
-    unsupported_keys: ClassVar[tuple[str, ...]] = _UNSUPPORTED_KEYS
+    unsupported_keys: ClassVar[tuple[str, ...]] = (
+        *("normalize_rms_advantage", "self_play_config", "use_action_masks"),
+    )
     control_steps_per_action = 1
     has_restored = False
     stored_episodes = ("dataset",)
@@ -159,6 +113,8 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self._rollout_rewards: dict[str, Tensor] = {}
         self._bootstrap_queue: list[tuple[Tensor, dict[str, Tensor]]] = []
         self._mask = RolloutMask(self.horizon_length)
+        # A policy call returns the model's values, not the values of a subclass' own critic.
+        self._has_own_critic = is_overridden(self, CommonAgent._eval_critic)
         self._restored_best: float | None = None
         self.algo_observer.after_init(self)
 
@@ -240,14 +196,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         buffer = self.experience_buffer.tensor_dict
         buffer["next_values"] = torch.zeros_like(buffer["values"])
 
-    def init_current_rewards(self, batch_size: int, current_rewards_shape: Any) -> None:
-        """Start the statistics of episodes; rl_games calls this with its buffers."""
-        super().init_current_rewards(batch_size, current_rewards_shape)
-        self._episodes = EpisodeStatistics(
-            (self.current_rewards, self.current_shaped_rewards, self.current_lengths),
-            (self.game_rewards, self.game_shaped_rewards, self.game_lengths),
-        )
-
     def env_reset(self) -> Any:
         """Reset the environment at the start of training, and keep the restored best reward.
 
@@ -276,10 +224,15 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         for n in range(self.horizon_length):
             self.obs, reset_ids = self._env_reset_done()
             self._after_reset(reset_ids.to(self.ppo_device))
-            self._before_step()
-            result = self.get_action_values(self.obs)
-            if n > 0:
-                self._fill_next_values(n - 1, result["values"])
+            try:
+                result = self.get_action_values(self.obs)
+            except (RuntimeError, ValueError):
+                self.explain_failed_action(self.obs, n)
+                raise
+            if n > 0:  # V(s') of the last step, where its episode goes on
+                next_values = buffer.tensor_dict["next_values"][n - 1]
+                pending = self._pending.unsqueeze(-1)
+                torch.where(pending, result["values"], next_values, out=next_values)
             buffer.update_data("obses", n, self.obs["obs"])
             if self.has_central_value:
                 buffer.update_data("states", n, self.obs["states"])
@@ -307,16 +260,12 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _after_reset(self, env_ids: Tensor) -> None:
         """Called before each policy step with the environments (n,) whose episodes start there."""
 
-    def _before_step(self) -> None:
-        """Called before each policy step of a rollout."""
-
     def get_action_values(self, obs: dict[str, Tensor]) -> dict[str, Tensor]:
         """Sample actions for observations; values are denormalised.
 
         The asymmetric critic gives the values, if there is one.
         """
-        with self._acting_in_rollout(obs):
-            result = self._evaluate_policy(obs, self._policy_inputs())
+        result = self._evaluate_policy(obs, self._policy_inputs())
         if self.has_central_value:
             result["values"] = self._central_values(obs["states"])
         return result
@@ -356,12 +305,25 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         finished = self.dones.nonzero(as_tuple=False)[:: self.num_agents]
         diverged = diverged_in(infos, finished.device)
         counted = finished if diverged is None else finished[~diverged[finished.flatten()]]
-        self._episodes.add((rewards, shaped_rewards, 1.0), self.dones, counted)
+        going_on = 1.0 - self.dones.float()
+        for total, meter, value in (
+            (self.current_rewards, self.game_rewards, rewards),
+            (self.current_shaped_rewards, self.game_shaped_rewards, shaped_rewards),
+            (self.current_lengths, self.game_lengths, 1.0),
+        ):
+            total += value
+            meter.update(total[counted])
+            total *= going_on.view(-1, *(1,) * (total.ndim - 1))
         self.algo_observer.process_infos(infos, finished)
 
     def _rollout_batch(self, step_time_s: float) -> dict[str, Any]:
-        self._evaluate_bootstrap_queue()
         buffer = self.experience_buffer.tensor_dict
+        places, queued = zip(*self._bootstrap_queue, strict=True)
+        self._bootstrap_queue = []
+        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
+        if len(inputs["obs"]) > 0:
+            next_values = buffer["next_values"].flatten(0, 1)
+            next_values[torch.cat(places)] = self._eval_critic(inputs)
         rewards = self._total_rewards(buffer["rewards"])
         kept = self._mask.kept
         if kept is not None:
@@ -419,9 +381,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
     def _queue_bootstrap_values(self, n: int, infos: dict[str, Any]) -> None:
         """Store the rows after step n that no later policy call evaluates; failures have V = 0."""
         rows = self._needs_next_value()
-        # A policy call returns the model's values, not the values of a subclass' own critic.
-        own_critic = is_overridden(self, CommonAgent._eval_critic)
-        if n == self.horizon_length - 1 or own_critic:
+        if n == self.horizon_length - 1 or self._has_own_critic:
             rows = torch.ones_like(rows)
         self._pending = ~rows
         terminate = failures(self.dones, infos).bool()
@@ -432,20 +392,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             inputs["states"] = self.obs["states"]
         queued = {name: value.index_select(0, env_ids) for name, value in inputs.items()}
         self._bootstrap_queue.append((n * len(terminate) + env_ids, queued))
-
-    def _fill_next_values(self, n: int, values: Tensor) -> None:
-        """Set V(s') of step n where it is the value (N, values) of step n + 1."""
-        next_values = self.experience_buffer.tensor_dict["next_values"][n]
-        torch.where(self._pending.unsqueeze(-1), values, next_values, out=next_values)
-
-    def _evaluate_bootstrap_queue(self) -> None:
-        """Evaluate the rows of `_queue_bootstrap_values` of a whole rollout in one call."""
-        places, queued = zip(*self._bootstrap_queue, strict=True)
-        self._bootstrap_queue = []
-        inputs = {name: torch.cat([rows[name] for rows in queued]) for name in queued[0]}
-        if len(inputs["obs"]) > 0:
-            next_values = self.experience_buffer.tensor_dict["next_values"].flatten(0, 1)
-            next_values[torch.cat(places)] = self._eval_critic(inputs)
 
     def _eval_critic(self, obs_dict: dict[str, Tensor]) -> Tensor:
         """Return denormalised values (n, values) of raw observations `obs` and policy inputs.
@@ -674,44 +620,42 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             **self._training_inputs(minibatch),
         }
         result = self.model(batch)
-        terms, values = self._ppo_terms(result, minibatch)
-        terms |= self._extra_losses(result, batch, minibatch)
+        neglogp, mu = result["prev_neglogp"], result["mus"]
+        actor = self._actor_loss(
+            minibatch["old_logp_actions"], neglogp, minibatch["advantages"], self.e_clip
+        )
+        critic = {"critic_loss": torch.zeros_like(minibatch["returns"])}
+        if self.has_value_loss:
+            values = (minibatch["old_values"], result["values"])
+            critic = self._critic_loss(*values, self.e_clip, minibatch["returns"], self.clip_value)
+        bound = self.bound_loss(mu)
+        terms = {
+            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], minibatch)),
+            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
+            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, minibatch)),
+            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], minibatch)),
+            **self._extra_losses(result, batch, minibatch),
+        }
         weighted = [weight * term for weight, term in terms.values() if weight != 0.0]
-        values |= {name: term for name, (_, term) in terms.items()}
-        return torch.stack(weighted).sum(), values
+
+        logged = {name: term for name, (_, term) in terms.items()}
+        with torch.no_grad():
+            logged["kl"] = torch_ext.policy_kl(
+                mu, result["sigmas"], minibatch["mu"], minibatch["sigma"]
+            )
+        logged["neglogp"] = neglogp
+        if "actor_clipped" in actor:
+            clipped = actor["actor_clipped"].float()
+            logged["actor_clip_frac"] = weighted_mean(clipped, minibatch)
+        # A subclass may add values, which are logged as numbers.
+        for name, value in {**actor, **critic}.items():
+            if name not in logged and name != "actor_clipped" and isinstance(value, Tensor):
+                logged[name] = value.detach().mean()
+        return torch.stack(weighted).sum(), logged
 
     def _training_inputs(self, input_dict: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return inputs of the model beside the observation."""
         return {}
-
-    def _ppo_terms(
-        self, result: dict[str, Tensor], rows: dict[str, Tensor]
-    ) -> tuple[LossTerms, dict[str, Tensor]]:
-        neglogp, mu = result["prev_neglogp"], result["mus"]
-        actor = self._actor_loss(rows["old_logp_actions"], neglogp, rows["advantages"], self.e_clip)
-        critic = {"critic_loss": torch.zeros_like(rows["returns"])}
-        if self.has_value_loss:
-            critic = self._critic_loss(
-                rows["old_values"], result["values"], self.e_clip, rows["returns"], self.clip_value
-            )
-        with torch.no_grad():
-            kl = torch_ext.policy_kl(mu, result["sigmas"], rows["mu"], rows["sigma"])
-        bound = self.bound_loss(mu)
-        terms = {
-            "actor_loss": (1.0, weighted_mean(actor["actor_loss"], rows)),
-            "critic_loss": (self.critic_coef, critic["critic_loss"].mean()),
-            "b_loss": (self.bounds_loss_coef or 0.0, weighted_mean(bound, rows)),
-            "entropy": (-self.entropy_coef, weighted_mean(result["entropy"], rows)),
-        }
-        values = {"kl": kl, "neglogp": neglogp}
-        if "actor_clipped" in actor:
-            values["actor_clip_frac"] = weighted_mean(actor["actor_clipped"].float(), rows)
-        # What a subclass adds is logged as a number, as the published agents' `actor_clip_frac`.
-        own = {*terms, "actor_clipped"}
-        for name, value in {**actor, **critic}.items():
-            if name not in own and isinstance(value, Tensor):
-                values[name] = value.detach().mean()
-        return terms, values
 
     def _actor_loss(
         self,
@@ -811,6 +755,40 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             self.optimizer.param_groups[0]["lr"] = self.last_lr
         self._restored_best = self.last_mean_rewards
         self.has_restored = True
+
+
+class TrainingLog:
+    """Collects scalars in an epoch and writes their means to TensorBoard.
+
+    Args:
+        tags: name of a scalar -> its name in TensorBoard; others are only collected.
+
+    Attributes:
+        values: one value for each minibatch or epoch, by name; of the current epoch.
+    """
+
+    def __init__(self, tags: Mapping[str, str]) -> None:
+        self._tags = tags
+        self.values: dict[str, list[Tensor]] = {}
+
+    def start_epoch(self) -> None:
+        """Drop what the last epoch collected."""
+        self.values = {}
+
+    def add(self, scalars: Mapping[str, Tensor]) -> None:
+        """Keep values of a minibatch or of an epoch."""
+        for name, value in scalars.items():
+            self.values.setdefault(name, []).append(value)
+
+    def means(self) -> dict[str, float]:
+        """Return the epoch means of all collected scalars."""
+        return {name: torch_ext.mean_list(values).item() for name, values in self.values.items()}
+
+    def write(self, writer: Any, train_info: Mapping[str, Any], frame: int) -> None:
+        """Write the means of the lists in `train_info` that have a tag."""
+        for name, tag in self._tags.items():
+            if name in train_info:
+                writer.add_scalar(tag, torch_ext.mean_list(train_info[name]).item(), frame)
 
 
 def given_params(params: dict[str, Any] | None, config: dict[str, Any] | None) -> dict[str, Any]:

@@ -63,11 +63,13 @@ def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:
     return of(batch)
 
 
-def fit_dataset(dataset: Any, num_rows: int, num_minibatches: int) -> None:
-    """Let the minibatches of a dataset of rl_games share `num_rows` rows evenly."""
-    dataset.batch_size = num_rows
-    dataset.minibatch_size = math.ceil(num_rows / num_minibatches)
-    dataset.length = math.ceil(num_rows / dataset.minibatch_size)
+def fit_datasets(agent: Any, num_rows: int) -> None:
+    """Let the minibatches of an agent, and of its asymmetric critic, share `num_rows` rows."""
+    for owner in (agent, agent.central_value_net) if agent.has_central_value else (agent,):
+        dataset = owner.dataset
+        dataset.batch_size = num_rows
+        dataset.minibatch_size = math.ceil(num_rows / owner.num_minibatches)
+        dataset.length = math.ceil(num_rows / dataset.minibatch_size)
 
 
 class EpisodeMeter(AverageMeter):

@@ -93,12 +93,14 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             self._amp.clip_latents,
             self._amp.latent_dim,
             read=lambda amp_obs: self._eval_enc(amp_obs),
-            fetch=lambda n: self.discriminator.sample_demos(n)["amp_obs"],
+            fetch=lambda n: self._amp_obs_demo_buffer.sample(n)["amp_obs"],
             sample=lambda n: self._sample_latents(n),
         )
-        self.schedule = make_schedule(
-            self._amp,
+        self.schedule = LatentSchedule(
             self.num_actors,
+            self._amp.latent_dim,
+            self._amp.latent_steps_min,
+            self._amp.latent_steps_max,
             self.ppo_device,
             draw=lambda n: self._clip_latents.draw(n, self.ppo_device),
         )
@@ -152,7 +154,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
             super()._store_demos()
             return
         pairs = self._fetch_amp_obs_demo_pairs(self._amp.amp_batch_size)
-        self.discriminator.store_demos({"amp_obs": pairs[:, 0], "amp_obs_near": pairs[:, 1]})
+        at, near = self.discriminator.truncate(pairs).unbind(dim=1)
+        self._amp_obs_demo_buffer.store({"amp_obs": at, "amp_obs_near": near})
 
     def _fetch_amp_obs_demo_pairs(self, num_samples: int) -> Tensor:
         """Return AMP observations (n, 2, F) of two moments each of the reference motions."""
@@ -164,7 +167,8 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     def _tracking_latents(self, demo: TrackingDemo) -> Tensor:
         """Let the encoder learn from the clips, and return what it finds in a demonstration."""
-        self.discriminator.update_normalizer(demo.amp_obs)
+        if self.discriminator.normalizer is not None:
+            self.discriminator.normalizer.count_in(demo.amp_obs)
 
         def loss() -> Tensor:
             terms = self._clip_encoding_losses(self._draw_demo_triples())
@@ -185,6 +189,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
     def _after_reset(self, env_ids: Tensor) -> None:
         super()._after_reset(env_ids)
         self._restart_latents(env_ids)
+        self._update_latents()
 
     def _restart_latents(self, env_ids: Tensor) -> None:
         if self._amp.clip_latents == 0.0 or len(env_ids) == 0:
@@ -196,10 +201,6 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         if self._keeping is not None:
             self._keeping.leave_clips(env_ids)
             self._keeping.keep_to_clips(env_ids[of_starts])
-
-    def _before_step(self) -> None:
-        super()._before_step()
-        self._update_latents()
 
     def _update_latents(self) -> None:
         """Replace the latents whose time is over; called before each policy step."""
@@ -320,7 +321,7 @@ class GenAMPAgent(SkillRewards, AMPAgent):
 
     def _draw_demo_triples(self) -> Tensor:
         """Return normalised AMP observations (n, 3, F): near moments of a clip, and any other."""
-        demos = self.discriminator.sample_demos(max(1, self._amp_minibatch_size // 2))
+        demos = self._amp_obs_demo_buffer.sample(max(1, self._amp_minibatch_size // 2))
         pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
         # Rows are drawn at random, so that the next one is a random other one.
         others = pairs[:, :1].roll(1, dims=0)
@@ -403,34 +404,13 @@ class GenAMPAgent(SkillRewards, AMPAgent):
         train_info["enc_rewards"] = batch_dict["enc_rewards"]
 
 
-def make_schedule(
-    params: GenAMPParams,
-    num_envs: int,
-    device: str | torch.device,
-    draw: Callable[[int], Tensor] | None = None,
-) -> LatentSchedule:
-    """Return the schedule that the keys describe; `draw` as in `LatentSchedule`.
-
-    Raises:
-        ConfigError: latent_steps_min is not below latent_steps_max.
-    """
-    steps = (params.latent_steps_min, params.latent_steps_max)
-    return LatentSchedule(num_envs, params.latent_dim, *steps, device, draw)
-
-
 def make_evaluation_schedule(
     params: GenAMPParams, env: SkillEnv, encoder: SkillEncoder, device: str | torch.device
 ) -> LatentSchedule:
     """Return the schedule of a task that is played: latents as in training, of the task's clips.
 
-    Args:
-        params: the keys.
-        env: the task.
-        encoder: reads the latents.
-        device: of the latents.
-
     Raises:
-        ConfigError: as `make_schedule`.
+        ConfigError: latent_steps_min is not below latent_steps_max.
     """
     clip_latents = ClipLatents(
         params.clip_latents,
@@ -439,4 +419,5 @@ def make_evaluation_schedule(
         fetch=lambda n: env.fetch_amp_obs_demo(n).to(device),
     )
     draw = partial(clip_latents.draw, device=device)
-    return make_schedule(params, env.num_envs, device, draw)
+    steps = (params.latent_steps_min, params.latent_steps_max)
+    return LatentSchedule(env.num_envs, params.latent_dim, *steps, device, draw)

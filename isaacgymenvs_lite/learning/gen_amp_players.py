@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ClipWindowsEnv, SkillEnv, fits, require
-from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.errors import ConfigError, one_line
 from isaacgymenvs_lite.learning.amp_config import AMPParams, GenAMPParams
 from isaacgymenvs_lite.learning.amp_players import AMPPlayerContinuous
 from isaacgymenvs_lite.learning.gen_amp import make_evaluation_schedule
@@ -119,24 +119,18 @@ def read_latents(file: Path, latent_dim: int) -> Tensor:
     Raises:
         ConfigError: the file cannot be read, or its rows are no latents of this width.
     """
-    choices = "random, interpolate or a .npy file"
     try:
         array = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ConfigError(f"latent={file}: {error}; expected {choices}") from error
-    shape = np.shape(array)
-    if (
-        not isinstance(array, np.ndarray)
-        or array.dtype.kind not in "fi"
-        or array.ndim not in (1, 2)
-    ):
-        raise ConfigError(f"latent={file}: expected an array of numbers (K, {latent_dim})")
-    if shape[-1] != latent_dim or array.size == 0:
+        rows = torch.from_numpy(np.atleast_2d(array).astype(np.float32))
+    except Exception as error:  # a file of another kind may raise anything in the reader
         raise ConfigError(
-            f"latent={file}: shape {shape}; the policy's latents have {latent_dim} numbers,"
+            f"latent={file}: {one_line(error)}; expected random, interpolate or a .npy file"
+        ) from error
+    if rows.ndim != 2 or rows.shape[1] != latent_dim or len(rows) == 0:
+        raise ConfigError(
+            f"latent={file}: shape {array.shape}; the policy's latents have {latent_dim} numbers,"
             f" expected (K, {latent_dim})"
         )
-    rows = torch.from_numpy(np.atleast_2d(array).astype(np.float32))
     lengths = rows.norm(dim=-1)
     if not bool(((lengths > 0.0) & lengths.isfinite()).all()):
         raise ConfigError(

@@ -7,7 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.published_names import PublishedNames
 
 
@@ -21,14 +20,9 @@ class ReplayBuffer(PublishedNames):
     Args:
         buffer_size: rows, at least 1.
         device: of the rows.
-
-    Raises:
-        ConfigError: buffer_size below 1.
     """
 
     def __init__(self, buffer_size: int, device: str | torch.device) -> None:
-        if buffer_size < 1:
-            raise ConfigError(f"replay buffer of {buffer_size} rows: expected at least 1")
         self._buffer_size = buffer_size
         self._device = torch.device(device)
         self._data_buf: dict[str, Tensor] = {}
@@ -98,13 +92,7 @@ class ReplayBuffer(PublishedNames):
         self.store({name: values[rows] for name, values in data.items()})
 
     def sample(self, n: int) -> dict[str, Tensor]:
-        """Return n rows, name -> (n, ...).
-
-        Raises:
-            RuntimeError: nothing was stored yet.
-        """
-        if self._total_count == 0:
-            raise RuntimeError("the replay buffer is empty; store rows before sampling")
+        """Return n rows, name -> (n, ...); the buffer holds at least one."""
         order = (self._sample_head + torch.arange(n, device=self._device)) % self._buffer_size
         rows = self._sample_idx[order]
         if self._total_count < self._buffer_size:

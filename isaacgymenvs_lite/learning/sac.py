@@ -201,8 +201,11 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         Raises:
             NotFiniteError: the networks are not finite, so that no action can be sampled.
         """
-        with self._acting_on(obs, self._step % self.num_steps_per_episode):
+        try:
             return super().act(obs, action_dim, sample)
+        except (RuntimeError, ValueError):
+            self.explain_failed_action(obs, self._step % self.num_steps_per_episode)
+            raise
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
         """Return mean actions (N, A) for observations of `env`, another task of the same kind."""

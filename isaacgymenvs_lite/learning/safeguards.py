@@ -11,7 +11,6 @@ import logging
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -85,35 +84,25 @@ class Safeguards(Resuming):
         Raises:
             CheckpointError: it cannot be used; the agent is unchanged then.
         """
-        is_policy = POLICY_KEY in weights
-        if is_policy:
-            weights = self._at_first_epoch(weights)
-        fitted = Fitting(self._source).parts(weights, self._parts())
+        is_policy, parts = POLICY_KEY in weights, self._parts()
+        if is_policy:  # optimisers and counts are as a new training has them
+            own = {
+                key: {**each.state_dict(), "state": {}} for key, each in parts.optimizers.items()
+            }
+            own |= {key: each.state_dict() for key, each in parts.others.items()}
+            weights = {**weights, **own, "epoch": 0, "frame": 0}
+        fitted = Fitting(self._source).parts(weights, parts)
         super().set_full_state_weights(fitted, set_epoch)  # type: ignore[safe-super]
         if is_policy:
             log.info("%s: a new training begins with the networks of this policy", self._source)
 
     def check_fits(self, weights: Mapping[str, Any], source: str) -> None:
-        """Check that the agent could load a checkpoint; nothing is loaded.
-
-        Args:
-            weights: the checkpoint.
-            source: where it is from, for the message: `checkpoint=FILE`.
+        """Check that the agent could load a checkpoint from `source`, `checkpoint=FILE`.
 
         Raises:
-            CheckpointError: it has other shapes, or a number that cannot be used.
+            CheckpointError: the checkpoint does not fit.
         """
         Fitting(source).parts(weights, self._parts())
-
-    def _at_first_epoch(self, policy: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a packed policy with optimisers and counts as a new training has them."""
-        parts = self._parts()
-        optimizers = {
-            key: {**optimizer.state_dict(), "state": {}}
-            for key, optimizer in parts.optimizers.items()
-        }
-        scalers = {key: scaler.state_dict() for key, scaler in parts.others.items()}
-        return {**policy, **optimizers, **scalers, "epoch": 0, "frame": 0}
 
     def train(self) -> Any:
         """Train as rl_games.
@@ -136,7 +125,7 @@ class Safeguards(Resuming):
     # --- saving ----------------------------------------------------------------------------
 
     def save(self, fn: str) -> None:
-        """Write a checkpoint to `<fn>.pth`; of several processes the main one does.
+        """Write a checkpoint to `<fn>.pth`, in the main process.
 
         Raises:
             NotFiniteError: the networks are not finite; nothing is written.
@@ -193,12 +182,21 @@ class Safeguards(Resuming):
         Raises:
             NotFiniteError: one is not finite.
         """
-        tensors = list(_tensors_of(self._parts()))
-        if _all_finite(tensor for _, tensor in tensors):
+        self._check_finite(dict(_tensors_of(self._parts())))
+
+    def _check_finite(self, tensors: Mapping[str, Tensor]) -> None:
+        """Check tensors by the names that a message has for them.
+
+        Raises:
+            NotFiniteError: one is not finite.
+        """
+        if _all_finite(tensors.values()):
             return
-        broken = [name for name, tensor in tensors if not bool(tensor.isfinite().all())]
+        broken = [name for name, tensor in tensors.items() if not bool(tensor.isfinite().all())]
         if broken:
-            raise self._not_finite(f"{_first_few(broken)} not finite")
+            more = f" and {len(broken) - 3} more" if len(broken) > 3 else ""
+            are = "are" if len(broken) > 1 else "is"
+            raise self._not_finite(f"{', '.join(broken[:3])}{more} {are} not finite")
 
     def _not_finite(self, what: str) -> NotFiniteError:
         """Return the error that ends the training, and write its message to TensorBoard."""
@@ -228,21 +226,16 @@ class Safeguards(Resuming):
         file = self._last_saved or self._restored_from
         return f"checkpoint={file}" if file else ""
 
-    @contextmanager
-    def _acting_on(self, obs: Any, step: int) -> Iterator[None]:
-        """Replace torch's error when a policy that is not finite samples the actions of a step.
+    def explain_failed_action(self, obs: Any, step: int) -> None:
+        """Find the cause of torch's error when the policy cannot sample the actions of a step.
 
         Raises:
             NotFiniteError: observations or networks are not finite.
         """
-        try:
-            yield
-        except (RuntimeError, ValueError):
-            self._check_learned()
-            rows = obs["obs"] if isinstance(obs, dict) else obs
-            if isinstance(rows, Tensor):
-                self._check_rows({"obses": rows.unsqueeze(0)}, step)
-            raise
+        self._check_learned()
+        rows = obs["obs"] if isinstance(obs, dict) else obs
+        if isinstance(rows, Tensor):
+            self._check_rows({"obses": rows.unsqueeze(0)}, step)
 
     def _check_rows(self, rows: Mapping[str, Tensor], first_step: int = 0) -> None:
         """Check the rollout, rows (steps, N, ...) by the names of rl_games.
@@ -261,35 +254,35 @@ class Safeguards(Resuming):
         }
         if _all_finite(given.values()):
             return
-        broken = {
-            name: (~values.isfinite()).any(dim=-1).nonzero()[:1].tolist()
+        places = [
+            (*place, name)
             for name, values in given.items()
-        }
-        places = [(*place, name) for name, found in broken.items() for place in found]
-        if places:
-            step, env, name = min(places, key=lambda place: place[0])
-            numbers = given[name][step, env]
-            number = numbers[~numbers.isfinite()][0].item()
-            when = f"at step {first_step + step} of epoch {self.epoch_num}"
-            where = f"{_ROLLOUT[name]} of environment {env} hold {number}"
-            raise self._broken_row(name, f"{where} {when}")
-
-    def _broken_row(self, name: str, where: str) -> NotFiniteError:
+            for place in (~values.isfinite()).any(dim=-1).nonzero()[:1].tolist()
+        ]
+        if not places:
+            return
+        step, env, name = min(places, key=lambda place: place[0])
+        numbers = given[name][step, env]
+        where = (
+            f"{_ROLLOUT[name]} of environment {env} hold"
+            f" {numbers[~numbers.isfinite()][0].item()} at step {first_step + step} of epoch"
+            f" {self.epoch_num}"
+        )
         if name not in _OF_TASK:
-            return self._not_finite(f"{where}: the policy is not finite")
+            raise self._not_finite(f"{where}: the policy is not finite")
         if self._has_learned:
             # PPO's networks are unchanged since their last check; SAC's may not be: save checks.
             self.save(os.path.join(self.nn_dir, f"{self.config['name']}_interrupted"))
-        good = self._good_checkpoint
         if name == "rewards" and self.rewards_shaper.log_val:
-            return self._end(
+            raise self._end(
                 f"{where}: reward_shaper.log_val=True takes their logarithm, and they are not above"
                 " 0; raise train.params.config.reward_shaper.shift_value, or set log_val=False"
             )
-        message = f"{where}: the task returned a number that is not finite; fix its computation" + (
-            f", and go on from the last good checkpoint, {good}" if good else ""
+        good = self._good_checkpoint
+        after = f", and go on from the last good checkpoint, {good}" if good else ""
+        raise self._end(
+            f"{where}: the task returned a number that is not finite; fix its computation{after}"
         )
-        return self._end(message)
 
 
 class PPOSafeguards(Safeguards, DataParallel):
@@ -400,14 +393,13 @@ class PPOSafeguards(Safeguards, DataParallel):
         Raises:
             NotFiniteError: observations or networks are not finite: no action can be sampled.
         """
-        with self._acting_in_rollout(obs):
-            return super().get_action_values(obs)
-
-    @contextmanager
-    def _acting_in_rollout(self, obs: Any) -> Iterator[None]:
-        with self._acting_on(obs, self._acted):
-            yield
+        try:
+            result = super().get_action_values(obs)
+        except (RuntimeError, ValueError):
+            self.explain_failed_action(obs, self._acted)
+            raise
         self._acted += 1
+        return result
 
     def prepare_dataset(self, batch_dict: dict[str, Any]) -> None:
         """Make the training set of a rollout, once the rollout is found finite.
@@ -423,9 +415,7 @@ class PPOSafeguards(Safeguards, DataParallel):
             {name: rows.unsqueeze(0) for name, rows in newest.items() if isinstance(rows, Tensor)},
             self.horizon_length,
         )
-        returns = batch_dict["returns"]
-        if not _all_finite([returns]) and not bool(returns.isfinite().all()):
-            raise self._not_finite("returns are not finite")
+        self._check_finite({"returns": batch_dict["returns"]})
         self.share_meters()
         super().prepare_dataset(batch_dict)
 
@@ -448,12 +438,7 @@ class PPOSafeguards(Safeguards, DataParallel):
         Raises:
             NotFiniteError: one is not finite.
         """
-        stacked = {name: torch.stack(values) for name, values in losses.items() if values}
-        if _all_finite(stacked.values()):
-            return
-        broken = [name for name, values in stacked.items() if not bool(values.isfinite().all())]
-        if broken:
-            raise self._not_finite(f"{_first_few(broken)} not finite")
+        self._check_finite({name: torch.stack(each) for name, each in losses.items() if each})
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:
@@ -481,8 +466,3 @@ def _all_finite(tensors: Iterable[Tensor]) -> bool:
         return True
     device = sums[0].device
     return bool(torch.stack([each.to(device, non_blocking=True) for each in sums]).isfinite().all())
-
-
-def _first_few(names: list[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return f"{', '.join(names[:3])}{more} {'are' if len(names) > 1 else 'is'}"

@@ -4,13 +4,13 @@
     rewards = style.total(rewards, infos["amp_obs"])    # in each step
     style.update()                                      # after each rollout
 
-The discriminator is trained as the AMP agent's (`discriminator.DiscriminatorTrainer`), with a
-network and an optimiser of its own. Its gradient penalty is constant, `disc_grad_penalty`, because
-only an agent has the length of its episodes.
+The discriminator is trained as the AMP agent's, with a network and an optimiser of its own. Its
+gradient penalty is constant, `disc_grad_penalty`: only an agent has the length of its episodes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,11 +22,13 @@ from isaacgymenvs_lite.env_interface import AMPEnv, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    DiscriminatorTrainer,
+    StyleDiscriminator,
+    StyleLosses,
     StyleNetwork,
     disc_obs_size,
     eval_discriminator,
 )
+from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 
 _LEARNING_RATE = 5e-5
 
@@ -45,7 +47,7 @@ def read_style_params(train_file: str = "HumanoidAMPPPO", **changes: Any) -> AMP
     return read_agent_params({**config, **changes}, AMPParams)
 
 
-class StyleReward:
+class StyleReward(StyleLosses):
     """Rewards motion that looks like a task's clips; see the module docstring.
 
     Args:
@@ -55,7 +57,7 @@ class StyleReward:
         device: where it learns.
 
     Attributes:
-        discriminator: buffers, normaliser, loss and reward.
+        discriminator: its normaliser and reward.
         network: the layers; with the normaliser all there is to save.
 
     Raises:
@@ -72,11 +74,13 @@ class StyleReward:
         self._task, self._params = require(task, AMPEnv, "StyleReward"), params
         size = disc_obs_size(AMPObsShape.from_task(task), params)
         self.network = StyleNetwork(size, units).to(device)
-        self.discriminator = DiscriminatorTrainer(self.network, size, params, "logistic", device)
+        self.discriminator = StyleDiscriminator(self.network, size, params, "logistic", device)
         rate = params.disc_learning_rate or _LEARNING_RATE
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=rate)
-        self.discriminator.make_buffers()
-        self.discriminator.fill_demo_buffer(self._store_demos)
+        self._demos = ReplayBuffer(params.amp_obs_demo_buffer_size, device)
+        self._replay = ReplayBuffer(params.amp_replay_buffer_size, device)
+        for _ in range(math.ceil(params.amp_obs_demo_buffer_size / params.amp_batch_size)):
+            self._store_demos()
         self._rollout: list[Tensor] = []
 
     def total(self, task_rewards: Tensor, amp_obs: Tensor) -> Tensor:
@@ -89,7 +93,7 @@ class StyleReward:
         amp_obs = self.discriminator.truncate(amp_obs)
         self._rollout.append(amp_obs)
         style = self.discriminator.reward(amp_obs).squeeze(-1).to(task_rewards.device)
-        return self.discriminator.total_reward(task_rewards, style)
+        return self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style
 
     def update(self, epochs: int = 1) -> dict[str, float]:
         """Train the discriminator on the motion since the last update.
@@ -98,7 +102,7 @@ class StyleReward:
             epochs: how often each row of that motion is seen.
 
         Returns:
-            means of what `DiscriminatorTrainer.loss` returns: `disc_agent_acc`, `disc_demo_acc`,
+            means of what `_disc_loss` returns: `disc_agent_acc`, `disc_demo_acc`,
             ...; nothing if nothing was rewarded.
         """
         if not self._rollout:
@@ -113,17 +117,17 @@ class StyleReward:
             # Rows that fill no minibatch wait for another order.
             for rows in order[: len(fakes) // size * size].split(size):
                 infos.append(self._learn(fakes[rows]))
-        self.discriminator.store_replay({"amp_obs": fakes})
+        self._replay.store_some({"amp_obs": fakes}, self._params.amp_replay_keep_prob)
         return {name: _mean([info[name] for info in infos]) for name in infos[0]}
 
     def _learn(self, fakes: Tensor) -> dict[str, Tensor]:
         """Make a gradient step with fakes (n, F), as many replayed ones and demonstrations."""
-        trainer = self.discriminator
-        replayed = trainer.sample_replay({"amp_obs": fakes})["amp_obs"]
-        kinds = (fakes, replayed, trainer.sample_demos(len(fakes))["amp_obs"])
+        has_older = self._replay.get_total_count() > 0
+        replayed = self._replay.sample(len(fakes))["amp_obs"] if has_older else fakes
+        kinds = (fakes, replayed, self._demos.sample(len(fakes))["amp_obs"])
         agent, replay, demo = (self._inputs(rows) for rows in kinds)
         outputs = eval_discriminator(self.network, (agent,), (replay,), (demo,))
-        info = trainer.loss(
+        info = self._disc_loss(
             torch.cat((outputs["disc_agent_logit"], outputs["disc_agent_replay_logit"])),
             outputs["disc_demo_logit"],
             demo,
@@ -133,17 +137,19 @@ class StyleReward:
         info["disc_loss"].backward()
         self._optimizer.step()
         # After the step: a first minibatch is normalised as it was when it was rewarded.
-        trainer.update_normalizer(torch.cat(kinds))
+        if self.discriminator.normalizer is not None:
+            self.discriminator.normalizer.count_in(torch.cat(kinds))
         return {name: value.detach() for name, value in info.items()}
 
     def _inputs(self, amp_obs: Tensor) -> Tensor:
         inputs = self.discriminator.normalize(amp_obs)
-        noise = self.discriminator.sample_noise(inputs)
-        return inputs if noise is None else inputs + noise
+        if self._params.disc_input_noise == 0.0:
+            return inputs
+        return inputs + self._params.disc_input_noise * torch.randn_like(inputs)
 
     def _store_demos(self) -> None:
         demos = self._task.fetch_amp_obs_demo(self._params.amp_batch_size)
-        self.discriminator.store_demos({"amp_obs": demos})
+        self._demos.store({"amp_obs": self.discriminator.truncate(demos)})
 
 
 def _mean(values: Sequence[Tensor]) -> float:

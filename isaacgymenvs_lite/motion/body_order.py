@@ -7,7 +7,6 @@ import logging
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
 from isaacgymenvs_lite.motion.clip import MotionClip
@@ -62,21 +61,17 @@ def _refuse_other_bodies(clip: MotionClip, skeleton: Skeleton) -> None:
     found += [f"also has {listed(extra)}"] if extra else []
     whose = "humanoid" if is_humanoid else "robot"
     bodies = ", ".join(skeleton.body_names) if is_humanoid else listed(skeleton.body_names)
+    other = shipped_humanoid_with(clip.body_names)
+    if other:
+        use = f"use task.env.asset.assetFileName={other} or another clip"
+        advice = f"it is a clip of {other}: {use if is_humanoid else RETARGET_HINT}"
+    else:
+        is_robots = is_humanoid and clip.dof_pos is not None
+        advice = ROBOT_HINT if is_robots else f"use a clip of this {whose}"
     raise MotionFileError(
         f"{clip.name}: its skeleton {' and '.join(found)}; expected the {skeleton.num_bodies} "
-        f"bodies of the {whose}: {bodies}; {_what_to_do(clip, is_humanoid)}"
+        f"bodies of the {whose}: {bodies}; {advice}"
     )
-
-
-def _what_to_do(clip: MotionClip, for_humanoid: bool) -> str:
-    other = shipped_humanoid_with(clip.body_names)
-    if other and for_humanoid:
-        return f"it is a clip of {other}: use task.env.asset.assetFileName={other} or another clip"
-    if other:
-        return f"it is a clip of {other}: {RETARGET_HINT}"
-    if for_humanoid and clip.dof_pos is not None:
-        return ROBOT_HINT
-    return f"use a clip of this {'humanoid' if for_humanoid else 'robot'}"
 
 
 def _reorder(clip: MotionClip, skeleton: Skeleton) -> MotionClip:
@@ -164,26 +159,14 @@ def _warn_of_hinge_violation(clip: MotionClip, skeleton: Skeleton) -> None:
             "that part of the motion is dropped",
             clip.name,
             skeleton.body_names[hinges[hinge]],
-            _axis_name(skeleton.joint_axes[groups[hinge]]),
+            "({:.3g}, {:.3g}, {:.3g})".format(*skeleton.joint_axes[groups[hinge]]),
             angle_rad,
             frame,
         )
 
 
-def _axis_name(axis: npt.NDArray[np.float64]) -> str:
-    """Return x, y or z, or the numbers of an oblique axis."""
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        if np.allclose(axis, unit):
-            return name
-    return "({:.3g}, {:.3g}, {:.3g})".format(*axis)
-
-
 def _check_dofs(clip: MotionClip, dofs: FloatArray, skeleton: Skeleton) -> None:
-    """Refuse joint coordinates of another number; warn where they give other poses.
-
-    Raises:
-        MotionFileError: see above.
-    """
+    """Refuse joint coordinates of another number; warn where they give other poses."""
     if dofs.shape[1] != skeleton.num_dofs:
         raise MotionFileError(
             f"{clip.name}: dof_pos has {dofs.shape[1]} columns, expected the {skeleton.num_dofs} "

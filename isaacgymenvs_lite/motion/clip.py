@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,24 +18,19 @@ MAX_PLACE_M = 10_000.0
 _MAX_BONE_M = 10.0
 MAX_SPEED_M_S = 1_000.0
 MAX_SPEED_RAD_S = 100_000.0
-# 160 turns of a wheel's hinge.
-MAX_JOINT_RAD = 1_000.0
+MAX_JOINT_RAD = 1_000.0  # 160 turns of a wheel's hinge
 # How far the length of a stored quaternion may be from 1.
 UNIT_TOLERANCE = 1e-3
 # Fewer repeated pairs than this are a character at rest, not data stored twice.
 _MIN_REPEATED_PAIRS = 2
-
-
-# Array, largest absolute value of a number in it, unit.
-_POSE_LIMITS = (
-    ("root_translation", MAX_PLACE_M, "m"),
-    ("local_translation", _MAX_BONE_M, "m"),
-    ("dof_pos", MAX_JOINT_RAD, "rad"),
-)
-_VELOCITY_LIMITS = (
-    ("linear_velocity_w", MAX_SPEED_M_S, "m/s"),
-    ("angular_velocity_w", MAX_SPEED_RAD_S, "rad/s"),
-)
+# Array -> largest absolute value of a number in it, unit.
+_LIMITS = {
+    "root_translation": (MAX_PLACE_M, "m"),
+    "local_translation": (_MAX_BONE_M, "m"),
+    "dof_pos": (MAX_JOINT_RAD, "rad"),
+    "linear_velocity_w": (MAX_SPEED_M_S, "m/s"),
+    "angular_velocity_w": (MAX_SPEED_RAD_S, "rad/s"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +115,7 @@ class MotionClip:
             linear_velocity_w=kinematics.linear_velocities(positions, clip.fps),
             angular_velocity_w=kinematics.angular_velocities(turns, clip.fps),
         )
-        clip._check_sizes(_VELOCITY_LIMITS)
+        clip._check_sizes()
         return clip
 
     def timed_arrays(self) -> dict[str, FloatArray]:
@@ -223,7 +218,7 @@ class MotionClip:
         arrays = {"local_translation": self.local_translation, **self.timed_arrays()}
         for key, values in arrays.items():
             check_finite(self.name, key, values)
-        self._check_sizes(_POSE_LIMITS + _VELOCITY_LIMITS)
+        self._check_sizes()
         deviation = np.abs(np.linalg.norm(self.local_rotation, axis=-1) - 1.0)
         if deviation.max() > UNIT_TOLERANCE:
             frame, body = (int(i) for i in np.unravel_index(deviation.argmax(), deviation.shape))
@@ -233,8 +228,8 @@ class MotionClip:
                 f"{UNIT_TOLERANCE:g})"
             )
 
-    def _check_sizes(self, limits: Iterable[tuple[str, float, str]]) -> None:
-        for key, limit, unit in limits:
+    def _check_sizes(self) -> None:
+        for key, (limit, unit) in _LIMITS.items():
             values = getattr(self, key)
             if values is None:
                 continue

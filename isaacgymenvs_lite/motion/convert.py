@@ -30,14 +30,12 @@ For a clip of a robot:
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.editing import cut, resample
@@ -55,6 +53,7 @@ from isaacgymenvs_lite.motion.retargeting.mapping import load_mapping
 from isaacgymenvs_lite.motion.retargeting.mapping_choice import recognise_skeleton
 from isaacgymenvs_lite.motion.retargeting.retarget import retarget_bvh
 from isaacgymenvs_lite.motion.robot_clips import clip_for_robot, joints_of_clip
+from isaacgymenvs_lite.motion.robot_file import run_file_command
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, Skeleton, skeleton_for_num_dofs
 from isaacgymenvs_lite.schema import setting
 
@@ -179,15 +178,8 @@ def _robots_clip(source: str, settings: ConvertSettings) -> tuple[MotionClip, Sk
             f"num_dofs={settings.num_dofs} chooses a humanoid and robot={settings.robot} a robot; "
             "leave one out"
         )
-    return clip_for_robot(
-        source,
-        settings.robot,
-        settings.mapping,
-        settings.start_s,
-        settings.end_s,
-        settings.fps,
-        _joint_file(settings),
-    )
+    times = (settings.start_s, settings.end_s, settings.fps)
+    return clip_for_robot(source, settings.robot, settings.mapping, *times, _joint_file(settings))
 
 
 def _joint_file(settings: ConvertSettings) -> JointFileSettings:
@@ -199,18 +191,9 @@ def _joint_file(settings: ConvertSettings) -> JointFileSettings:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite convert", description=__doc__)
-    parser.add_argument("source", metavar="IN", help="the clip to read")
-    parser.add_argument("out", metavar="OUT", help="the file to write")
-    files = argparse.Namespace()
-    return run_command(
-        parser,
-        ConvertSettings,
-        lambda settings: convert(files.source, files.out, settings),
-        arguments,
-        files,
-    )
+    """Run the command line; return the exit code."""
+    files = {"IN": "the clip to read", "OUT": "the file to write"}
+    return run_file_command("convert", __doc__, ConvertSettings, convert, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -70,9 +70,8 @@ def resample(clip: MotionClip, fps: float, skeleton: Skeleton | None = None) -> 
         for key, values in clip.timed_arrays().items()
         if key != "local_rotation"
     }
-    turns = interpolate_rotations(
-        clip.local_rotation[before], clip.local_rotation[before + 1], share[:, None]
-    )
+    frames = (clip.local_rotation[before], clip.local_rotation[before + 1])
+    turns = interpolate_rotations(*frames, share[:, None])
     changed["local_rotation"] = turns.astype(clip.local_rotation.dtype)
     if clip.dof_pos is not None:
         if skeleton is None:

@@ -25,7 +25,6 @@ Feet in stance stay where they are while the trunk moves on at constant speed.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import sys
@@ -36,7 +35,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.formats.files import check_output
 from isaacgymenvs_lite.motion.formats.robot_npz import save_robot_npz
@@ -44,6 +42,7 @@ from isaacgymenvs_lite.motion.joint_clip import JointClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.legs import KNEES, Leg, LegSolver, find_legs
 from isaacgymenvs_lite.motion.qpos import dofs_from_qpos
+from isaacgymenvs_lite.motion.robot_file import run_file_command
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
@@ -131,7 +130,7 @@ def make_gait(robot: PreparedRobot, settings: GaitSettings, name: str = "gait") 
     phases = np.arange(round(strides * per_stride) + 1) / per_stride
     period_s = per_stride / settings.fps
     root = _trunk(robot, legs, settings, phases, period_s)
-    places = foot_places(legs, settings, phases, period_s)
+    places = _foot_places(legs, settings, phases, period_s)
     standing = [(leg.hip[0], leg.neutral_y, leg.radius) for leg in legs]
     poses = [solver.first_pose(root[0], np.array(standing))]
     # The stride before the clip's first one leads from standing into the gait.
@@ -157,33 +156,23 @@ def _trunk(
     """Return the trunk's positions and quaternions wxyz (T, 7); it is highest at touch-downs."""
     height = settings.body_height
     if height is None:
-        height = float(
-            np.mean([_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs])
-        )
+        heights = [_NEUTRAL_SHARE * leg.length + leg.radius - leg.hip[2] for leg in legs]
+        height = float(np.mean(heights))
+    # How often feet touch down in a stride, together or alone.
+    beats = len(set(_PATTERNS[settings.gait].touch_down))
     root = np.zeros((len(phases), 7))
     root[:, 0] = settings.speed * period_s * phases
-    root[:, 2] = height + settings.bounce * np.cos(2.0 * np.pi * _beats(settings) * phases)
+    root[:, 2] = height + settings.bounce * np.cos(2.0 * np.pi * beats * phases)
     root[:, 3:] = robot.start_qpos[3:7]
     return root
 
 
-def _beats(settings: GaitSettings) -> int:
-    """Return how often feet touch down in a stride, together or alone."""
-    return len(set(_PATTERNS[settings.gait].touch_down))
-
-
-def foot_places(
+def _foot_places(
     legs: tuple[Leg, ...], settings: GaitSettings, phases: FloatArray, period_s: float
 ) -> npt.NDArray[np.float64]:
-    """Return where the legs' soles are (T, 4, 3) m in the world.
+    """Return where the legs' soles are (T, 4, 3) m in the world, at strides (T,) since the start.
 
     In mid stance a foot is below its hip. It swings with no velocity and acceleration at both ends.
-
-    Args:
-        legs: of the robot.
-        settings: of the gait.
-        phases: (T,) strides since the start.
-        period_s: duration of a stride.
     """
     pattern = _PATTERNS[settings.gait]
     duty = pattern.duty_factor if settings.duty_factor is None else settings.duty_factor
@@ -239,17 +228,8 @@ def write_gait(source: str, out: str, settings: GaitSettings) -> Path:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite gait", description=__doc__)
-    parser.add_argument("source", metavar="ROBOT", help="the robot's MJCF or URDF")
-    parser.add_argument("out", metavar="OUT", help="the file to write")
-    files = argparse.Namespace()
-    return run_command(
-        parser,
-        GaitSettings,
-        lambda settings: write_gait(files.source, files.out, settings),
-        arguments,
-        files,
-    )
+    files = {"ROBOT": "the robot's MJCF or URDF", "OUT": "the file to write"}
+    return run_file_command("gait", __doc__, GaitSettings, write_gait, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,13 @@ class JointClip:
         check_fps(self.name, self.fps)
         for key in ("root_pos", "root_rot", "dof_pos"):
             check_finite(self.name, key, getattr(self, key))
-        self._check_sizes()
+        for what, largest, limit, unit in (
+            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
+            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
+            ("the root's speed", self._root_speed().max(), MAX_SPEED_M_S, "m/s"),
+            ("a joint's speed", self._joint_speed().max(), MAX_SPEED_RAD_S, "rad/s"),
+        ):
+            check_size(self.name, what, float(largest), limit, unit)
         deviation = np.abs(np.linalg.norm(self.root_rot, axis=-1) - 1.0)
         if deviation.max() > UNIT_TOLERANCE:
             raise MotionFileError(
@@ -100,16 +106,12 @@ class JointClip:
             )
 
     def _check_shapes(self) -> None:
-        if np.ndim(self.dof_pos) != 2:
+        if np.ndim(self.dof_pos) != 2 or self.num_frames < 2 or self.num_dofs < 1:
             raise MotionFileError(
-                f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, "
-                "expected (frames, joints)"
+                f"{self.name}: dof_pos has shape {np.shape(self.dof_pos)}, expected (frames, "
+                "joints), at least 2 frames and 1 joint"
             )
         frames, dofs = self.num_frames, self.num_dofs
-        if dofs < 1:
-            raise MotionFileError(f"{self.name}: has no joints, expected at least 1")
-        if frames < 2:
-            raise MotionFileError(f"{self.name}: holds {frames} frame(s), expected at least 2")
         for key, width in (("root_pos", 3), ("root_rot", 4)):
             found = np.shape(getattr(self, key))
             if found != (frames, width):
@@ -123,16 +125,6 @@ class JointClip:
                 f"{self.name}: has {len(names)} names of joints ({len(set(names))} different "
                 f"ones), expected one for each of {dofs} columns"
             )
-
-    def _check_sizes(self) -> None:
-        limits = (
-            ("root_pos", np.abs(self.root_pos).max(), MAX_PLACE_M, "m"),
-            ("dof_pos", np.abs(self.dof_pos).max(), MAX_JOINT_RAD, "rad"),
-            ("the root's speed", self._root_speed().max(), MAX_SPEED_M_S, "m/s"),
-            ("a joint's speed", self._joint_speed().max(), MAX_SPEED_RAD_S, "rad/s"),
-        )
-        for what, largest, limit, unit in limits:
-            check_size(self.name, what, float(largest), limit, unit)
 
     def _root_speed(self) -> FloatArray:
         """Return the root's speed (T-1) in m/s."""
@@ -148,43 +140,33 @@ class JointClip:
         Args:
             up_b: (3,) the upward direction in the frame of a root that is upright.
         """
-        found = [*self._tilt(up_b)]
-        root, joints = float(self._root_speed().max()), self._joint_speed()
+        found = []
+        lying = 1.0 - _upright_share(self.root_rot, up_b)
+        if lying > 0.5:
+            text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
+            for order in QUAT_ORDERS if self.file_quat_order else ():
+                if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
+                    text += (
+                        f", but not if the quaternions of the file are {order}:"
+                        f" isaacgymenvs-lite convert reads them so with quat_order={order}"
+                    )
+            found.append(text)
+        root, speeds, angles = self._root_speed().max(), self._joint_speed(), np.abs(self.dof_pos)
+        height, check = np.abs(self.root_pos[:, 2]).max(), f"{self.fps:g} fps; check fps and units"
         if root > _ODD_ROOT_SPEED_M_S:
-            found.append(
-                f"the root moves at {root:.3g} m/s at {self.fps:g} fps; check fps and units"
-            )
-        if joints.max() > _ODD_JOINT_SPEED_RAD_S:
-            joint = int(joints.max(axis=0).argmax())
-            label = self.joint_names[joint] if self.joint_names else f"joint {joint}"
-            found.append(
-                f"{label} turns at {joints.max():.3g} rad/s at {self.fps:g} fps; "
-                "check fps and units"
-            )
-        if np.abs(self.dof_pos).max() > _ODD_JOINT_RAD:
-            joint = int(np.abs(self.dof_pos).max(axis=0).argmax())
-            label = self.joint_names[joint] if self.joint_names else f"joint {joint}"
-            found.append(
-                f"{label} is at {np.abs(self.dof_pos).max():.3g} rad; is the unit degrees?"
-            )
-        if np.abs(self.root_pos[:, 2]).max() > _ODD_HEIGHT_M:
-            found.append(
-                f"the root is {np.abs(self.root_pos[:, 2]).max():.3g} m high; is the unit cm?"
-            )
+            found.append(f"the root moves at {root:.3g} m/s at {check}")
+        if speeds.max() > _ODD_JOINT_SPEED_RAD_S:
+            label = self._label(int(speeds.max(axis=0).argmax()))
+            found.append(f"{label} turns at {speeds.max():.3g} rad/s at {check}")
+        if angles.max() > _ODD_JOINT_RAD:
+            label = self._label(int(angles.max(axis=0).argmax()))
+            found.append(f"{label} is at {angles.max():.3g} rad; is the unit degrees?")
+        if height > _ODD_HEIGHT_M:
+            found.append(f"the root is {height:.3g} m high; is the unit cm?")
         return found
 
-    def _tilt(self, up_b: Sequence[float]) -> list[str]:
-        lying = 1.0 - _upright_share(self.root_rot, up_b)
-        if lying <= 0.5:
-            return []
-        text = f"the root lies on its side or upside down in {lying:.0%} of the frames"
-        for order in QUAT_ORDERS if self.file_quat_order else ():
-            if _upright_share(self.reread(order).root_rot, up_b) > 0.5:
-                text += (
-                    f", but not if the quaternions of the file are {order}:"
-                    f" isaacgymenvs-lite convert reads them so with quat_order={order}"
-                )
-        return [text]
+    def _label(self, joint: int) -> str:
+        return self.joint_names[joint] if self.joint_names else f"joint {joint}"
 
     def reread(self, quat_order: QuatOrder) -> JointClip:
         """Return the clip with the quaternions of its file read in this order.
@@ -269,19 +251,17 @@ class JointClip:
         if worst_rad <= _MAX_EXCESS_RAD:
             return
         low, high = dof_limits[joint]
-        name = self.joint_names[joint] if self.joint_names else f"joint {joint}"
         raise MotionFileError(
-            f"{self.name}: {name} leaves its limits ({low:.3g} to {high:.3g} rad) by up to"
-            f" {worst_rad:.3g} rad; is the unit degrees?"
+            f"{self.name}: {self._label(joint)} leaves its limits ({low:.3g} to {high:.3g} rad) by"
+            f" up to {worst_rad:.3g} rad; is the unit degrees?"
         )
 
 
 def _upright_share(root_rot: FloatArray, up_b: Sequence[float]) -> float:
     """Return the share of rotations (T, 4) that turn `up_b` (3,) within 60 degrees of z."""
     turns = torch.from_numpy(np.ascontiguousarray(root_rot, dtype=np.float64))
-    up_w = rotations.quat_apply(
-        turns, torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
-    )
+    up = torch.tensor(up_b, dtype=torch.float64).expand(len(turns), 3)
+    up_w = rotations.quat_apply(turns, up)
     return float((up_w[:, 2] > _UPRIGHT_COSINE).double().mean())
 
 

@@ -17,9 +17,12 @@ import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.soles import find_sole
+from isaacgymenvs_lite.motion.retargeting.figure import find_sole
 from isaacgymenvs_lite.robots.followers import Followers
+from isaacgymenvs_lite.robots.limbs import ancestors, free_joints
 from isaacgymenvs_lite.robots.load import PreparedRobot
+from isaacgymenvs_lite.robots.stance import LATERAL
+from isaacgymenvs_lite.robots.start_pose import posed
 
 NUM_LEGS = 4
 _LEAST_HINGES = 3  # with fewer, a foot does not reach every point about it
@@ -37,7 +40,6 @@ _FIRST_BENDS_RAD = (-1.0, 0.0, 1.0)
 # Solutions whose angles differ from the start pose by as much are alike; then the knees decide.
 _ALIKE_RAD = 0.2
 _LOWEST_M = 1e-4  # points of a foot that are as low as the lowest one
-_LATERAL = 0.7  # share of a hinge's axis along y with which it swings a leg fore and aft
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,8 @@ class Leg:
 
     Attributes:
         foot: name of the body.
-        body: its number.
-        joints: numbers of the hinges that move freely, from the hip down.
+        body: its id.
+        joints: ids of the hinges that move freely, from the hip down.
         sole: (3,) m, the centre of the foot's lowest ball, or its lowest point, in its own frame.
         radius: m, of the ball; 0 of a point.
         hip: (3,) m, from the trunk's origin to the hinge that swings the leg fore and aft, in the
@@ -99,34 +101,23 @@ def find_legs(robot: PreparedRobot) -> tuple[Leg, ...]:
 def _feet(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
     """Return the last of the named bodies on each leg."""
     feet: dict[int, int] = {}
-    followers = Followers(model).joints
     for foot in sorted(model.body(name).id for name in names):
         chain = _chain(model, foot)
-        if len(_joints(model, chain, followers)) >= _LEAST_HINGES:
+        if len(free_joints(model, chain)) >= _LEAST_HINGES:
             feet[chain[0]] = foot
     return list(feet.values())
 
 
 def _chain(model: mujoco.MjModel, foot: int) -> list[int]:
     """Return the bodies from the trunk, which is left out, to a foot; [] of the trunk itself."""
-    chain = [foot]
-    while model.body_weldid[chain[0]] not in (model.body_weldid[1], 0):
-        chain.insert(0, int(model.body_parentid[chain[0]]))
-    return chain[1:]
-
-
-def _joints(
-    model: mujoco.MjModel, bodies: Sequence[int], followers: Sequence[int]
-) -> tuple[int, ...]:
-    """Return the joints of bodies, those that follow others left out."""
-    first, count = model.body_jntadr, model.body_jntnum
-    joints = (int(first[body]) + i for body in bodies for i in range(count[body]))
-    return tuple(joint for joint in joints if joint not in followers)
+    trunk = (model.body_weldid[1], 0)
+    chain = reversed(ancestors(model, foot))
+    return [body for body in chain if model.body_weldid[body] not in trunk]
 
 
 def _leg(robot: PreparedRobot, foot: int) -> Leg:
     model, name = robot.model, robot.model.body(foot).name
-    joints = _joints(model, _chain(model, foot), Followers(model).joints)
+    joints = free_joints(model, _chain(model, foot))
     if any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in joints):
         raise ConfigError(f"the leg of '{name}' has a ball joint; gaits are made for hinges")
     if len(joints) > _MOST_HINGES:
@@ -135,19 +126,17 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
             " body further up with feet=[...]"
         )
     centres, radii = find_sole(model, robot.start_qpos, name)
-    data = mujoco.MjData(model)
-    data.qpos[:] = robot.start_qpos
-    mujoco.mj_kinematics(model, data)
+    data = posed(model, robot.start_qpos)
     lowest = centres[:, 2] - radii < (centres[:, 2] - radii).min() + _LOWEST_M
     centre = data.xpos[foot] + centres[lowest].mean(axis=0)
-    places = data.xanchor[list(joints)] - data.xpos[1]
-    swings = np.abs(data.xaxis[list(joints), 1]) > _LATERAL
+    places = data.xanchor[joints] - data.xpos[1]
+    swings = np.abs(data.xaxis[joints, 1]) > LATERAL
     first = int(swings.argmax())  # the hip, if no joint swings fore and aft
     end = centre - data.xpos[1]
     return Leg(
         foot=name,
         body=foot,
-        joints=joints,
+        joints=tuple(joints),
         sole=data.xmat[foot].reshape(3, 3).T @ (centre - data.xpos[foot]),
         radius=float(radii[lowest].max()),
         hip=places[first],
@@ -159,10 +148,8 @@ def _leg(robot: PreparedRobot, foot: int) -> Leg:
 class LegSolver:
     """Solves the angles of a robot's legs, within the limits of their joints.
 
-    Args:
-        robot: whose start pose the first pose is near to.
-        legs: of the robot.
-        knees: one of `KNEES`, of legs that can bend to both sides.
+    The first pose is near the robot's start pose; `knees` is one of `KNEES`, for legs that can bend
+    to both sides.
     """
 
     def __init__(self, robot: PreparedRobot, legs: tuple[Leg, ...], knees: str = KNEES[0]) -> None:
@@ -188,13 +175,16 @@ class LegSolver:
         pose = self._start.copy()
         pose[:7] = root
         for leg, place in zip(self._legs, places, strict=True):
-            columns = self._model.jnt_qposadr[list(leg.joints)]
+            hinges = list(leg.joints)
+            columns = self._model.jnt_qposadr[hinges]
             tried = []
             for bends in itertools.product(_FIRST_BENDS_RAD, repeat=len(columns)):
                 pose[columns] = self._start[columns] + bends
                 error = self._reach(pose, leg, place)
                 change = float(np.abs(pose[columns] - self._start[columns]).max())
-                rank = (error > TOLERANCE_M, round(change / _ALIKE_RAD), self._knee(leg))
+                x = float(self._data.xanchor[hinges, 0].mean() - self._data.xpos[1, 0])
+                knee = {"behind": x, "ahead": -x, "inward": abs(x)}[self._knees]
+                rank = (error > TOLERANCE_M, round(change / _ALIKE_RAD), knee)
                 tried.append((*rank, error, pose[columns].copy()))
             best = min(tried, key=lambda entry: entry[:-1])
             pose[columns] = best[-1]
@@ -231,11 +221,6 @@ class LegSolver:
 
     def _sole(self, leg: Leg) -> npt.NDArray[np.float64]:
         return self._data.xpos[leg.body] + self._data.xmat[leg.body].reshape(3, 3).dot(leg.sole)
-
-    def _knee(self, leg: Leg) -> float:
-        """Return a number that is smaller for legs that bend to the wanted side."""
-        x = float(self._data.xanchor[list(leg.joints), 0].mean() - self._data.xpos[1, 0])
-        return {"behind": x, "ahead": -x, "inward": abs(x)}[self._knees]
 
     def _reach(self, pose: npt.NDArray[np.float64], leg: Leg, place: FloatArray) -> float:
         """Turn a leg's joints until its sole is at a place; change `pose`, return the error in m.

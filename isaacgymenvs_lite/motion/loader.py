@@ -107,15 +107,7 @@ def load_clips(
     path = resolve_motion_file(motion_file, (Path(), *_shipped_dirs()))
     if path.suffix not in _DATASET_SUFFIXES:
         return [(clip, 1.0) for clip, _ in _load_file(path, (skeleton,))]
-    return _load_dataset(path, skeleton)
-
-
-def _shipped_dirs() -> tuple[Path, Path]:
-    return shipped_motions_dir(), shipped_robot_motions_dir()
-
-
-def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:
-    """Read the clips of a data set, each file once."""
+    # Each file of a data set is read once.
     clips: list[tuple[MotionClip, float]] = []
     known: dict[str, list[tuple[MotionClip, float]]] = {}
     for i, entry in enumerate(read_dataset(path)):
@@ -126,6 +118,10 @@ def _load_dataset(path: Path, skeleton: Skeleton) -> list[tuple[MotionClip, floa
             raise MotionFileError(f"{path}: motions[{i}]: {error}") from error
         clips.extend((clip, entry.weight * weight) for clip, weight in known[entry.file])
     return clips
+
+
+def _shipped_dirs() -> tuple[Path, Path]:
+    return shipped_motions_dir(), shipped_robot_motions_dir()
 
 
 def _load_entry(name: str, folder: Path, skeleton: Skeleton) -> list[tuple[MotionClip, float]]:

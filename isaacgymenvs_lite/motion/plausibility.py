@@ -23,6 +23,7 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.robots.start_pose import (
     CLEARANCE,
     geoms_that_touch,
+    posed,
     reach_down,
     start_height,
 )
@@ -169,9 +170,9 @@ def bodies_on_ground(clips: Sequence[MotionClip], skeleton: Skeleton) -> list[st
 
 def _usual_mass_height_m(model: mujoco.MjModel) -> float:
     """Return how high the centre of mass is above the lowest point, all joints at rest."""
-    data = mujoco.MjData(model)
-    data.qpos[2] = start_height(model, model.qpos0) - CLEARANCE
-    mujoco.mj_kinematics(model, data)
+    qpos = model.qpos0.copy()
+    qpos[2] = start_height(model, qpos) - CLEARANCE
+    data = posed(model, qpos)
     mujoco.mj_comPos(model, data)
     return float(data.subtree_com[model.jnt_bodyid[0], 2])
 
@@ -186,7 +187,7 @@ def implausible(clip: MotionClip, skeleton: Skeleton) -> list[str]:
     found = [_beyond_limits(clip, skeleton)]
     poses = _Poses.of(clip, skeleton)
     if poses is not None:
-        found = [_off_ground(poses), *_odd_flights(poses), *found, _ends_in_air(poses)]
+        found = [_off_ground(poses), _odd_flight(poses), *found, _ends_in_air(poses)]
     return [text for text in found if text]
 
 
@@ -218,18 +219,16 @@ def _off_ground(poses: _Poses) -> str:
     )
 
 
-def _flights(poses: _Poses) -> list[slice]:
-    """Return the frames of each flight that is long enough to say something."""
+def _odd_flight(poses: _Poses) -> str:
+    """Return the worst flight that is no fall, of those that are long enough to say something."""
     is_in_air = poses.lowest_m > poses.ground_m + _IN_AIR_M
     ends = np.flatnonzero(np.diff(is_in_air, prepend=False, append=False)).reshape(-1, 2)
     least = max(_FLIGHT_FRAMES, int(np.ceil(_FLIGHT_S * poses.fps)) + 1)
-    return [slice(start, end) for start, end in ends if end - start >= least]
-
-
-def _odd_flights(poses: _Poses) -> list[str]:
-    """Return the worst flight that is no fall."""
     worst, text = 0.0, ""
-    for flight in _flights(poses):
+    for start, end in ends:
+        if end - start < least:
+            continue
+        flight = slice(start, end)
         heights = poses.mass_height_m[flight]
         times_s = np.arange(len(heights)) / poses.fps
         parabola = np.polyfit(times_s, heights, 2)
@@ -241,7 +240,7 @@ def _odd_flights(poses: _Poses) -> list[str]:
         oddness = off / _FALL_TOLERANCE_M_S2 + misfit_m / _FALL_MISFIT_M
         if oddness < worst:
             continue
-        start_s, end_s = flight.start / poses.fps, (flight.stop - 1) / poses.fps
+        start_s, end_s = start / poses.fps, (end - 1) / poses.fps
         high_m = float(poses.lowest_m[flight].max()) - poses.ground_m
         how = (
             f"it hovers up to {high_m:.2f} m above the ground"
@@ -250,7 +249,7 @@ def _odd_flights(poses: _Poses) -> list[str]:
             f" {100 * misfit_m:.0f} cm of misfit"
         )
         worst, text = oddness, f"{how} ({start_s:.2f} to {end_s:.2f} s)"
-    return [text]
+    return text
 
 
 def _beyond_limits(clip: MotionClip, skeleton: Skeleton) -> str:

@@ -8,23 +8,20 @@ height of the root (m), and when each foot is on the ground. A clip of a robot n
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import logging
 import sys
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.qpos import dofs_of_clip
-from isaacgymenvs_lite.motion.robot_file import load_shown_clip
+from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_command
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import import_package
@@ -70,9 +67,7 @@ def foot_contacts(
 ) -> dict[str, npt.NDArray[np.bool_]]:
     """Return for each foot the frames (T,) in which it is on the ground: low, and slow.
 
-    Args:
-        clip: see above.
-        feet: names of bodies; None: those with "foot" in their names.
+    `feet` are names of bodies; None: those with "foot" in their names.
     """
     places, _ = clip.global_poses()
     contacts = {}
@@ -109,7 +104,12 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     root_axes.plot(times_s, clip.root_translation[:, 2], color="black")
     root_axes.set_ylabel("root height (m)")
     feet = robot.prepared.contact_bodies if robot else None
-    _draw_contacts(feet_axes, times_s, foot_contacts(clip, feet))
+    contacts = foot_contacts(clip, feet)
+    for row, contact in enumerate(contacts.values()):
+        feet_axes.fill_between(times_s, row, row + 0.8, where=contact, step="mid", linewidth=0)
+    feet_axes.set_yticks([row + 0.4 for row in range(len(contacts))])
+    feet_axes.set_yticklabels([name.replace("_", " ") for name in contacts])
+    feet_axes.set_ylabel("on the ground")
     feet_axes.set_xlabel("time (s)")
     path = Path(settings.out)
     try:
@@ -121,24 +121,10 @@ def plot_clip(name: str, settings: PlotSettings) -> Path:
     return path
 
 
-def _draw_contacts(
-    axes: Any, times_s: npt.NDArray[np.float64], contacts: dict[str, npt.NDArray[np.bool_]]
-) -> None:
-    for row, contact in enumerate(contacts.values()):
-        axes.fill_between(times_s, row, row + 0.8, where=contact, step="mid", linewidth=0)
-    axes.set_yticks([row + 0.4 for row in range(len(contacts))])
-    axes.set_yticklabels([name.replace("_", " ") for name in contacts])
-    axes.set_ylabel("on the ground")
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite plot", description=__doc__)
-    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
-    words = argparse.Namespace()
-    return run_command(
-        parser, PlotSettings, lambda settings: plot_clip(words.clip, settings), arguments, words
-    )
+    """Run the command line; return the exit code."""
+    files = {"CLIP": "a motion file, or the name of a shipped clip"}
+    return run_file_command("plot", __doc__, PlotSettings, plot_clip, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray, local_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
-from isaacgymenvs_lite.robots.followers import TOLERANCE_RAD, Followers
+from isaacgymenvs_lite.robots.followers import TOLERANCE_RAD
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.kinematics import Floats, Kinematics
 
@@ -102,7 +102,16 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
     qpos = np.asarray(qpos, dtype=np.float64)
     num_columns = skeleton.qpos_addresses[-1]
     if skeleton.followers is not None and qpos.ndim == 2 and qpos.shape[1] >= num_columns:
-        qpos = _followed(name, skeleton.followers, qpos)
+        followers, given = skeleton.followers, qpos
+        qpos = followers.placed(given)
+        for joint, column in zip(followers.names, followers.columns, strict=True):
+            off_rad = np.fmax.reduce(np.abs(qpos[:, column] - given[:, column]), initial=0.0)
+            if off_rad > TOLERANCE_RAD:
+                _log.warning(
+                    "%s: joint '%s', which follows another one in the model, is up to %.3g rad off;"
+                    " its angle is computed from its leader's",
+                    *(name, joint, off_rad),
+                )
     if qpos.ndim != 2 or qpos.shape[1] < num_columns or not np.isfinite(qpos).all():
         raise MotionFileError(
             f"{name}: qpos has shape {qpos.shape}, expected finite numbers (frames, {num_columns}):"
@@ -112,20 +121,6 @@ def clip_from_qpos(name: str, fps: float, skeleton: Skeleton, qpos: FloatArray) 
     root, dofs = qpos[:, :3], dofs_from_qpos(skeleton, qpos)
     names, parents = skeleton.body_names, skeleton.parent_indices
     return MotionClip.from_poses(name, fps, names, parents, offsets, turns, root, dofs)
-
-
-def _followed(name: str, followers: Followers, qpos: FloatArray) -> npt.NDArray[np.float64]:
-    """Return qpos with the followers in their places; log those that are elsewhere."""
-    placed = followers.placed(qpos)
-    for joint, column in zip(followers.names, followers.columns, strict=True):
-        off_rad = np.fmax.reduce(np.abs(placed[:, column] - qpos[:, column]), initial=0.0)
-        if off_rad > TOLERANCE_RAD:
-            _log.warning(
-                "%s: joint '%s', which follows another one in the model, is up to %.3g rad off;"
-                " its angle is computed from its leader's",
-                *(name, joint, off_rad),
-            )
-    return placed
 
 
 def qpos_from_clip(skeleton: Skeleton, clip: MotionClip) -> npt.NDArray[np.float64]:
@@ -167,14 +162,10 @@ def qpos_from_poses(
         MotionFileError: a body has several joints, whose angles its rotation does not determine.
     """
     turns = turned_by_joints(skeleton, local_rotation)
-    parts = [
-        np.asarray(root_translation, np.float64),
-        rotations.wxyz_from_xyzw(turns[:, 0]).numpy(),
-    ]
-    for group, (body, size) in enumerate(
-        zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
-    ):
-        if size == 1:
+    root = rotations.wxyz_from_xyzw(turns[:, 0]).numpy()
+    parts = [np.asarray(root_translation, np.float64), root]
+    for group, body in enumerate(skeleton.dof_body_ids):
+        if skeleton.dof_sizes[group] == 1:
             parts.append(_hinge_angle(skeleton, group, rotations.quat_log(turns[:, body])).numpy())
         else:
             parts.append(rotations.wxyz_from_xyzw(turns[:, body]).numpy())
@@ -224,8 +215,7 @@ def local_poses(skeleton: Skeleton, qpos: FloatArray) -> tuple[FloatArray, Float
 def dofs_of_clip(skeleton: Skeleton, clip: MotionClip) -> FloatArray:
     """Return the DOFs (T, D) rad of a clip whose bodies are in the order of `skeleton`.
 
-    Raises:
-        MotionFileError: as `qpos_from_clip`.
+    Raises MotionFileError as `qpos_from_clip`.
     """
     if clip.dof_pos is None:
         return dofs_from_rotations(skeleton, clip.local_rotation)
@@ -241,12 +231,12 @@ def dofs_from_rotations(skeleton: Skeleton, local_rotation: FloatArray) -> Float
         MotionFileError: a body has several joints, whose angles its rotation does not determine.
     """
     vectors = rotations.quat_log(turned_by_joints(skeleton, local_rotation))
-    columns = [
-        vectors[:, body] if size == 3 else _hinge_angle(skeleton, group, vectors[:, body])
-        for group, (body, size) in enumerate(
-            zip(skeleton.dof_body_ids, skeleton.dof_sizes, strict=True)
+    columns = []
+    for group, body in enumerate(skeleton.dof_body_ids):
+        own = vectors[:, body]
+        columns.append(
+            own if skeleton.dof_sizes[group] == 3 else _hinge_angle(skeleton, group, own)
         )
-    ]
     return torch.cat(columns, dim=-1).numpy()
 
 

@@ -10,7 +10,6 @@ from the front; it needs an OpenGL library that works without a screen, EGL or O
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import textwrap
@@ -18,8 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isaacgymenvs_lite.command_line import run_command
-from isaacgymenvs_lite.motion.robot_file import load_clip_robot, view_of
+from isaacgymenvs_lite.motion.robot_file import load_clip_robot, run_file_command, view_of
 from isaacgymenvs_lite.motion.strip import ASPECT, draw_poses, save_png
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.utils.optional_packages import require
@@ -59,17 +57,9 @@ def check_robot(file: str, settings: RobotCheckSettings) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite robot", description=__doc__)
-    parser.add_argument("file", metavar="FILE", help="an MJCF or URDF of a robot")
-    words = argparse.Namespace()
-    return run_command(
-        parser,
-        RobotCheckSettings,
-        lambda settings: check_robot(words.file, settings),
-        arguments,
-        words,
-    )
+    """Run the command line; return the exit code."""
+    files = {"FILE": "an MJCF or URDF of a robot"}
+    return run_file_command("robot", __doc__, RobotCheckSettings, check_robot, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,57 @@
-"""The robot of the clip commands, `robot=FILE`: its file, its skeleton, clips that belong to it."""
+"""What the clip commands share: their words, and the robot that `robot=FILE` names."""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.errors import ConfigError, listed
+from isaacgymenvs_lite.command_line import run_command
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.loader import load_single_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.robots.load import PreparedRobot, load_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+
+
+def run_file_command(
+    name: str,
+    description: str | None,
+    cls: type[T],
+    action: Callable[..., object],
+    arguments: Sequence[str] | None,
+    **files: str,
+) -> int:
+    """Run `isaacgymenvs-lite NAME FILE ... key=value ...` and return the exit code.
+
+    Args:
+        name: of the command.
+        description: for `--help`.
+        cls: of the settings, see `run_command`.
+        action: receives the words for `files`, then the settings.
+        arguments: without the program's name; None = `sys.argv`.
+        files: what comes before the settings: a name in capitals, and its help.
+    """
+    parser = argparse.ArgumentParser(prog=f"isaacgymenvs-lite {name}", description=description)
+    for file, text in files.items():
+        parser.add_argument(file, help=text)
+    words = argparse.Namespace()
+
+    def act(settings: T) -> None:
+        action(*(getattr(words, file) for file in files), settings)
+
+    return run_command(parser, cls, act, arguments, words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,49 +67,36 @@ class ClipRobot:
     skeleton: Skeleton
 
 
-def robot_path(name: str) -> Path:
-    """Return the file `name`: absolute, relative to the working directory, or to assets/.
-
-    Raises:
-        ConfigError: there is no such file.
-    """
-    folders = (Path(), paths.assets_dir())
-    for folder in folders:
-        path = folder / paths.user_path(name)
-        if path.is_file():
-            return path
-    shipped = [f"mjcf/{path.name}" for path in sorted((folders[1] / "mjcf").glob("*.xml"))]
-    looked = "" if Path(name).is_absolute() else f" in {folders[0].absolute()} and {folders[1]}"
-    raise ConfigError(
-        f"robot={name}: no such file{looked}; give an MJCF or URDF, or a shipped one: "
-        f"{listed(shipped, len(shipped))}"
-    )
-
-
 def load_clip_robot(name: str, settings: RobotSettings | None = None) -> ClipRobot:
     """Read the robot that clips belong to.
 
     Args:
-        name: an MJCF or URDF, see `robot_path`.
+        name: an MJCF or URDF: absolute, relative to the working directory, or to assets/.
         settings: what the user says of it.
 
     Raises:
         ConfigError: no such file, or see `robots.load.load_robot`.
     """
-    path = robot_path(name)
+    folders = (Path(), paths.assets_dir())
+    found = [folder / paths.user_path(name) for folder in folders]
+    path = next((path for path in found if path.is_file()), None)
+    if path is None:
+        shipped = [f"mjcf/{path.name}" for path in sorted((folders[1] / "mjcf").glob("*.xml"))]
+        looked = "" if Path(name).is_absolute() else f" in {folders[0].absolute()} and {folders[1]}"
+        raise ConfigError(
+            f"robot={name}: no such file{looked}; give an MJCF or URDF, or a shipped one: "
+            f"{', '.join(shipped)}"
+        )
     prepared = load_robot(path, settings)
     return ClipRobot(prepared, Skeleton.from_model(prepared.model, str(path)))
 
 
 def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRobot | None]:
-    """Read a clip to be shown, with its skeleton.
+    """Read a clip to be shown, with its skeleton, and its robot, None for a humanoid.
 
     Args:
         name: a motion file, or the name of a shipped clip.
         robot: the file of the robot that the clip belongs to; "": it is of a humanoid.
-
-    Returns:
-        The clip, its skeleton, and the robot, None for a humanoid.
 
     Raises:
         ConfigError: see `load_clip_robot`.
@@ -87,10 +112,7 @@ def load_shown_clip(name: str, robot: str) -> tuple[MotionClip, Skeleton, ClipRo
 def view_of(robot: ClipRobot | None, azimuth_deg: float, aspect: float = 4 / 3) -> View:
     """Return the camera for a clip of a robot; of a humanoid for None.
 
-    Args:
-        robot: what is shown.
-        azimuth_deg: where the camera looks.
-        aspect: width of the picture by its height.
+    `aspect` is the width of the picture by its height.
     """
     if robot is None:
         return View(azimuth_deg=azimuth_deg)

@@ -25,7 +25,7 @@ _HUMANOIDS = {28: "mjcf/amp_humanoid.xml", 31: "mjcf/amp_humanoid_sword_shield.x
 SHIPPED_NUM_DOFS = tuple(_HUMANOIDS)
 _BALL, _HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
 _DOFS_OF_JOINT = {_BALL: 3, _HINGE: 1}
-_FREE_JOINT_QPOS, _FREE_JOINT_DOFS = 7, 6
+_FREE_JOINT_QPOS = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,22 +112,10 @@ class Skeleton:
         return tuple(sorted({body for body in ids if ids.count(body) > 1}))
 
     @property
-    def hinge_body_ids(self) -> tuple[int, ...]:
-        """The bodies that rotate about one axis only."""
-        groups = zip(self.dof_body_ids, self.dof_sizes, strict=True)
-        shared = self.shared_body_ids
-        return tuple(body for body, size in groups if size == 1 and body not in shared)
-
-    @property
     def qpos_addresses(self) -> tuple[int, ...]:
         """G + 1 numbers: where the coordinates of each group start in qpos, and where they end."""
         sizes = (4 if size == 3 else 1 for size in self.dof_sizes)
         return tuple(itertools.accumulate(sizes, initial=_FREE_JOINT_QPOS))
-
-    @property
-    def qvel_addresses(self) -> tuple[int, ...]:
-        """G + 1 numbers: where the velocities of each group start in qvel, and where they end."""
-        return tuple(_FREE_JOINT_DOFS + offset for offset in self.dof_offsets)
 
     @functools.cached_property
     def up_b(self) -> tuple[float, ...]:
@@ -316,10 +304,10 @@ def _names_and_limits(
             & (model.actuator_trnid[:, 0] == joint)
         )
         has_own = len(drives) == 3 and bool(model.actuator_lengthrange[drives].any())
-        names += [model.actuator(i).name for i in drives] if has_own else _axes_of(name)
-        limits += list(model.actuator_lengthrange[drives]) if has_own else [(-reach, reach)] * 3
+        if has_own:
+            names += [model.actuator(i).name for i in drives]
+            limits += list(model.actuator_lengthrange[drives])
+        else:
+            names += [f"{name}_{axis}" for axis in "xyz"]
+            limits += [(-reach, reach)] * 3
     return tuple(names), np.array(limits, dtype=np.float64).reshape(-1, 2)
-
-
-def _axes_of(name: str) -> list[str]:
-    return [f"{name}_{axis}" for axis in "xyz"]

@@ -12,9 +12,7 @@ Needs an OpenGL library that works without a screen, EGL or OSMesa; see `renderi
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,11 +20,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.qpos import clip_to_qpos
-from isaacgymenvs_lite.motion.robot_file import ClipRobot, load_shown_clip, view_of
+from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_command, view_of
 from isaacgymenvs_lite.rendering.scene import Image, SceneRenderer
 from isaacgymenvs_lite.rendering.view import View
 from isaacgymenvs_lite.schema import keys_of, setting
@@ -56,35 +52,6 @@ def draw_poses(
     """
     with SceneRenderer(model, _FRAME_WIDTH, _FRAME_HEIGHT, view=view or View()) as renderer:
         return np.concatenate([renderer.draw(pose) for pose in qpos], axis=1)
-
-
-def save_strip(
-    clip: MotionClip,
-    path: str | Path,
-    span_s: float,
-    num_frames: int = 8,
-    azimuth_deg: float = 90.0,
-    robot: ClipRobot | None = None,
-) -> Path:
-    """Write a PNG with `num_frames` poses, evenly spaced over the first `span_s`, side by side.
-
-    Args:
-        clip: see `clip_to_qpos`.
-        path: the file.
-        span_s: time to show; the poses are those nearest in the clip.
-        num_frames: number of poses.
-        azimuth_deg: where the camera looks: 90 from the right side, 180 from the front.
-        robot: that the clip belongs to; None: a shipped humanoid.
-
-    Raises:
-        MissingPackageError: Pillow is not installed.
-        RenderingError: this machine cannot draw.
-    """
-    require("PIL", "writing pictures")  # before the drawing
-    model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
-    times_s = np.arange(num_frames) * (span_s / num_frames)
-    frames = np.round(times_s * clip.fps).astype(int).clip(0, clip.num_frames - 1)
-    return save_png(path, draw_poses(model, poses[frames], view_of(robot, azimuth_deg, ASPECT)))
 
 
 def save_png(path: str | Path, image: Image) -> Path:
@@ -117,43 +84,36 @@ class StripSettings:
     """Degrees: 90 from the right, 180 from the front."""
 
 
-def draw_strip(name: str, out: Path, settings: StripSettings) -> Path:
-    """Render a clip, named as on the command line, as a strip of poses; return the file.
+def draw_strip(name: str, out: str, settings: StripSettings) -> Path:
+    """Write a PNG of a clip, named as on the command line, and return its path.
+
+    The poses are evenly spaced in time and stand side by side.
 
     Raises:
         UserError: the clip cannot be read, or the picture cannot be drawn or written.
     """
+    require("PIL", "writing pictures")  # before the drawing
     clip, _, robot = load_shown_clip(name, settings.robot)
-    seconds = settings.seconds or clip.length_s
-    return save_strip(clip, out, seconds, settings.frames, settings.azimuth, robot)
+    model, poses = clip_to_qpos(clip, robot.skeleton if robot else None)
+    step_s = (settings.seconds or clip.length_s) / settings.frames
+    frames = np.round(np.arange(settings.frames) * step_s * clip.fps).astype(int)
+    shown = poses[frames.clip(0, clip.num_frames - 1)]
+    return save_png(out, draw_poses(model, shown, view_of(robot, settings.azimuth, ASPECT)))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite strip", description=__doc__)
-    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
-    parser.add_argument("out", metavar="OUT", type=Path, help="the PNG to write")
-    words = argparse.Namespace()
-    return run_command(
-        parser,
-        StripSettings,
-        lambda settings: draw_strip(words.clip, words.out, settings),
-        _without_dashes(sys.argv[1:] if arguments is None else arguments),
-        words,
-    )
-
-
-def _without_dashes(words: Sequence[str]) -> list[str]:
-    """Write `--seconds 2`, the command's older form, as `seconds=2`."""
-    options = {f"--{key}": key for key in keys_of(StripSettings)}
-    plain, rest = list[str](), iter(words)
-    for word in rest:
-        name, equals, value = word.partition("=")
-        if name in options:
-            plain.append(f"{options[name]}={value if equals else next(rest, '')}")
+    # `--seconds 2`, the command's older form, is `seconds=2`.
+    words = list[str]()
+    for word in sys.argv[1:] if arguments is None else arguments:
+        if words and words[-1].startswith("--") and "=" not in words[-1]:
+            words[-1] += f"={word}"
         else:
-            plain.append(word)
-    return plain
+            words.append(word)
+    options = tuple(f"--{key}=" for key in keys_of(StripSettings))
+    words = [word[2:] if word.startswith(options) else word for word in words]
+    files = {"CLIP": "a motion file, or the name of a shipped clip", "OUT": "the PNG to write"}
+    return run_file_command("strip", __doc__, StripSettings, draw_strip, words, **files)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ an MJCF or URDF: robot=/robots/g1.xml, or a name in assets/.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import time
@@ -22,10 +21,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.command_line import run_command
-from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.qpos import clip_to_qpos
-from isaacgymenvs_lite.motion.robot_file import load_shown_clip, view_of
+from isaacgymenvs_lite.motion.robot_file import load_shown_clip, run_file_command, view_of
 from isaacgymenvs_lite.rendering.display import check_display
 from isaacgymenvs_lite.rendering.video import check_encoder, draw_tracks, save_video
 from isaacgymenvs_lite.rendering.view import aim_camera
@@ -63,7 +60,8 @@ def view_clip(name: str, settings: ViewSettings) -> None:
         check_display("view without out=", "out=FILE.mp4")
     clip, skeleton, robot = load_shown_clip(name, settings.robot)
     model, qpos = clip_to_qpos(clip, skeleton if robot else None)
-    poses = qpos[_frames(clip, settings.seconds)]
+    number = max(1, round(settings.seconds * clip.fps)) if settings.seconds else clip.num_frames
+    poses = qpos[np.arange(number) % clip.num_frames]
     if not settings.out:
         _show(model, poses, clip.fps, settings.azimuth)
         return
@@ -73,12 +71,6 @@ def view_clip(name: str, settings: ViewSettings) -> None:
     )
     path = save_video(settings.out, images, clip.fps)
     log.info("%s: wrote %s, %d frames at %g Hz", clip.name, path, len(poses), clip.fps)
-
-
-def _frames(clip: MotionClip, seconds: float) -> npt.NDArray[np.int64]:
-    """Return the frames (n,) to show, from the start again after the last."""
-    number = clip.num_frames if seconds == 0 else max(1, round(seconds * clip.fps))
-    return np.arange(number) % clip.num_frames
 
 
 def _show(
@@ -102,13 +94,9 @@ def _show(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="isaacgymenvs-lite view", description=__doc__)
-    parser.add_argument("clip", metavar="CLIP", help="a motion file, or the name of a shipped clip")
-    words = argparse.Namespace()
-    return run_command(
-        parser, ViewSettings, lambda settings: view_clip(words.clip, settings), arguments, words
-    )
+    """Run the command line; return the exit code."""
+    files = {"CLIP": "a motion file, or the name of a shipped clip"}
+    return run_file_command("view", __doc__, ViewSettings, view_clip, arguments, **files)
 
 
 if __name__ == "__main__":

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import mujoco
 import numpy as np
 
 from isaacgymenvs_lite.errors import ConfigError, suggest
+from isaacgymenvs_lite.robots.limbs import ancestors
 from isaacgymenvs_lite.robots.settings import DriveSettings
 
 # Nm/rad of a Nm of effort: full effort at an error of a quarter of a radian.
@@ -89,42 +90,25 @@ def choose_drives(
     Raises:
         ConfigError: a pattern matches no joint, or no pattern matches a joint.
     """
-    carrying = _carrying_bodies(model, contact_bodies)
-    joints = [
-        joint for joint in range(model.njnt) if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE
-    ]
+    # The bodies between those in contact and the root, both included.
+    carrying = {i for name in contact_bodies for i in ancestors(model, model.body(name).id)}
+    joints = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).tolist()
     names = [model.joint(joint).name for joint in joints]
     _check_patterns(names, patterns, where)
     chosen = []
     for joint, name in zip(joints, names, strict=True):
         given = next((d for p, d in patterns.items() if fnmatchcase(name, p)), DriveSettings())
         motor = motors.get(name, Motor())
-        carries = int(model.jnt_bodyid[joint]) in carrying
-        unknown = _unknown_effort(model, joint, weight_moment, carries)
-        effort = given.effort or motor.effort or unknown
+        effort = given.effort or motor.effort
+        if not effort:
+            effort = _EFFORT_OF_WEIGHT * weight_moment
+            if int(model.jnt_bodyid[joint]) not in carrying:
+                dof = int(model.jnt_dofadr[joint])
+                size = 3 if model.jnt_type[joint] == _BALL else 1
+                inertia = float(model.dof_M0[dof : dof + size].max())
+                effort = min(effort, _MAX_ACCELERATION * inertia)
         chosen.append(_drive(model, joint, motor, effort, weight_moment, given))
     return chosen
-
-
-def _carrying_bodies(model: mujoco.MjModel, contact_bodies: Sequence[str]) -> set[int]:
-    """Return the bodies between those in contact and the root, both included."""
-    carrying: set[int] = set()
-    for name in contact_bodies:
-        body = model.body(name).id
-        while body and body not in carrying:
-            carrying.add(body)
-            body = int(model.body_parentid[body])
-    return carrying
-
-
-def _unknown_effort(
-    model: mujoco.MjModel, joint: int, weight_moment: float, carries: bool
-) -> float:
-    """Return a sensible effort (Nm) of a joint whose file says nothing of it."""
-    effort = _EFFORT_OF_WEIGHT * weight_moment
-    dof = int(model.jnt_dofadr[joint])
-    inertia = model.dof_M0[dof : dof + (3 if model.jnt_type[joint] == _BALL else 1)].max()
-    return effort if carries else min(effort, _MAX_ACCELERATION * float(inertia))
 
 
 def _check_patterns(
@@ -173,10 +157,6 @@ def action_range(drives: Sequence[Drive], weight_moment: float) -> float:
 
     The typical drive, the median of all, would answer with four times its effort, or with 0.6 of
     weight times height if this is more. It is 2 rad at most.
-
-    Args:
-        drives: of all joints.
-        weight_moment: see `choose_drives`.
     """
     driven = [drive for drive in drives if drive.kp > 0]
     if not driven:
@@ -195,14 +175,10 @@ def motors_of_file(model: mujoco.MjModel) -> dict[str, Motor]:
     """Return what a file's actuators and limits of joints say, by name of the joint."""
     of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
     followers = set(model.eq_obj1id[of_joints & (model.eq_obj2id >= 0)].tolist())
-    motors = {}
-    for joint in range(model.njnt):
-        motor = _motor(model, joint)
-        motors[model.joint(joint).name] = replace(motor, follows=joint in followers)
-    return motors
+    return {model.joint(i).name: _motor(model, i, i in followers) for i in range(model.njnt)}
 
 
-def _motor(model: mujoco.MjModel, joint: int) -> Motor:
+def _motor(model: mujoco.MjModel, joint: int, follows: bool) -> Motor:
     kp = kd = effort = None
     for actuator in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
         if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
@@ -220,7 +196,7 @@ def _motor(model: mujoco.MjModel, joint: int) -> Motor:
             effort = float(np.abs(model.actuator_forcerange[actuator]).max()) * gear
     if model.jnt_actfrclimited[joint]:
         effort = float(np.abs(model.jnt_actfrcrange[joint]).max())
-    return Motor(kp or None, kd, effort or None)
+    return Motor(kp or None, kd, effort or None, follows)
 
 
 def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
@@ -240,17 +216,13 @@ def add_drives(spec: mujoco.MjSpec, drives: Sequence[Drive]) -> None:
         if joint.type != _BALL:
             _add_actuator(spec, drive, drive.joint, (1, 0, 0))
             continue
+        limit = float(joint.range[1])
+        limit = math.radians(limit) if spec.compiler.degree else limit
+        if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or limit <= 0:
+            limit = math.pi
         for axis, direction in _AXES.items():
             actuator = _add_actuator(spec, drive, f"{drive.joint}_{axis}", direction)
-            limit = _ball_limit(spec, joint)
-            actuator.lengthrange[:] = (-limit, limit)
-
-
-def _ball_limit(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
-    largest = float(joint.range[1])
-    if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or largest <= 0:
-        return math.pi
-    return min(math.radians(largest) if spec.compiler.degree else largest, math.pi)
+            actuator.lengthrange[:] = (-min(limit, math.pi), min(limit, math.pi))
 
 
 def _add_actuator(

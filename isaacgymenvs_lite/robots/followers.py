@@ -38,20 +38,9 @@ class _Follower:
     start: float
     leader_start: float
 
-    def coordinate(self, leader: _Floats) -> _Floats:
-        """Return the joint's coordinates (...) where the leader's are (...)."""
-        return self.start + self.polynomial(leader - self.leader_start)
-
-    def slope(self, leader: float) -> float:
-        """Return how fast the joint moves by its leader's speed."""
-        return float(self.polynomial.deriv()(leader - self.leader_start))
-
 
 class Followers:
-    """The joints of a model that follow others.
-
-    Args:
-        model: compiled; Q coordinates, V degrees of freedom.
+    """The joints of a compiled model that follow others; Q coordinates, V degrees of freedom.
 
     Raises:
         ConfigError: an equality joins two bodies in a loop; a joint has two leaders, or joints
@@ -101,10 +90,11 @@ class Followers:
         address = self._model.jnt_qposadr
         poses = np.array(qpos, dtype=np.float64)
         for follower in self._in_order:
-            leader = follower.leader_start  # of a held joint: the polynomial's constant remains
+            moved = np.asarray(0.0)  # of a held joint: the polynomial's constant remains
             if follower.leader is not None:
-                leader = poses[..., address[follower.leader]]
-            poses[..., address[follower.joint]] = follower.coordinate(np.asarray(leader))
+                moved = poses[..., address[follower.leader]] - follower.leader_start
+            place = follower.start + follower.polynomial(moved)
+            poses[..., address[follower.joint]] = place
         return poses
 
     def led(self, jacobian: _Floats, qpos: _Floats) -> npt.NDArray[np.float64]:
@@ -120,7 +110,8 @@ class Followers:
         columns = np.array(jacobian, dtype=np.float64)
         for follower in reversed(self._in_order):
             if follower.leader is not None:
-                slope = follower.slope(float(qpos[address[follower.leader]]))
+                moved = float(qpos[address[follower.leader]]) - follower.leader_start
+                slope = float(follower.polynomial.deriv()(moved))
                 columns[..., dofs[follower.leader]] += slope * columns[..., dofs[follower.joint]]
             columns[..., dofs[follower.joint]] = 0.0
         return columns

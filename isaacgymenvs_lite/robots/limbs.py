@@ -1,8 +1,8 @@
-"""Guesses at a robot's bodies: the ends of its limbs, and what touches the floor."""
+"""Walks over a robot's bodies: chains, the ends of its limbs, and what touches the floor."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -10,13 +10,31 @@ import numpy as np
 import numpy.typing as npt
 
 from isaacgymenvs_lite.errors import ConfigError, suggest
-from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points
+from isaacgymenvs_lite.robots.followers import Followers
+from isaacgymenvs_lite.robots.start_pose import CLEARANCE, lowest_points, posed
 
 # Ends nearer to each other's branch than this part of the robot's size are fingers of one hand.
 _HAND_OF_SIZE = 0.12
 # Above the lowest point, in m or as a share of the base's height: toes and heel of a jointed foot.
 _TOUCH = 0.01
 _TOUCH_SHARE = 0.02
+
+
+def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body's id, its parent's, and so on up to the root; the world is left out."""
+    chain = []
+    while body > 0:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def free_joints(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
+    """Return the ids of the joints of bodies, body by body, without joints that follow others."""
+    first, count = model.body_jntadr, model.body_jntnum
+    followers = Followers(model).joints
+    joints = (int(first[body]) + i for body in bodies for i in range(count[body]))
+    return [joint for joint in joints if joint not in followers]
 
 
 def bodies_named(model: mujoco.MjModel, names: Sequence[str], where: str) -> tuple[str, ...]:
@@ -49,43 +67,27 @@ def limb_ends(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
         model: of a robot with a free root.
         qpos: (Q,) a pose.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    size = float(np.ptp(data.xpos[1:], axis=0).max())
-    children: dict[int, list[int]] = {}
+    places = posed(model, qpos).xpos
+    size = float(np.ptp(places[1:], axis=0).max())
+    chains = [ancestors(model, body) for body in range(model.nbody)]
     # A link's frame on a fixed joint may carry joints further down, a rotor's never does.
-    carries_joints = model.body_jntnum > 0
-    for body in range(model.nbody - 1, 0, -1):
-        parent = int(model.body_parentid[body])
-        children.setdefault(parent, []).insert(0, body)
-        carries_joints[parent] |= carries_joints[body]
+    carrying = {up for body in np.flatnonzero(model.body_jntnum) for up in chains[body]}
 
     def ends(body: int) -> list[int]:
-        limbs = [child for child in children.get(body, []) if carries_joints[child]]
-        below = [end for limb in limbs for end in ends(limb)]
-        far = np.linalg.norm(data.xpos[below] - data.xpos[body], axis=1).max() if below else 0.0
-        if len(below) > 1 and far < _HAND_OF_SIZE * size and model.body_parentid[body] != 0:
+        children = np.flatnonzero(model.body_parentid == body).tolist()
+        found = [end for child in children if child in carrying for end in ends(child)]
+        far = np.linalg.norm(places[found] - places[body], axis=1).max() if found else 0.0
+        if len(found) > 1 and far < _HAND_OF_SIZE * size and model.body_parentid[body] != 0:
             return [body]
-        return below or tip(body)
+        return found or tip(body)
 
     def tip(link: int) -> list[int]:
-        fixed = [body for body in _subtree(children, link) if model.body_geomnum[body] > 0]
+        fixed = [i for i in range(model.nbody) if link in chains[i] and model.body_geomnum[i] > 0]
         if not fixed or model.body_weldid[link] == model.body_weldid[1]:
             return []
-        return [
-            max(fixed, key=lambda body: float(np.linalg.norm(data.xpos[body] - data.xpos[link])))
-        ]
+        return [max(fixed, key=lambda i: float(np.linalg.norm(places[i] - places[link])))]
 
     return tuple(model.body(end).name for end in ends(1))
-
-
-def _subtree(children: Mapping[int, Sequence[int]], root: int) -> list[int]:
-    """Return a body and all bodies below it, parents first."""
-    found = [root]
-    for body in found:
-        found += children.get(body, [])
-    return found
 
 
 def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ...]:
@@ -93,12 +95,8 @@ def touching_bodies(model: mujoco.MjModel, qpos: npt.ArrayLike) -> tuple[str, ..
 
     Near is 1 cm, or 2 % of the base's height above the floor if this is more.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
+    data = posed(model, qpos)
     lows = lowest_points(model, data)
     lowest = min(lows.values())
-    near = max(_TOUCH, _TOUCH_SHARE * (float(data.xpos[1, 2]) - lowest))
-    return tuple(
-        model.body(body).name for body, low in lows.items() if low < lowest + near + CLEARANCE
-    )
+    near = max(_TOUCH, _TOUCH_SHARE * (float(data.xpos[1, 2]) - lowest)) + CLEARANCE
+    return tuple(model.body(body).name for body, low in lows.items() if low < lowest + near)

@@ -11,7 +11,6 @@ The file is read by reading.py; what it lacks is added to the MjSpec, and never 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +34,12 @@ from isaacgymenvs_lite.robots.reading import read_robot_file
 from isaacgymenvs_lite.robots.scene import add_stage
 from isaacgymenvs_lite.robots.settings import RobotSettings, read_drives
 from isaacgymenvs_lite.robots.stance import bend_legs
-from isaacgymenvs_lite.robots.start_pose import initial_positions, start_height, start_pose
+from isaacgymenvs_lite.robots.start_pose import (
+    initial_positions,
+    posed,
+    start_height,
+    start_pose,
+)
 from isaacgymenvs_lite.simulation.model_layout import ModelLayout
 from isaacgymenvs_lite.utils.rotations import wxyz_from_xyzw
 
@@ -155,7 +159,12 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     keys = _compile(spec)
     Followers(keys)  # refuses loops, also with what is left out below
     motors = motors_of_file(keys)
-    notes += _make_robot(spec)
+    if spec.actuators:
+        notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
+    for thing in [*spec.keys, *spec.actuators]:
+        spec.delete(thing)
+    root, more = structure.keep_one_robot(spec)
+    notes += [*more, *structure.free_root(spec, root), *structure.fix_slides(spec)]
     model = _compile(spec)
     if not any(kind != mujoco.mjtJoint.mjJNT_FREE for kind in model.jnt_type):
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
@@ -164,12 +173,13 @@ def _prepare(spec: mujoco.MjSpec, settings: RobotSettings, where: str) -> Prepar
     notes += more
     patterns = read_drives(settings.drives, f"{where}.drives")
     mass_height = _mass_height(model, qpos)
-    moment = _weight_moment(model, qpos, mass_height)
+    # Weight times the height (Nm) of the base, or of the mass if this is higher.
+    weight = float(model.body_subtreemass[0]) * 9.81
+    moment = weight * max(start_height(model, qpos), mass_height)
     key_bodies, contacts, more = _key_bodies_and_contacts(model, qpos, settings, where)
     notes += more
     drives = choose_drives(model, motors, moment, patterns, f"{where}.drives", contacts)
-    notes += _absurd_efforts(drives, moment)
-    notes += _rotors_added(model, drives)
+    notes += [*_absurd_efforts(drives, moment), *_rotors_added(model, drives)]
     notes += structure.part_overlapping_bodies(spec, model, qpos)
     add_drives(spec, drives)
     structure.add_contact_sensors(spec)
@@ -196,11 +206,7 @@ def _start(
 ) -> tuple[npt.NDArray[np.float64], list[str]]:
     """Return the start pose (Q,), and a note on one that is no keyframe and not the user's.
 
-    Args:
-        keys: model of the robot's file, with its keyframes.
-        model: of the robot with its free root.
-        settings: what the user says of it.
-        where: key of the pose, for messages.
+    `keys` is the model of the robot's file with its keyframes, `model` has the free root.
     """
     positions = initial_positions(keys, settings.start_pose, where)
     if settings.start_rotation is not None:
@@ -209,27 +215,18 @@ def _start(
     height = settings.start_height
     qpos = start_pose(model, positions, height)
     if settings.start_pose is not None or keys.nkey > 0:
-        return qpos, _moved_followers(model, positions, qpos)
+        notes = []
+        for name in Followers(model).names:
+            angle, given = float(qpos[model.joint(name).qposadr[0]]), float(positions[name][0])
+            if abs(angle - given) > TOLERANCE_RAD:
+                notes.append(f"start pose: '{name}' follows at {angle:.3f} rad, not {given:.3f}")
+        return qpos, notes
     note = "start pose: no keyframe in the file: joints at zero within limits"
     bent = bend_legs(model, qpos)
     if bent is None:
         return qpos, [note]
     bent[2] = start_height(model, bent) if height is None else height
     return bent, [f"{note}, legs bent with each foot below its hip"]
-
-
-def _moved_followers(
-    model: mujoco.MjModel,
-    positions: Mapping[str, npt.NDArray[np.float64]],
-    qpos: npt.NDArray[np.float64],
-) -> list[str]:
-    """Return a note on each joint that its leader puts elsewhere than the user or the keyframe."""
-    notes = []
-    for name in Followers(model).names:
-        angle, given = float(qpos[model.joint(name).qposadr[0]]), float(positions[name][0])
-        if abs(angle - given) > TOLERANCE_RAD:
-            notes.append(f"start pose: '{name}' follows at {angle:.3f} rad, not {given:.3f}")
-    return notes
 
 
 def _key_bodies_and_contacts(
@@ -272,34 +269,11 @@ def _rotors_added(model: mujoco.MjModel, drives: list[Drive]) -> list[str]:
 
 def _mass_height(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> float:
     """Return the height (m) of the centre of mass of a robot that stands on the floor."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    data.qpos[2] = start_height(model, qpos)
-    mujoco.mj_kinematics(model, data)
+    standing = np.array(qpos)
+    standing[2] = start_height(model, qpos)
+    data = posed(model, standing)
     mujoco.mj_comPos(model, data)
     return float(data.subtree_com[1, 2])
-
-
-def _weight_moment(
-    model: mujoco.MjModel, qpos: npt.NDArray[np.float64], mass_height: float
-) -> float:
-    """Return the weight times the height (Nm) of the base, or of the mass if this is higher."""
-    height = max(start_height(model, qpos), mass_height)
-    return float(model.body_subtreemass[0]) * 9.81 * height
-
-
-def _make_robot(spec: mujoco.MjSpec) -> list[str]:
-    """Leave one robot with a free root, without slides, keyframes, actuators; return notes."""
-    notes = []
-    if spec.actuators:
-        notes.append(f"replaced {len(spec.actuators)} actuators of the file by position drives")
-    for thing in [*spec.keys, *spec.actuators]:
-        spec.delete(thing)
-    root, more = structure.keep_one_robot(spec)
-    notes += more
-    notes += structure.free_root(spec, root)
-    notes += structure.fix_slides(spec)
-    return notes
 
 
 def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:

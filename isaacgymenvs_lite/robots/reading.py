@@ -7,10 +7,8 @@ plugins and includes from elsewhere. Meshes and textures are read from the robot
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -28,24 +26,11 @@ _REFUSED = {
 }
 
 
-@dataclass(frozen=True)
-class RobotFile:
-    """A robot as its file describes it.
+class RobotFile(NamedTuple):
+    """A robot as its file describes it, and what was left out, in words."""
 
-    Attributes:
-        path: of the file.
-        spec: its content, without sensors unless they were asked for.
-        notes: what was left out, in words.
-    """
-
-    path: Path
     spec: mujoco.MjSpec
     notes: tuple[str, ...]
-
-
-def read_robot(path: str | Path) -> mujoco.MjSpec:
-    """Return the content of a robot's file; see `read_robot_file`."""
-    return read_robot_file(path).spec
 
 
 def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
@@ -64,7 +49,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
             robot does not need, or MuJoCo refuses it. The message names the file.
     """
     path = user_path(path)
-    with _reading(path):
+    try:
         root, files = read_xml(path), RobotFiles(path)
         is_urdf = root.tag == "robot"
         if is_urdf:
@@ -85,14 +70,7 @@ def read_robot_file(path: str | Path, with_sensors: bool = False) -> RobotFile:
         _allow_open_meshes(spec)
         if is_urdf:
             notes += _repair_inertias(spec)
-        return RobotFile(path, spec, tuple(notes))
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Turn whatever a broken file raises into one line with its name."""
-    try:
-        yield
+        return RobotFile(spec, tuple(notes))
     except UserError:
         raise
     except Exception as error:
@@ -132,22 +110,20 @@ def _leave_out(spec: mujoco.MjSpec, with_sensors: bool) -> list[str]:
     for name in ("meaninertia", "meanmass", "meansize", "extent", "center"):
         setattr(spec.stat, name, getattr(defaults.stat, name))
     materials = {material.name for material in spec.materials}
-    unknown = [
-        element
-        for element in (*spec.geoms, *spec.sites, *spec.tendons)
-        if element.material and element.material not in materials
-    ]
+    unknown = set()
+    for element in (*spec.geoms, *spec.sites, *spec.tendons):
+        if element.material and element.material not in materials:
+            unknown.add(element.material)
+            element.material = ""
     if unknown:
-        names = sorted({element.material for element in unknown})
-        notes.append(f"left out materials that the file does not define: {listed(names)}")
-    for element in unknown:
-        element.material = ""
+        names = listed(sorted(unknown))
+        notes.append(f"left out materials that the file does not define: {names}")
     return notes
 
 
 def _take_meshes(spec: mujoco.MjSpec, files: RobotFiles, is_urdf: bool) -> list[str]:
     """Read all meshes into `spec.assets`; return a note on what a URDF only shows and lacks."""
-    assets, hidden = {}, []
+    assets, hidden = {}, list[str]()
     for mesh in [mesh for mesh in spec.meshes if mesh.file]:
         name = PurePosixPath(mesh.file.replace("\\", "/")).name if spec.strippath else mesh.file
         users = [geom for geom in spec.geoms if geom.meshname == mesh.name]

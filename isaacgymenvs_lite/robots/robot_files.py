@@ -101,9 +101,8 @@ class RobotFiles:
         name, _, rest = uri.lstrip("/").partition("/")
         ups = _upwards(self.path.parent)
         packages = [up for up in ups if up.name == name]
-        packages += [
-            up / name for up in ups if name not in ("", ".", "..") and (up / name).is_dir()
-        ]
+        if name not in ("", ".", ".."):
+            packages += [up / name for up in ups if (up / name).is_dir()]
         folders = [*(package.resolve() for package in packages), *ups[:3]]
         return [folder / rest for folder in folders], folders
 

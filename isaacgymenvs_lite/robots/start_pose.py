@@ -35,13 +35,13 @@ def initial_positions(
         ConfigError: no such keyframe; a pattern matches no hinge; an angle is no number.
     """
     if pose is None or isinstance(pose, str):
-        return _joint_positions(model, choose_keyframe(model, pose or None, where))
+        return _joint_positions(model, _keyframe(model, pose or None, where))
     pose = plain(pose)
     if not isinstance(pose, Mapping):
         raise ConfigError(
             f"{where}: got {pose!r}; expected the name of a keyframe, or angles of hinges in rad"
         )
-    positions = _joint_positions(model, choose_keyframe(model, None, where))
+    positions = _joint_positions(model, _keyframe(model, None, where))
     hinges = [name for name, values in positions.items() if len(values) == 1]
     for pattern, angle in reversed(list(pose.items())):  # the first pattern that matches counts
         matched = [name for name in hinges if fnmatchcase(name, str(pattern))]
@@ -56,12 +56,8 @@ def initial_positions(
     return positions
 
 
-def choose_keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
-    """Return the number of the keyframe for the start: the named, a standing or the first one.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
+def _keyframe(model: mujoco.MjModel, name: str | None, where: str) -> int | None:
+    """Return the id of the keyframe for the start: the named, a standing or the first one."""
     names = [model.key(key).name for key in range(model.nkey)]
     if name is not None:
         if name not in names:
@@ -75,11 +71,8 @@ def _joint_positions(model: mujoco.MjModel, key: int | None) -> dict[str, npt.ND
     """Return the positions of all joints by name, of a keyframe or of zero within the limits."""
     qpos = np.array(model.qpos0 if key is None else model.key_qpos[key])
     found = {}
-    for joint in range(model.njnt):
-        begin = int(model.jnt_qposadr[joint])
-        end = int(model.jnt_qposadr[joint + 1]) if joint + 1 < model.njnt else model.nq
-        values = qpos[begin:end]
-        if end - begin == 1 and key is None and model.jnt_limited[joint]:
+    for joint, values in enumerate(np.split(qpos, model.jnt_qposadr[1:])):
+        if len(values) == 1 and key is None and model.jnt_limited[joint]:
             values = np.clip(values, *model.jnt_range[joint])
         if not np.isfinite(values).all():
             raise ConfigError(f"keyframe {key}: joint '{model.joint(joint).name}' has no number")
@@ -124,13 +117,18 @@ def start_height(model: mujoco.MjModel, qpos: npt.ArrayLike) -> float:
     Raises:
         ConfigError: no geom of the robot can touch anything.
     """
+    lows = lowest_points(model, posed(model, qpos))
+    if not lows:
+        raise ConfigError("no geom of the robot touches anything: contype and conaffinity are 0")
+    return float(np.asarray(qpos)[2] - min(lows.values()) + CLEARANCE)
+
+
+def posed(model: mujoco.MjModel, qpos: npt.ArrayLike) -> mujoco.MjData:
+    """Return the kinematics of a model at a pose (Q,)."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    lows = lowest_points(model, data)
-    if not lows:
-        raise ConfigError("no geom of the robot touches anything: contype and conaffinity are 0")
-    return float(data.qpos[2] - min(lows.values()) + CLEARANCE)
+    return data
 
 
 def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
@@ -169,9 +167,13 @@ def reach_down(
     if kind == _GEOM.mjGEOM_BOX:
         return np.abs(down) @ size
     if kind == _GEOM.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-        return (down @ vertices.T).max(axis=-1)
+        return (down @ mesh_vertices(model, geom).T).max(axis=-1)
     radius = size[0] if kind == _GEOM.mjGEOM_SPHERE else model.geom_rbound[geom]
     return np.full(down.shape[:-1], radius)
+
+
+def mesh_vertices(model: mujoco.MjModel, geom: int) -> npt.NDArray[np.float32]:
+    """Return the vertices (K, 3) m of a mesh geom, in its frame."""
+    mesh = model.geom_dataid[geom]
+    first = model.mesh_vertadr[mesh]
+    return model.mesh_vert[first : first + model.mesh_vertnum[mesh]]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from isaacgymenvs_lite.errors import ConfigError, printable
+from isaacgymenvs_lite.errors import ConfigError, listed, printable
 from isaacgymenvs_lite.simulation.model_layout import CONTACT_SENSOR_PREFIX
 
 _FREE, _SLIDE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -38,20 +38,16 @@ def name_everything(spec: mujoco.MjSpec) -> list[str]:
         taken = {element.name for element in elements}
         named = []
         for number, element in enumerate(elements):
-            is_free = kind == "joint" and element.type == _FREE
-            if not element.name and not is_free:
+            if not element.name and not (kind == "joint" and element.type == _FREE):
                 element.name = _free_name(f"{kind}{number}", taken)
-                taken.add(element.name)
                 named.append(element.name)
         if named:
-            notes.append(f"named {_listed(named)}, which had no name")
+            notes.append(f"named {listed(named)}, which had no name")
     return notes
 
 
 def _free_name(name: str, taken: Iterable[str]) -> str:
-    while name in taken:
-        name += "_"
-    return name
+    return name if name not in taken else _free_name(f"{name}_", taken)
 
 
 def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
@@ -64,19 +60,21 @@ def keep_one_robot(spec: mujoco.MjSpec) -> tuple[mujoco.MjsBody, list[str]]:
         ConfigError: there is no robot, or there are several.
     """
     roots = [body for body in spec.worldbody.bodies if not body.mocap and _moves(body)]
-    robots = [body for body in roots if not _is_object(body)] or roots
+    robots = [body for body in roots if body.bodies or not _is_free(body)] or roots
     if not robots:
         raise ConfigError("has no joints: expected a robot with hinges or ball joints")
     if len(robots) > 1:
         names = ", ".join(body.name for body in robots)
         raise ConfigError(f"has {len(robots)} robots: {names}; expected one: remove the others")
     others = [body for body in spec.worldbody.bodies if body.name != robots[0].name]
-    floor = _floor(spec)
+    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    level = [g for g in planes if abs(g.quat[1]) + abs(g.quat[2]) < 1e-6 and g.contype]
+    floor = level[0] if level else None
     scenery = [geom for geom in spec.worldbody.geoms if geom is not floor]
     notes = []
     if others or scenery:
         things = [body.name for body in others] + [geom.name or "a geom" for geom in scenery]
-        notes.append(f"left out what is no part of the robot: {_listed(things)}")
+        notes.append(f"left out what is no part of the robot: {listed(things)}")
     name = robots[0].name
     # Cameras and lights may follow what goes.
     for thing in [*others, *scenery, *spec.cameras, *spec.lights]:
@@ -88,14 +86,8 @@ def _moves(body: mujoco.MjsBody) -> bool:
     return bool(body.joints) or any(_moves(child) for child in body.bodies)
 
 
-def _is_object(body: mujoco.MjsBody) -> bool:
-    return not body.bodies and [joint.type for joint in body.joints] == [_FREE]
-
-
-def _floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    level = [g for g in planes if abs(g.quat[1]) + abs(g.quat[2]) < 1e-6 and g.contype]
-    return level[0] if level else None
+def _is_free(body: mujoco.MjsBody) -> bool:
+    return [joint.type for joint in body.joints] == [_FREE]
 
 
 def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
@@ -106,18 +98,17 @@ def free_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> list[str]:
     Raises:
         ConfigError: the robot is mounted on the world by a hinge or a ball joint.
     """
-    joints = list(root.joints)
-    if [joint.type for joint in joints] == [_FREE]:
+    if _is_free(root):
         return []
-    names = _listed(joint.name for joint in joints)
+    joints = list(root.joints)
+    names = listed([joint.name for joint in joints])
     if joints and all(joint.type != _SLIDE for joint in joints):
         raise ConfigError(
             f"is mounted on the world by {names} of body '{root.name}'; expected a base that moves:"
             " put the joint into a body below a base"
         )
     _remove_joints(spec, joints)
-    taken = {joint.name for joint in spec.joints}
-    root.add_freejoint(name=_free_name("root", taken))
+    root.add_freejoint(name=_free_name("root", {joint.name for joint in spec.joints}))
     instead = f" instead of {names}" if joints else ""
     return [f"base '{root.name}' got a free joint{instead}"]
 
@@ -127,14 +118,17 @@ def fix_slides(spec: mujoco.MjSpec) -> list[str]:
     slides = [joint for joint in spec.joints if joint.type == _SLIDE]
     names = [joint.name for joint in slides]
     _remove_joints(spec, slides)
-    return [f"fixed slides: {_listed(names)}"] if names else []
+    return [f"fixed slides: {listed(names)}"] if names else []
 
 
-def _remove_joints(spec: mujoco.MjSpec, joints: Iterable[mujoco.MjsJoint]) -> None:
+def _remove_joints(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint]) -> None:
     """Remove joints and what refers to them: actuators, constraints, tendons."""
-    joints = list(joints)
     names = {joint.name for joint in joints}
-    tendons = [t for t in spec.tendons if any(_name(wrap.target) in names for wrap in t.path)]
+    tendons = [
+        tendon
+        for tendon in spec.tendons
+        if any(getattr(wrap.target, "name", "") in names for wrap in tendon.path)
+    ]
     gone = names | {tendon.name for tendon in tendons}
     things = [a for a in spec.actuators if a.target in gone]
     for equality in spec.equalities:
@@ -145,10 +139,6 @@ def _remove_joints(spec: mujoco.MjSpec, joints: Iterable[mujoco.MjsJoint]) -> No
             equality.name2 = ""  # its leader no longer moves: hold the follower
     for thing in [*things, *tendons, *joints]:
         spec.delete(thing)
-
-
-def _name(element: object) -> str:
-    return getattr(element, "name", "")
 
 
 def check_equalities(spec: mujoco.MjSpec) -> list[str]:
@@ -178,16 +168,16 @@ def check_numbers(model: mujoco.MjModel) -> None:
     Raises:
         ConfigError: naming the body, geom or joint.
     """
-    rows = {"body": model.body, "geom": model.geom, "jnt": model.joint}
-    kinds = {"body": "body", "geom": "geom", "jnt": "joint", "dof": "joint"}
+    rows = {"body": model.body, "geom": model.geom, "joint": model.joint}
     for field, (quantity, most, unit) in _LARGEST.items():
         values = np.atleast_2d(getattr(model, field).T).T
         largest = np.abs(values).max(axis=1, initial=0.0)
-        kind = field.partition("_")[0]
+        prefix = field.partition("_")[0]
+        kind = {"jnt": "joint", "dof": "joint"}.get(prefix, prefix)
         for row in np.flatnonzero(~(largest <= most)).tolist():  # NaN is among them
-            owner = model.joint(model.dof_jntid[row]) if kind == "dof" else rows[kind](row)
+            owner = rows[kind](model.dof_jntid[row] if prefix == "dof" else row)
             raise ConfigError(
-                f"{kinds[kind]} '{printable(owner.name)}' has the {quantity} {largest[row]:.3g}"
+                f"{kind} '{printable(owner.name)}' has the {quantity} {largest[row]:.3g}"
                 f" {unit}, expected at most {most:g} {unit}"
             )
 
@@ -195,14 +185,10 @@ def check_numbers(model: mujoco.MjModel) -> None:
 def part_overlapping_bodies(
     spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: npt.NDArray[np.float64]
 ) -> list[str]:
-    """Exclude contacts of bodies that overlap in the start pose; return notes.
+    """Exclude contacts of bodies that overlap in the start pose (Q,); return notes.
 
-    MuJoCo takes the convex hulls of meshes, in which a trunk often holds the thighs.
-
-    Args:
-        spec: of the robot, changed.
-        model: `spec`, compiled.
-        qpos: (Q,) the start pose.
+    MuJoCo takes the convex hulls of meshes, in which a trunk often holds the thighs. `model` is
+    `spec`, compiled.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -215,7 +201,7 @@ def part_overlapping_bodies(
     pairs = [(model.body(one).name, model.body(other).name) for one, other in sorted(found) if one]
     for one, other in pairs:
         spec.add_exclude(bodyname1=one, bodyname2=other)
-    together = _listed(f"{one} and {other}" for one, other in pairs)
+    together = listed([f"{one} and {other}" for one, other in pairs])
     return [f"overlap in the start pose and do not touch: {together}"] if pairs else []
 
 
@@ -233,10 +219,3 @@ def add_contact_sensors(spec: mujoco.MjSpec) -> None:
         sensor.type, sensor.objtype = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_BODY
         sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, "world"
         sensor.intprm[:3] = (force, net_force, 1)
-
-
-def _listed(names: Iterable[str]) -> str:
-    """Return names for a note, the first eight of many."""
-    names = list(names)
-    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-    return ", ".join(names[:8]) + more

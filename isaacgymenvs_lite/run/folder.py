@@ -186,16 +186,11 @@ class RunFolder:
 
         Raises:
             OSError: it cannot be made.
-            FolderInUseError: another run has made it.
         """
         if self._lock is None:
             return  # a run of another program
-        if not (self.checkpoints.is_dir() and self._lock.is_intact()):
-            self.path.mkdir(parents=True, exist_ok=True)
-            if not self._lock.is_intact():
-                former, self._lock = self._lock, FolderLock(self.path)
-                former.release()
-            self.checkpoints.mkdir(exist_ok=True)
+        if not self.checkpoints.is_dir():
+            self.checkpoints.mkdir(parents=True)
             log.warning("%s was removed while the run trains: made again", self.path)
         if not (self.path / _CONFIG_FILE).exists():
             with contextlib.suppress(OSError):  # the checkpoint is more important

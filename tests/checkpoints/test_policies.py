@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
-from isaacgymenvs_lite.policies import main
+from isaacgymenvs_lite.commands.policies import main
 
 
 def test_a_checkpoint_is_packed(full_checkpoint, shipped_dir, caplog):

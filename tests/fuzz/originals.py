@@ -14,11 +14,11 @@ import torch
 from omegaconf import OmegaConf
 
 from isaacgymenvs_lite import paths
-from isaacgymenvs_lite.check import describe
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint
 from isaacgymenvs_lite.checkpoints.packed import read_policy_info
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config
 from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
+from isaacgymenvs_lite.commands.check import describe
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.motion.formats.deepmimic import save_deepmimic
 from isaacgymenvs_lite.motion.formats.joint_csv import save_joint_csv

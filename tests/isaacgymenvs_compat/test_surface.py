@@ -24,7 +24,7 @@ _MIGRATION = (_ROOT / "docs" / "migration.md").read_text(encoding="utf-8")
 # What is found of each name and module, as JSON: a module's names, or why it cannot be imported.
 _WALK = """
 import importlib, json, sys
-from isaacgymenvs_lite import alias
+from isaacgymenvs_lite.commands import alias
 alias.install()
 found = {}
 for module in json.load(sys.stdin):

@@ -125,7 +125,7 @@ def test_the_discriminator_may_see_the_newest_step_only(
     buffer = agent.experience_buffer.tensor_dict
     assert buffer["amp_obs"].shape == (4, 8, 105)
     assert torch.equal(buffer["amp_obs"][2], tape.amp_obs[2][:, :105])
-    assert agent.demo_buffer.sample(3)["amp_obs"].shape == (3, 105)
+    assert agent._amp_obs_demo_buffer.sample(3)["amp_obs"].shape == (3, 105)
     agent.train()
     agent.save(str(tmp_path / "agent"))
     player = make_runner(key).create_player()
@@ -146,12 +146,12 @@ def test_demonstrations_fill_their_buffer_and_come_in_every_epoch(make_agent, mo
     start(agent)
     # 40 rows in fetches of 16
     assert fetched == [16, 16, 16]
-    assert agent.demo_buffer.get_total_count() == 48
+    assert agent._amp_obs_demo_buffer.get_total_count() == 48
     assert same(before, snapshot(agent.discriminator.normalizer))
     agent.train_epoch()
     agent.train_epoch()
     assert fetched == [16] * 5
-    assert agent.demo_buffer.get_total_count() == 48 + 32
+    assert agent._amp_obs_demo_buffer.get_total_count() == 48 + 32
 
 
 def prepared(agent: Any) -> dict[str, torch.Tensor]:
@@ -180,7 +180,7 @@ def test_the_training_set_has_as_many_demonstrations_and_replays_as_rows(make_ag
     # nothing to replay yet: the current observations
     assert torch.equal(first["amp_obs_replay"], first["amp_obs"])
     # 32 of the 40 rows in the buffer, none of them twice
-    demos = rows_of(agent.demo_buffer.sample(40)["amp_obs"])
+    demos = rows_of(agent._amp_obs_demo_buffer.sample(40)["amp_obs"])
     assert rows_of(first["amp_obs_demo"]) <= demos
     assert len(rows_of(first["amp_obs_demo"])) == 32
     own = rows_of(first["amp_obs"])
@@ -228,7 +228,7 @@ def replay(agent: Any, count: int, offset: int = 0) -> None:
 
 def test_all_rows_are_kept_until_the_replay_buffer_has_run_over(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.0"))
-    buffer = agent.replay_buffer
+    buffer = agent._amp_replay_buffer
     replay(agent, 32)
     replay(agent, 32)  # exactly full: 64 rows
     assert buffer.get_total_count() == 64
@@ -242,7 +242,7 @@ def test_all_rows_are_kept_until_the_replay_buffer_has_run_over(make_agent):
 
 def test_a_full_replay_buffer_takes_its_share(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_keep_prob=0.25"))
-    buffer = agent.replay_buffer
+    buffer = agent._amp_replay_buffer
     for _ in range(3):
         replay(agent, 32)
     torch.manual_seed(0)
@@ -257,7 +257,7 @@ def test_a_full_replay_buffer_takes_its_share(make_agent):
 def test_of_more_rows_than_fit_a_random_subset_is_kept(make_agent):
     agent = start(make_agent(f"{CONFIG}.amp_replay_buffer_size=8"))
     replay(agent, 100)
-    kept = agent.replay_buffer.sample(8)["amp_obs"][:, 0].tolist()
+    kept = agent._amp_replay_buffer.sample(8)["amp_obs"][:, 0].tolist()
     assert len(set(kept)) == 8
     # the last 8 or the first 8 by chance: 1 in 2e11
     assert set(kept) != set(range(92, 100))
@@ -367,7 +367,7 @@ def test_a_task_of_ones_own_needs_the_members_of_amp_only(make_runner):
     agent.writer.close()
     assert agent.vec_env is vec_env
     assert agent.epoch_num == 1
-    assert agent.demo_buffer.get_total_count() == 48 + 16
+    assert agent._amp_obs_demo_buffer.get_total_count() == 48 + 16
 
 
 def test_a_task_without_reference_motions_is_refused(make_runner):

@@ -63,15 +63,6 @@ def test_absent_rows_are_left_out():
     assert set(minibatch) == {"a", "b"}
 
 
-def test_mu_and_sigma_are_never_written_back():
-    mu = torch.zeros(BATCH, 2)
-    dataset = make(mu=mu, sigma=mu)
-    dataset[0]
-    with pytest.raises(NotImplementedError, match="mu and sigma"):
-        dataset.update_mu_sigma(torch.ones(MINIBATCH, 2), torch.ones(MINIBATCH, 2))
-    assert torch.equal(mu, torch.zeros(BATCH, 2))
-
-
 def test_rows_are_let_go_between_epochs():
     dataset = make()
     one_pass(dataset)

@@ -167,7 +167,7 @@ def test_motion_without_latents_is_judged_as_what_it_looks_like(low_level, make_
 
 
 def all_demos(agent: Any) -> dict[str, torch.Tensor]:
-    return agent.demo_buffer.sample(2 * agent.demo_buffer.get_buffer_size())
+    return agent._amp_obs_demo_buffer.sample(2 * agent._amp_obs_demo_buffer.get_buffer_size())
 
 
 def test_random_latents_go_with_moments_that_are_near(make, roll_out):

@@ -68,7 +68,7 @@ def train(agent: Any, epochs: int = EPOCHS) -> dict[str, Tensor]:
         state |= {f"central.{name}": value for name, value in central.state_dict().items()}
     if (discriminator := getattr(agent, "discriminator", None)) is not None:
         state |= discriminator.normalizer.state_dict()
-        state["replay"] = discriminator.replay_buffer.rows["amp_obs"].clone()
+        state["replay"] = agent._amp_replay_buffer.rows["amp_obs"].clone()
     return state
 
 

@@ -149,7 +149,7 @@ def test_episodes_start_under_the_latent_of_their_clip(make, roll_out, record):
     roll_out(agent)
     assert starts == [list(range(8)), [3]]
     # Later latents are of clips, too.
-    demos = agent.encoder.read(agent.demo_buffer.sample(40)["amp_obs"])
+    demos = agent.encoder.read(agent._amp_obs_demo_buffer.sample(40)["amp_obs"])
     agent.schedule.advance(torch.full((8,), 10_000))
     distances = torch.cdist(agent.schedule.latents, demos).min(dim=1).values
     assert distances.max() < 1e-3
@@ -185,7 +185,7 @@ def test_episodes_keep_to_their_clips_while_they_have_the_latent_of_their_start(
 def test_the_encoder_learns_from_pairs_of_the_clips(make, roll_out):
     agent = make(f"+{CONFIG}.enc_uniformity_coef=3", f"+{CONFIG}.enc_alignment_coef=2")
     rows = agent.prepare_minibatch(prepared_minibatch(agent, roll_out))
-    demos = agent.demo_buffer.sample(2 * agent.demo_buffer.get_buffer_size())
+    demos = agent._amp_obs_demo_buffer.sample(2 * agent._amp_obs_demo_buffer.get_buffer_size())
     pairs = torch.stack((demos["amp_obs"], demos["amp_obs_near"]), dim=1)
     normalized = agent.discriminator.normalize(pairs.flatten(0, 1)).view(len(pairs), 2, -1)
     triples = rows["demo_triples"]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import MeasurementObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
 
 
 @pytest.fixture

@@ -7,12 +7,10 @@ from typing import Any
 import pytest
 from rl_games.common.algo_observer import AlgoObserver
 
-from isaacgymenvs_lite.run import (
-    DiagnosticsObserver,
-    MeasurementObserver,
-    MetricsObserver,
-    MultiObserver,
-)
+from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
+from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.observers import MultiObserver
 
 
 class Counter(AlgoObserver):

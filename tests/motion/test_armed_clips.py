@@ -34,10 +34,6 @@ def lib(
     return MotionLib(path, 31, KEY_BODIES, "cpu")
 
 
-def test_length_is_that_of_the_fractional_frame_rate(lib: MotionLib) -> None:
-    assert lib.get_motion_length([0]).item() == pytest.approx(2 / FPS)
-
-
 def test_every_joint_has_its_place_among_the_31_dofs(lib: MotionLib) -> None:
     # Half way between frames 1 and 2.
     state = lib.get_motion_state([0], torch.tensor([1.5 / FPS], dtype=torch.float64))

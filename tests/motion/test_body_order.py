@@ -19,11 +19,6 @@ def _marked(clip: MotionClip) -> MotionClip:
     return dataclasses.replace(clip, linear_velocity_w=velocity, angular_velocity_w=-velocity)
 
 
-def test_clip_in_order_is_kept(humanoid: Skeleton, make_humanoid_clip) -> None:
-    clip = make_humanoid_clip()
-    assert fit_to_skeleton(clip, humanoid) is clip
-
-
 def test_bodies_are_brought_into_order(humanoid: Skeleton, make_humanoid_clip, about) -> None:
     ordered = _marked(make_humanoid_clip(num_frames=3))
     ordered.local_rotation[:, 12] = about("x", [0.1, 0.2, 0.3])  # left thigh
@@ -60,30 +55,12 @@ def test_other_bodies_are_named(humanoid: Skeleton, make_humanoid_clip) -> None:
         fit_to_skeleton(clip, humanoid)
 
 
-def test_clip_of_the_other_humanoid_names_that_one(
-    humanoid: Skeleton, armed: Skeleton, make_humanoid_clip
-) -> None:
-    for clip, skeleton, what, file in (
-        (make_humanoid_clip(), armed, "lacks sword, shield;", "amp_humanoid"),
-        (
-            make_humanoid_clip(skeleton=armed),
-            humanoid,
-            "also has sword, shield;",
-            "amp_humanoid_sword_shield",
-        ),
-    ):
-        with pytest.raises(MotionFileError, match=rf"walk\.npz: its skeleton {what}") as raised:
-            fit_to_skeleton(clip, skeleton)
-        todo = f"use task.env.asset.assetFileName=mjcf/{file}.xml or another clip"
-        assert str(raised.value).endswith(todo)
-
-
-def test_other_tree_is_refused(humanoid: Skeleton, make_humanoid_clip) -> None:
-    parents = list(humanoid.parent_indices)
-    parents[2] = 0
-    clip = make_humanoid_clip(parent_indices=tuple(parents))
-    with pytest.raises(MotionFileError, match="parent of 'head' is 'pelvis', expected 'torso'"):
-        fit_to_skeleton(clip, humanoid)
+def test_clip_of_the_other_humanoid_names_that_one(armed: Skeleton, make_humanoid_clip) -> None:
+    what = r"walk\.npz: its skeleton lacks sword, shield;"
+    with pytest.raises(MotionFileError, match=what) as raised:
+        fit_to_skeleton(make_humanoid_clip(), armed)
+    todo = "use task.env.asset.assetFileName=mjcf/amp_humanoid.xml or another clip"
+    assert str(raised.value).endswith(todo)
 
 
 def test_largest_hinge_violation_is_reported(
@@ -99,7 +76,7 @@ def test_largest_hinge_violation_is_reported(
         fit_to_skeleton(clip, humanoid)
     (record,) = caplog.records
     message = record.getMessage()
-    assert "'left_shin' is a hinge about y but turns 0.200 rad" in message
+    assert "'left_shin' is a hinge about (0, 1, 0) but turns 0.200 rad" in message
     assert "in frame 2" in message
 
 

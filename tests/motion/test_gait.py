@@ -54,7 +54,7 @@ def on_ground(feet: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("gait", "duty", "least", "together"),
-    [("trot", 0.5, 2, ((0, 3), (1, 2))), ("pace", 0.5, 2, ((0, 2), (1, 3))), ("walk", 0.75, 3, ())],
+    [("trot", 0.5, 2, ((0, 3), (1, 2))), ("walk", 0.75, 3, ())],
 )
 def test_feet_in_stance_stay_on_the_ground(robot, gait, duty, least, together) -> None:
     settings = GaitSettings(gait=gait, speed=0.6, frequency=2.0, seconds=1.0)
@@ -88,14 +88,6 @@ def test_knees_by_the_law_of_cosines(robot) -> None:
     inner = math.acos((0.213**2 + calf**2 - reach**2) / (2 * 0.213 * calf))
     np.testing.assert_allclose(knees, inner - math.pi - math.atan(0.002 / 0.213), atol=1e-4)
     np.testing.assert_allclose(clip.dof_pos[:, [0, 3, 6, 9]], 0.0, atol=1e-6)
-
-
-def test_the_trunk_bounces_with_the_touch_downs(robot) -> None:
-    heights = make_gait(robot, GaitSettings(body_height=0.3, bounce=0.01, seconds=0.5)).root_pos
-    # 30 frames of a stride, in which a trot's pairs touch down twice
-    np.testing.assert_allclose(heights[[0, 15, 30], 2], 0.31, atol=1e-12)
-    # The lowest point, 7.5 frames later, is between two.
-    assert heights[:, 2].min() == pytest.approx(0.3 + 0.01 * math.cos(math.pi * 14 / 15))
 
 
 def test_the_shipped_trot_is_what_its_command_makes(robot) -> None:
@@ -149,9 +141,7 @@ def test_legs_are_found_in_any_order(tmp_path) -> None:
         assert len(leg.joints) == 3
 
 
-@pytest.mark.parametrize(
-    ("knees", "front", "rear"), [("behind", -1, -1), ("ahead", 1, 1), ("inward", -1, 1)]
-)
+@pytest.mark.parametrize(("knees", "front", "rear"), [("ahead", 1, 1), ("inward", -1, 1)])
 def test_knees_bend_to_the_wanted_side(tmp_path, knees, front, rear) -> None:
     places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
     settings = GaitSettings(speed=0.3, seconds=0.5, knees=knees)
@@ -177,20 +167,14 @@ def test_a_robot_that_looks_along_y_is_turned(tmp_path) -> None:
     np.testing.assert_allclose(clip.dof_pos, same.dof_pos, atol=1e-5)
 
 
-@pytest.mark.parametrize("ankles", [1, 4])
-def test_legs_with_hinges_to_spare(tmp_path, ankles) -> None:
+def test_legs_with_hinges_to_spare(tmp_path) -> None:
     places = {"fl": (0.3, 0.1), "fr": (0.3, -0.1), "rl": (-0.3, 0.1), "rr": (-0.3, -0.1)}
     path = quadruped_of(tmp_path, places)
     text = path.read_text()
     for name in places:
         foot = f'<body name="{name}" pos="0 0 -0.2">'
-        ankle = '<joint axis="0 1 0" pos="0 0 0.08"/>' * ankles
-        text = text.replace(foot, foot + ankle)
+        text = text.replace(foot, foot + '<joint axis="0 1 0" pos="0 0 0.08"/>')
     path.write_text(text)
-    if ankles == 4:
-        with pytest.raises(ConfigError, match="has 7 hinges, expected at most 6"):
-            find_legs(load_robot(path))
-        return
     clip = make_gait(load_robot(path), GaitSettings(speed=0.4, seconds=1.0))
     np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[-1], atol=1e-3)
     np.testing.assert_allclose(clip.dof_pos[0], clip.dof_pos[30], atol=1e-3)
@@ -224,11 +208,8 @@ def test_feet_reach_their_places_by_joints_that_follow(tmp_path) -> None:
     ("name", "settings", "message"),
     [
         ("g1", GaitSettings(), "has 2 legs of at least 3 hinges, expected 4"),
-        ("ant", GaitSettings(), "has 0 legs of at least 3 hinges"),
         ("quadruped", GaitSettings(body_height=0.6), "its leg is too short"),
-        ("quadruped", GaitSettings(speed=8.0), "raise frequency, or lower speed"),
         ("quadruped", GaitSettings(frequency=10.0, fps=30.0), "3 frames at fps=30"),
-        ("quadruped", GaitSettings(feet=("*_hip",)), "has 0 legs"),
     ],
 )
 def test_what_is_refused(tmp_path, name, settings, message) -> None:

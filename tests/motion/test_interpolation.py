@@ -156,12 +156,6 @@ def test_the_sign_of_a_quaternion_does_not_matter(tmp_path, humanoid, moving):
         torch.testing.assert_close(first, second, atol=1e-4, rtol=1e-5)
 
 
-def test_two_frames_are_a_straight_line(tmp_path, humanoid):
-    lib = library(tmp_path, humanoid, turning(humanoid, np.arange(2) / FPS))
-    found = states(lib, np.array([0.0, 0.5 / FPS, 1.0 / FPS]))
-    np.testing.assert_allclose(found.root_vel[:, 2], -4.9 / FPS, atol=1e-4)
-
-
 def test_user_mistakes(tmp_path, tiny, tiny_clip):
     file = save_npz(tmp_path / "tiny.npz", tiny_clip)
     with pytest.raises(ConfigError, match=r"has no model .* interpolation=published"):

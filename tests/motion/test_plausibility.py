@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from isaacgymenvs_lite.motion.plausibility import (
     bodies_on_ground,
     implausible,
     put_on_ground,
-    warn_of_implausible,
 )
 from isaacgymenvs_lite.motion.qpos import clip_from_qpos
 
@@ -68,9 +66,8 @@ def test_hovering(humanoid, clip_of_heights):
     assert text == "it hovers up to 0.12 m above the ground (0.50 to 0.98 s)"
 
 
-@pytest.mark.parametrize(("off_m", "words"), [(-0.08, "0.08 m below"), (0.12, "0.12 m above")])
-def test_off_the_ground(humanoid, clip_of_heights, off_m, words):
-    clip = clip_of_heights(np.full(60, off_m))
+def test_off_the_ground(humanoid, clip_of_heights):
+    clip, words = clip_of_heights(np.full(60, -0.08)), "0.08 m below"
     (text,) = implausible(clip, humanoid)
     assert text.startswith(f"its lowest points are {words} the ground (task.env.groundClips=True")
     assert implausible(put_on_ground(clip, humanoid), humanoid) == []
@@ -139,15 +136,6 @@ def test_bodies_on_the_ground(humanoid, clip_of_heights):
     turns[30:, 0] = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # on the stomach
     rolled = dataclasses.replace(rolled, local_rotation=turns)
     assert bodies_on_ground([lying, rolled], humanoid) == list(humanoid.body_names)
-
-
-def test_of_many_clips_the_first_are_named(humanoid, clip_of_heights, caplog):
-    clip = clip_of_heights(np.full(60, 0.3))
-    clips = [dataclasses.replace(clip, name=f"clip {i}") for i in range(9)]
-    with caplog.at_level(logging.WARNING):
-        warn_of_implausible(clips, humanoid)
-    assert len(caplog.records) == 6
-    assert caplog.records[-1].getMessage() == "4 more clips are implausible"
 
 
 def test_a_robot_beside_other_bodies(robot, moving):

@@ -2,21 +2,17 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.loader import load_clips
-from isaacgymenvs_lite.motion.qpos import poses_from_qpos, qpos_from_poses
+from isaacgymenvs_lite.motion.qpos import (
+    dofs_from_rotations,
+    poses_from_qpos,
+    qpos_from_poses,
+    rotations_from_dofs,
+)
 from isaacgymenvs_lite.motion.skeleton import Skeleton
-
-
-def test_zero_pose(humanoid: Skeleton) -> None:
-    turns = np.zeros((1, humanoid.num_bodies, 4))
-    turns[..., 3] = 1.0
-    qpos = qpos_from_poses(humanoid, np.array([[1.0, 2.0, 3.0]]), turns)
-    model = mujoco.MjModel.from_xml_path(str(paths.assets_dir() / "mjcf/amp_humanoid.xml"))
-    expected = model.qpos0.copy()
-    expected[:3] = (1.0, 2.0, 3.0)
-    np.testing.assert_allclose(qpos[0], expected, atol=1e-12)
 
 
 def test_mujoco_puts_the_bodies_where_the_clip_has_them(humanoid: Skeleton) -> None:
@@ -38,3 +34,22 @@ def test_round_trip(humanoid: Skeleton) -> None:
     root, turns = poses_from_qpos(humanoid, qpos)
     np.testing.assert_allclose(root, clip.root_translation)
     np.testing.assert_allclose(turns, clip.local_rotation, atol=1e-6)
+
+
+def test_dofs_of_rotations_and_back(armed: Skeleton) -> None:
+    skeleton, num_dofs = armed, 31
+    random = np.random.default_rng(0)
+    # Rotation vectors shorter than pi are unique.
+    dofs = random.uniform(-1.5, 1.5, (20, num_dofs))
+    root = np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))
+    local = rotations_from_dofs(skeleton, root, dofs)
+    np.testing.assert_array_equal(local[:, 0], root)
+    np.testing.assert_allclose(dofs_from_rotations(skeleton, local), dofs, atol=1e-12)
+
+
+def test_names_and_limits_are_those_of_the_published_joints(humanoid: Skeleton) -> None:
+    degrees = dict(zip(humanoid.dof_names, np.degrees(humanoid.dof_limits).tolist(), strict=True))
+    assert degrees["abdomen_y"] == pytest.approx([-60.0, 90.0])
+    assert degrees["left_shoulder_x"] == pytest.approx([-45.0, 180.0])
+    assert degrees["right_elbow"] == pytest.approx([-160.0, 0.0])
+    assert degrees["left_knee"] == pytest.approx([0.0, 160.0])

@@ -22,7 +22,6 @@ from isaacgymenvs_lite.motion.formats.npz import load_npz, save_npz
 from isaacgymenvs_lite.motion.formats.poselib import save_poselib_npy
 from isaacgymenvs_lite.motion.formats.robot_csv import save_robot_csv
 from isaacgymenvs_lite.motion.loader import load_single_clip
-from isaacgymenvs_lite.motion.mirror import mirror_clip
 from isaacgymenvs_lite.motion.motion_lib import MotionLib
 from isaacgymenvs_lite.motion.qpos import (
     clip_from_qpos,
@@ -39,7 +38,6 @@ from isaacgymenvs_lite.utils import rotations
 from tests.packages import file_of_package
 
 FPS = 30.0
-SHIPPED = ("g1", "quadruped", "anymal", "ant", "humanoid")
 Moving = Callable[..., np.ndarray]
 # One hinge per body, bodies turned at rest, no anchors: rotations determine the angles.
 PLAIN = """
@@ -109,7 +107,6 @@ def test_skeleton_of_a_robot(robot: Skeleton) -> None:
     assert robot.dof_body_ids == (1, 2, 2, 2, 3, 3, 3, 5)
     assert robot.dof_sizes == (1, 1, 1, 1, 1, 1, 3, 3)
     assert robot.shared_body_ids == (2, 3)
-    assert robot.hinge_body_ids == (1,)
     assert robot.dof_names[:7] == (
         *("left_turn", "left_roll", "left_pitch", "left_yaw", "bend", "lean", "neck_x"),
     )
@@ -123,9 +120,8 @@ def test_skeleton_of_a_robot(robot: Skeleton) -> None:
     np.testing.assert_allclose(robot.rest_rotation[0], (0.0, 0.0, 0.0, 1.0))
     rest = np.array([0.1, -0.4, 0.3, 0.8]) / np.linalg.norm([0.1, -0.4, 0.3, 0.8])
     np.testing.assert_allclose(robot.rest_rotation[1], rest)
-    # Behind the free joint's 7 and 6 numbers: six hinges, then two balls.
+    # After the free joint's 7 numbers: six hinges, then two balls.
     assert robot.qpos_addresses == (7, 8, 9, 10, 11, 12, 13, 17, 21)
-    assert robot.qvel_addresses == (6, 7, 8, 9, 10, 11, 12, 15, 18)
     assert not robot.has_simple_joints
     assert robot.has_offset_joints
 
@@ -143,16 +139,14 @@ def test_forward_kinematics_is_mujocos(
 @pytest.mark.parametrize(
     "name",
     [
-        *(f"mjcf/{name}.xml" for name in (*SHIPPED, "amp_humanoid")),
-        *(f"gymnasium/envs/mujoco/assets/{name}.xml" for name in ("humanoid", "ant")),
-        *(f"dm_control/suite/{name}.xml" for name in ("humanoid", "quadruped", "humanoid_CMU")),
-        *("dm_control/suite/dog.xml", "dm_control/locomotion/walkers/assets/rodent.xml"),
+        *("mjcf/g1.xml", "mjcf/ant.xml", "mjcf/humanoid.xml"),
+        *("dm_control/suite/humanoid_CMU.xml", "dm_control/suite/dog.xml"),
     ],
 )
 def test_forward_kinematics_of_robots(name: str, moving: Moving) -> None:
     path = paths.assets_dir() / name if name.startswith("mjcf/") else file_of_package(name)
     skeleton = Skeleton.from_model(load_robot(path).model)
-    poses = moving(skeleton)
+    poses = moving(skeleton, 10)
     clip = clip_from_qpos(name, FPS, skeleton, poses)
     _expect_mujocos_poses(skeleton, clip, poses)
     model, back = clip_to_qpos(clip, skeleton)
@@ -272,15 +266,6 @@ def test_files_keep_joint_coordinates(tmp_path: Path, robot: Skeleton, clip: Mot
         save_poselib_npy(tmp_path / "robot.npy", clip)
 
 
-def test_files_of_the_humanoid_have_no_joint_coordinates(
-    tmp_path: Path, make_humanoid_clip: Callable[..., MotionClip]
-) -> None:
-    path = save_npz(tmp_path / "walk.npz", make_humanoid_clip())
-    with np.load(path) as arrays:
-        assert "dof_pos" not in arrays
-    assert load_npz(path).dof_pos is None
-
-
 def test_cutting_and_resampling(robot: Skeleton, clip: MotionClip) -> None:
     assert clip.dof_pos is not None
     part = cut(clip, 0.2, 0.8)
@@ -316,48 +301,6 @@ def test_copies_are_dropped_with_their_coordinates(clip: MotionClip) -> None:
     single = dataclasses.replace(clip, fps=2.0 * FPS, **doubled).drop_repeated_frames()
     single.validate()
     np.testing.assert_array_equal(single.dof_pos, clip.dof_pos)
-
-
-def test_mirror_image(plain: Skeleton, moving: Moving) -> None:
-    clip = clip_from_qpos("plain", FPS, plain, moving(plain))
-    image = mirror_clip(clip, "image", plain)
-    assert clip.dof_pos is not None
-    assert image.dof_pos is not None
-    # Rotations about x + y and x - y are each other's opposite in the mirror; 20 degrees at rest.
-    mirrored = np.radians(40.0) - clip.dof_pos[:, 1]
-    np.testing.assert_allclose(image.dof_pos[:, 0], mirrored, atol=1e-12)
-    np.testing.assert_allclose(image.dof_pos[:, 2:], clip.dof_pos[:, 2:] * (-1.0, 1.0, -1.0))
-    poses = qpos_from_clip(plain, image)
-    _expect_mujocos_poses(plain, image, poses)
-    order = [0, 2, 1, 3]
-    mirrored = clip.global_poses()[0][:, order] * (1.0, -1.0, 1.0)
-    np.testing.assert_allclose(image.global_poses()[0], mirrored, atol=1e-9)
-    with pytest.raises(MotionFileError, match="pass the skeleton of the clip"):
-        mirror_clip(clip, "image")
-
-
-def test_joints_without_mirror_images_are_refused(moving: Moving) -> None:
-    text = PLAIN.replace('axis="1 -1 0"', 'axis="1 0 0"')
-    skewed = Skeleton.from_model(mujoco.MjModel.from_xml_string(text))
-    clip = clip_from_qpos("skewed", FPS, skewed, moving(skewed))
-    with pytest.raises(MotionFileError, match="joint 'left_hip' has no joint as its mirror image"):
-        mirror_clip(clip, "image", skewed)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda clip: {"dof_pos": clip.dof_pos[:5]}, r"dof_pos has shape \(5, 12\), expected"),
-        (lambda clip: {"dof_pos": clip.dof_pos[0]}, r"dof_pos has shape \(12,\), expected"),
-        (lambda clip: {"dof_pos": np.full((40, 12), np.nan)}, "dof_pos holds 480 number"),
-        (lambda clip: {"dof_pos": np.full((40, 12), 1001.0)}, "dof_pos has 1001 rad"),
-        (lambda clip: {"local_translation": np.zeros((3, 6, 3))}, "local_translation has shape"),
-        (lambda clip: {"local_translation": np.full((40, 6, 3), np.inf)}, "local_translation hol"),
-    ],
-)
-def test_broken_coordinates_are_refused(clip: MotionClip, change: Callable, message: str) -> None:
-    with pytest.raises(MotionFileError, match=message):
-        dataclasses.replace(clip, **change(clip)).validate()
 
 
 def test_clips_that_do_not_fit_the_robot(

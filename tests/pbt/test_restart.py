@@ -63,7 +63,7 @@ def test_the_program_stays(monkeypatch, commands):
         ["-u", "-X", "dev", "train.py"],
         ["-m", "isaacgymenvs_lite.train"],
         ["/venv/bin/isaacgymenvs-lite-train"],
-        ["-m", "isaacgymenvs_lite.alias", "train.py"],
+        ["-m", "isaacgymenvs_lite", "alias", "train.py"],
     ]:
         command = become(monkeypatch, commands, *program, *TYPED, typed=TYPED)
         assert command == [*program, *REQUEST.words(TYPED)]

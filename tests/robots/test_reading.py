@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.robots.reading import read_robot, read_robot_file
+from isaacgymenvs_lite.robots.reading import read_robot_file
 from tests.robots.texts import INERTIAL, LEG, TETRAHEDRON, mjcf, urdf, written
 
 MESH = '<asset><mesh file="{}"/></asset>'
@@ -50,7 +50,7 @@ endsolid
 
 def refusal(path: Path) -> str:
     with pytest.raises(ConfigError) as caught:
-        read_robot(path)
+        read_robot_file(path)
     message = str(caught.value)
     assert str(path) in message
     assert "\n" not in message
@@ -62,7 +62,9 @@ def test_mjcf_with_include_and_mesh(tmp_path):
     written(tmp_path / "parts/leg.xml", "<mujocoinclude><option impratio='7'/></mujocoinclude>")
     leg = '<body><joint axis="1 0 0"/><geom type="mesh" mesh="tet"/></body>'
     rest = '<include file="parts/leg.xml"/><compiler meshdir="parts"/>' + MESH.format("tet.obj")
-    model = read_robot(written(tmp_path / "robot.xml", mjcf(leg=leg, rest=rest))).compile()
+    model = read_robot_file(
+        written(tmp_path / "robot.xml", mjcf(leg=leg, rest=rest))
+    ).spec.compile()
     assert model.opt.impratio == 7
     assert model.nmesh == 1
     assert model.mesh_vertnum[0] == 4
@@ -85,12 +87,14 @@ def test_includes_of_includes_are_found_where_mujoco_finds_them(tmp_path, places
     except ValueError:
         assert '<include file="y.xml"> is missing; looked for' in refusal(path)
     else:
-        np.testing.assert_array_equal(read_robot(path).compile().geom_size, theirs.geom_size)
+        np.testing.assert_array_equal(
+            read_robot_file(path).spec.compile().geom_size, theirs.geom_size
+        )
 
 
 def test_the_shipped_humanoid_reads_as_mujoco_reads_it():
     path = Path(__file__).parents[2] / "assets/mjcf/amp_humanoid.xml"
-    ours, theirs = read_robot(path).compile(), mujoco.MjModel.from_xml_path(str(path))
+    ours, theirs = read_robot_file(path).spec.compile(), mujoco.MjModel.from_xml_path(str(path))
     assert (ours.body_mass == theirs.body_mass).all()
     assert (ours.jnt_range == theirs.jnt_range).all()
     assert (ours.geom_size == theirs.geom_size).all()
@@ -113,12 +117,14 @@ def test_meshes_of_urdf_files(tmp_path, uri, place):
     written(tmp_path / place, TETRAHEDRON)
     path = tmp_path / "ws/my_robot/urdf/robot.urdf"
     written(path, urdf(f'<mesh filename="{uri}" scale="2 2 2"/>'))
-    assert read_robot(path).compile().nmesh == 1
+    assert read_robot_file(path).spec.compile().nmesh == 1
 
 
 def test_stl_files_in_ascii_have_the_volume_of_their_triangles(tmp_path):
     written(tmp_path / "a.stl", CORNER_STL)
-    model = read_robot(written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))).compile()
+    model = read_robot_file(
+        written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))
+    ).spec.compile()
     vertices = model.mesh_vert + model.mesh_pos[0]  # about the centre of mass, along main axes
     assert model.mesh_vertnum[0] == 4
     # A corner of a cube of side 1 m: three edges of 1 m, three of sqrt(2).
@@ -130,7 +136,7 @@ def test_stl_files_in_ascii_with_words_for_numbers(tmp_path):
     written(tmp_path / "a.stl", CORNER_STL.replace("0 0 1", "0 0 one", 1))
     path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.stl"/>'))
     with pytest.raises(ConfigError, match=r"a\.stl: not an STL file"):
-        read_robot(path)
+        read_robot_file(path)
 
 
 def test_a_robot_that_only_shows_itself_collides_as_it_looks(tmp_path):
@@ -145,10 +151,10 @@ def test_open_meshes_of_links_with_inertias(tmp_path):
     corners, _, _ = TETRAHEDRON.partition("f")
     written(tmp_path / "a.obj", f"{corners}f 1 3 2\n")  # one side: no volume
     path = written(tmp_path / "r.urdf", urdf('<mesh filename="a.obj"/>'))
-    assert read_robot(path).compile().nmesh == 1
+    assert read_robot_file(path).spec.compile().nmesh == 1
     path = written(tmp_path / "s.urdf", urdf('<mesh filename="a.obj"/>').replace(INERTIAL, "", 1))
     with pytest.raises(ValueError, match="volume"):  # the inertia is to come from it
-        read_robot(path).compile()
+        read_robot_file(path).spec.compile()
 
 
 def test_inertias_that_no_solid_has_become_positive(tmp_path):

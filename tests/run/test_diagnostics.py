@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import (
-    DiagnosticsObserver,
-    EpochMetrics,
-    MeasurementObserver,
-    MetricsObserver,
-)
 from isaacgymenvs_lite.run.diagnostics import (
     REPEAT_S,
+    DiagnosticsObserver,
     Measurement,
 )
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
+from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 EPOCH_FRAMES = 16384
 EPOCH_S = 4.0

@@ -9,8 +9,7 @@ import torch
 
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult
 from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
-from isaacgymenvs_lite.run import MeasurementObserver
-from isaacgymenvs_lite.run.measurement import clip_spread_m
+from isaacgymenvs_lite.run.measurement import MeasurementObserver, clip_spread_m
 
 
 class TimedImitation(MeasurementObserver):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import EpochMetrics, MetricsObserver
+from isaacgymenvs_lite.run.metrics import EpochMetrics, MetricsObserver
 
 
 @pytest.fixture

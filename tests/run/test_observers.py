@@ -7,7 +7,8 @@ from rl_games.common.algo_observer import AlgoObserver
 
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.config.launch import check_config
-from isaacgymenvs_lite.run import DiagnosticsObserver, MultiObserver, TrainingObservers
+from isaacgymenvs_lite.run.diagnostics import DiagnosticsObserver
+from isaacgymenvs_lite.run.observers import MultiObserver, TrainingObservers
 from isaacgymenvs_lite.run.stop_request import StopRequest
 
 CALLS = {

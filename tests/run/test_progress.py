@@ -8,12 +8,10 @@ from typing import Any
 import pytest
 import torch
 
-from isaacgymenvs_lite.run import (
-    MeasurementObserver,
-    MetricsObserver,
-    MultiObserver,
-    ProgressObserver,
-)
+from isaacgymenvs_lite.run.measurement import MeasurementObserver
+from isaacgymenvs_lite.run.metrics import MetricsObserver
+from isaacgymenvs_lite.run.observers import MultiObserver
+from isaacgymenvs_lite.run.progress import ProgressObserver
 from isaacgymenvs_lite.run.stop_request import StopRequest
 
 

@@ -13,13 +13,13 @@ from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.formats.npz import load_npz
 from isaacgymenvs_lite.motion.loader import load_clips, shipped_motions
-from isaacgymenvs_lite.motion.mirror import mirror_clip
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
 from tools.clip_synthesis import __main__ as command
 from tools.clip_synthesis import checks, model_checks
 from tools.clip_synthesis.catalogue import GAIT_CLIPS, clip_names, make_clip
 from tools.clip_synthesis.gait_data import GAITS
 from tools.clip_synthesis.generate import generate
+from tools.clip_synthesis.mirror import mirror_clip
 from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
 from tools.clip_synthesis.report import turn_rad
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.mirror import mirror_clip
 from tools.clip_synthesis.gait_data import RUN, WALK, WALK_FAST, WALK_SLOW, Gait
 from tools.clip_synthesis.generate import generate
+from tools.clip_synthesis.mirror import mirror_clip
 from tools.clip_synthesis.moves.generate import generate_move
 from tools.clip_synthesis.moves.move_data import MIRRORED, MOVES
 

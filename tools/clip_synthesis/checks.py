@@ -15,10 +15,10 @@ import torch
 from isaacgymenvs_lite.motion import kinematics
 from isaacgymenvs_lite.motion.clip import MotionClip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.mirror import mirror_rotations
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 from isaacgymenvs_lite.utils import rotations
+from tools.clip_synthesis.mirror import mirror_rotations
 
 CONTACT_HEIGHT_M = 0.003  # a corner of a sole this near to the ground counts as touching it
 _DEG = np.pi / 180.0

@@ -9,7 +9,7 @@ from rl_games.algos_torch.network_builder import A2CBuilder
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames, is_overridden
+from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames
 
 
 class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
@@ -46,8 +46,8 @@ class ActorCriticNetwork(PublishedNames, A2CBuilder.Network):
         As rl_games', which shares layers of actor and critic; a subclass' own actor or critic
         counts wherever the network is called.
         """
-        own = (ActorCriticNetwork.eval_actor, ActorCriticNetwork.eval_critic)
-        if not any(is_overridden(self, method) for method in own):
+        own, base = type(self), ActorCriticNetwork
+        if own.eval_actor is base.eval_actor and own.eval_critic is base.eval_critic:
             return super().forward(obs_dict)
         obs = obs_dict["obs"]
         return *self.eval_actor(obs), self.eval_critic(obs), None

@@ -1,4 +1,4 @@
-"""The style discriminator: its layers, the reward it gives, and how it is trained.
+"""The style discriminator: its layers, the reward it gives, and its loss.
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
 (arXiv 2104.02180). In an agent the layers are part of the actor-critic network, so that one
@@ -7,10 +7,9 @@ optimiser and one checkpoint hold everything; `StyleNetwork` has them for other 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -22,14 +21,11 @@ from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
-from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 
 # The last layer starts in U(-1, 1), as IsaacGymEnvs and ASE.
 DISC_LOGIT_INIT_SCALE = 1.0
 # The logistic reward of a sample that certainly is the policy's would be ln(1/0).
 _MIN_FAKE_PROBABILITY = 1e-4
-# Shares of the time limit that training episodes last, with exploration noise.
-_BEGINS_TO_STAY_UP, _STAYS_UP = 0.3, 0.6
 
 # --- layers ----------------------------------------------------------------------------------
 
@@ -137,25 +133,6 @@ def eval_discriminator(
 # --- reward ----------------------------------------------------------------------------------
 
 
-class DiscriminatorNetwork(Protocol):
-    """What `StyleDiscriminator` and its trainer need of a network with `DiscriminatorLayers`."""
-
-    def eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
-        """Return logits (n, 1) of normalised AMP observations (n, F).
-
-        A conditional discriminator takes latents (n, Z), too: the skills they should show.
-        """
-        ...
-
-    def get_disc_logit_weights(self) -> Tensor:
-        """Return the last layer's weights, flat."""
-        ...
-
-    def get_disc_weights(self) -> list[Tensor]:
-        """Return all weight matrices, flat."""
-        ...
-
-
 @dataclass(frozen=True)
 class AMPObsShape:
     """The shape of a task's AMP observations.
@@ -195,32 +172,31 @@ class StyleDiscriminator:
     """Rewards AMP observations that look like the reference motions.
 
     Args:
-        network: holds the discriminator's layers.
+        network: has the methods of `DiscriminatorLayers`.
         amp_obs_size: numbers that it sees of an AMP observation, the first; see `disc_obs_size`.
         params: weights, kinds of loss and reward.
         disc_reward: `least_squares` or `logistic`, for `params.disc_reward` None.
         device: of the normaliser's statistics.
-        preprocess: from raw AMP observations (n, F) to the network's inputs; None: `normalize`.
 
     Attributes:
         normalizer: running mean and variance (None if `normalize_amp_input` is False), not part of
             the model.
+        grad_penalty: weight of the gradient penalty in the loss.
     """
 
     def __init__(
         self,
-        network: DiscriminatorNetwork,
+        network: Any,
         amp_obs_size: int,
         params: AMPParams,
         disc_reward: str,
         device: str | torch.device,
-        preprocess: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
-        self._network = network
-        self._params = params
+        self.network = network
+        self.params = params
+        self.grad_penalty = params.disc_grad_penalty
         self._size = amp_obs_size
         self._device = torch.device(device)
-        self._preprocess = preprocess or self.normalize
         self._reward_kind = params.disc_reward or disc_reward
         self.normalizer: RunningMeanStd | None = None
         if params.normalize_amp_input:
@@ -252,7 +228,7 @@ class StyleDiscriminator:
             latents: (..., Z) for a conditional discriminator, none for another.
         """
         return evaluate_in_chunks(
-            lambda rows, *given: self._network.eval_disc(self._preprocess(rows), *given),
+            lambda rows, *given: self.network.eval_disc(self.normalize(rows), *given),
             amp_obs,
             *latents,
         )
@@ -272,13 +248,7 @@ class StyleDiscriminator:
             reward = -torch.log(torch.sigmoid(-logits).clamp(min=_MIN_FAKE_PROBABILITY))
         else:
             reward = (1.0 - 0.25 * (logits - 1.0) ** 2).clamp(min=0.0)
-        return reward * self._params.disc_reward_scale
-
-    def total_reward(self, task_rewards: Tensor, style_rewards: Tensor) -> Tensor:
-        """Return task_reward_w * task + disc_reward_w * style, in the shape of both."""
-        return (
-            self._params.task_reward_w * task_rewards + self._params.disc_reward_w * style_rewards
-        )
+        return reward * self.params.disc_reward_scale
 
 
 class StyleRewards:
@@ -300,7 +270,13 @@ class StyleRewards:
 
     def _eval_disc(self, amp_obs: Tensor, *latents: Tensor) -> Tensor:
         """Return logits (..., 1) of raw AMP observations (..., F), without gradients."""
-        return self.discriminator.logits(amp_obs, *latents)
+        return evaluate_in_chunks(
+            lambda rows, *given: self.discriminator.network.eval_disc(
+                self._preproc_amp_obs(rows), *given
+            ),
+            amp_obs,
+            *latents,
+        )
 
     def _preproc_amp_obs(self, amp_obs: Tensor) -> Tensor:
         """Return the inputs of discriminator and encoder: raw AMP observations (n, F), normalised.
@@ -311,150 +287,51 @@ class StyleRewards:
         return self.discriminator.normalize(amp_obs)
 
 
-# --- training --------------------------------------------------------------------------------
+# --- loss ------------------------------------------------------------------------------------
 
 
-class LossFunctions(NamedTuple):
-    """Functions of logits (n, 1) that a discriminator's loss is made of."""
+class StyleLosses(StyleRewards):
+    """The published loss methods of AMP agents, as a mixin. Several threads call them."""
 
-    loss_neg: Callable[[Tensor], Tensor]
-    loss_pos: Callable[[Tensor], Tensor]
-    accuracies: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-
-
-def scheduled_grad_penalty(first: float, last: float, progress: float) -> float:
-    """Return the weight of the gradient penalty, from `first` down to `last` by a constant factor.
-
-    Args:
-        first: at progress 0.
-        last: at progress 1; one above `first` counts as `first`.
-        progress: 0 to 1; see `upright_progress`.
-    """
-    return float(first ** (1.0 - progress) * min(first, last) ** progress)
-
-
-def upright_progress(episode_share: float) -> float:
-    """Return how far a policy has learned to stay up, 0 to 1.
-
-    Args:
-        episode_share: mean length of training episodes, as a share of the time limit. Exploration
-            makes policies fall that would not fall without: 0.3 is where they begin to stay up, and
-            0.6 is enough.
-    """
-    first, last = _BEGINS_TO_STAY_UP, _STAYS_UP
-    return min(max((episode_share - first) / (last - first), 0.0), 1.0)
-
-
-class DiscriminatorTrainer(StyleDiscriminator):
-    """Trains a style discriminator: demonstrations, replayed rows, normaliser and loss.
-
-    `AMPAgent` and `style_reward.StyleReward` share it; each of them takes the gradient steps. For
-    every minibatch
-
-    1. take the policy's rows, and as many from `sample_replay` and `sample_demos`;
-    2. `normalize` them, and add `sample_noise` to them;
-    3. compute `eval_discriminator` and `loss`;
-    4. `update_normalizer` with the raw rows (an agent does this first, for all its normalisers).
-
-    Once per rollout `store_demos` and `store_replay`.
-
-    Attributes:
-        demo_buffer: reference observations; `make_buffers` makes both.
-        replay_buffer: past observations of the policy.
-        grad_penalty: weight of the gradient penalty; None: `disc_grad_penalty`.
-    """
-
-    demo_buffer: ReplayBuffer
-    replay_buffer: ReplayBuffer
-    grad_penalty: float | None = None
-
-    def make_buffers(self) -> None:
-        """Make both buffers, empty."""
-        self.demo_buffer = ReplayBuffer(self._params.amp_obs_demo_buffer_size, self._device)
-        self.replay_buffer = ReplayBuffer(self._params.amp_replay_buffer_size, self._device)
-
-    def fill_demo_buffer(self, store_batch: Callable[[], None]) -> None:
-        """Fill the buffer of demonstrations.
-
-        Args:
-            store_batch: calls `store_demos` with `amp_batch_size` rows.
-        """
-        size = self.demo_buffer.get_buffer_size()
-        for _ in range(math.ceil(size / self._params.amp_batch_size)):
-            store_batch()
-
-    def store_demos(self, demos: dict[str, Tensor]) -> None:
-        """Store reference observations: {name: (n, F)}, raw, the same names in every call."""
-        self.demo_buffer.store({name: self.truncate(rows) for name, rows in demos.items()})
-
-    def sample_demos(self, n: int) -> dict[str, Tensor]:
-        """Return n rows of what `store_demos` stored."""
-        return self.demo_buffer.sample(n)
-
-    def store_replay(self, rows: dict[str, Tensor]) -> None:
-        """Store rows of the policy; once the buffer is full, a share amp_replay_keep_prob of them.
-
-        Args:
-            rows: {name: (n, ...)}, `amp_obs` as `truncate` returns them.
-        """
-        self.replay_buffer.store_some(rows, self._params.amp_replay_keep_prob)
-
-    def sample_replay(self, fakes: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return as many past rows of the policy; before the first `store_replay` these ones."""
-        if self.replay_buffer.get_total_count() == 0:
-            return fakes
-        return self.replay_buffer.sample(len(fakes["amp_obs"]))
-
-    def sample_noise(self, amp_obs: Tensor) -> Tensor | None:
-        """Return noise to add to normalised AMP observations (n, F); None if there is none."""
-        if self._params.disc_input_noise == 0.0:
-            return None
-        return self._params.disc_input_noise * torch.randn_like(amp_obs)
-
-    def update_normalizer(self, amp_obs: Tensor) -> None:
-        """Update the statistics by AMP observations (n, F)."""
-        if self.normalizer is not None:
-            self.normalizer.count_in(amp_obs[..., : self._size])
-
-    def loss(
+    def _disc_loss(
         self,
-        agent_logit: Tensor,
-        demo_logit: Tensor,
-        demo_obs: Tensor,
-        demo_gradient: Tensor | None = None,
-        functions: LossFunctions | None = None,
+        disc_agent_logit: Tensor,
+        disc_demo_logit: Tensor,
+        obs_demo: Tensor,
+        disc_demo_gradient: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Return the discriminator's loss and values to log.
 
-        prediction + logit regularisation + gradient penalty + weight decay, as IsaacGymEnvs;
-        with `disc_loss: least_squares` the prediction loss is AMP's own (eq. 6).
+        Prediction, logit regularisation, gradient penalty and weight decay, as in IsaacGymEnvs.
 
         Args:
-            agent_logit: (2K, 1) of the policy's and of replayed observations.
-            demo_logit: (K, 1) of reference observations.
-            demo_obs: (K, F) the inputs of `demo_logit`; they require gradients if `demo_gradient`
-                is None.
-            demo_gradient: (K, F) gradients of the logits by `demo_obs`, differentiable.
-            functions: None: this class' own.
+            disc_agent_logit: (2K, 1) of the policy's and of replayed observations.
+            disc_demo_logit: (K, 1) of reference observations.
+            obs_demo: (K, F) the inputs of `disc_demo_logit`; they require gradients if
+                `disc_demo_gradient` is None.
+            disc_demo_gradient: (K, F) gradients of the logits by `obs_demo`, differentiable; None:
+                computed here, as for the published three arguments.
 
         Returns:
             `disc_loss` (the weighted sum), `disc_grad_penalty` and `disc_logit_loss` (unweighted),
             `disc_agent_acc`, `disc_demo_acc`, `disc_agent_logit`, `disc_demo_logit`.
         """
-        agent_logit, demo_logit = agent_logit.float(), demo_logit.float()
-        functions = functions or self.loss_functions
-        # Half the sum of the mean losses on fakes and on demonstrations.
-        prediction = 0.5 * (functions.loss_neg(agent_logit) + functions.loss_pos(demo_logit))
-        logit_loss = self._network.get_disc_logit_weights().square().sum()
-        if demo_gradient is None:
-            demo_gradient = input_gradient(demo_logit, demo_obs)
-        grad_penalty = demo_gradient.float().square().sum(dim=-1).mean()
-        weight = self._params.disc_grad_penalty if self.grad_penalty is None else self.grad_penalty
-        loss = prediction + self._params.disc_logit_reg * logit_loss + weight * grad_penalty
-        if self._params.disc_weight_decay != 0.0:
-            squares = [weights.square().sum() for weights in self._network.get_disc_weights()]
-            loss = loss + self._params.disc_weight_decay * torch.stack(squares).sum()
-        agent_acc, demo_acc = functions.accuracies(agent_logit.detach(), demo_logit.detach())
+        network, params = self.discriminator.network, self.discriminator.params
+        agent_logit, demo_logit = disc_agent_logit.float(), disc_demo_logit.float()
+        prediction = 0.5 * (self._disc_loss_neg(agent_logit) + self._disc_loss_pos(demo_logit))
+        logit_loss = network.get_disc_logit_weights().square().sum()
+        if disc_demo_gradient is None:
+            disc_demo_gradient = input_gradient(demo_logit, obs_demo)
+        grad_penalty = disc_demo_gradient.float().square().sum(dim=-1).mean()
+        loss = (
+            prediction
+            + params.disc_logit_reg * logit_loss
+            + self.discriminator.grad_penalty * grad_penalty
+        )
+        if params.disc_weight_decay != 0.0:
+            squares = [weights.square().sum() for weights in network.get_disc_weights()]
+            loss = loss + params.disc_weight_decay * torch.stack(squares).sum()
+        agent_acc, demo_acc = self._compute_disc_acc(agent_logit.detach(), demo_logit.detach())
         return {
             "disc_loss": loss,
             "disc_grad_penalty": grad_penalty.detach(),
@@ -465,24 +342,23 @@ class DiscriminatorTrainer(StyleDiscriminator):
             "disc_demo_logit": demo_logit.detach(),
         }
 
-    @property
-    def loss_functions(self) -> LossFunctions:
-        """What `loss` is made of."""
-        return LossFunctions(self.loss_neg, self.loss_pos, accuracies)
+    def _disc_loss_neg(self, disc_logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of the policy's observations.
 
-    def loss_neg(self, logits: Tensor) -> Tensor:
-        """Return the mean loss of logits (n, 1) of the policy's observations."""
-        if self._params.disc_loss == "least_squares":
-            return (logits + 1.0).square().mean()
-        return F.binary_cross_entropy_with_logits(logits, torch.zeros_like(logits))
+        Cross-entropy, or with `disc_loss: least_squares` the AMP paper's own loss (eq. 6).
+        """
+        if self.discriminator.params.disc_loss == "least_squares":
+            return (disc_logits + 1.0).square().mean()
+        return F.binary_cross_entropy_with_logits(disc_logits, torch.zeros_like(disc_logits))
 
-    def loss_pos(self, logits: Tensor) -> Tensor:
-        """Return the mean loss of logits (n, 1) of reference observations."""
-        if self._params.disc_loss == "least_squares":
-            return (logits - 1.0).square().mean()
-        return F.binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
+    def _disc_loss_pos(self, disc_logits: Tensor) -> Tensor:
+        """Return the mean loss of logits (n, 1) of demonstrations; see `_disc_loss_neg`."""
+        if self.discriminator.params.disc_loss == "least_squares":
+            return (disc_logits - 1.0).square().mean()
+        return F.binary_cross_entropy_with_logits(disc_logits, torch.ones_like(disc_logits))
 
-
-def accuracies(agent_logit: Tensor, demo_logit: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the shares of the policy's and of reference observations that are classified right."""
-    return (agent_logit < 0.0).float().mean(), (demo_logit > 0.0).float().mean()
+    def _compute_disc_acc(
+        self, disc_agent_logit: Tensor, disc_demo_logit: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the shares of fakes and of demonstrations that are classified correctly."""
+        return (disc_agent_logit < 0.0).float().mean(), (disc_demo_logit > 0.0).float().mean()

@@ -7,7 +7,7 @@ The layers are part of the actor-critic network, as the discriminator's.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,30 +17,18 @@ from isaacgymenvs_lite.learning.amp_config import GenAMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
 
 
-class EncoderNetwork(Protocol):
-    """What `SkillEncoder` needs of a network; `GenAMPBuilder.Network` has it."""
-
-    def eval_enc(self, amp_obs: Tensor) -> Tensor:
-        """Return unit vectors (n, Z) for normalised AMP observations (n, F)."""
-        ...
-
-    def get_enc_weights(self) -> list[Tensor]:
-        """Return all weight matrices, flat."""
-        ...
-
-
 class SkillEncoder:
     """Reads in AMP observations which latent the policy acted under.
 
     Args:
-        network: holds the encoder's layers.
+        network: has `eval_enc` and `get_enc_weights`, as `GenAMPBuilder.Network`.
         normalize: of AMP observations (n, F), the discriminator's.
         params: weights and scales.
     """
 
     def __init__(
         self,
-        network: EncoderNetwork,
+        network: Any,
         normalize: Callable[[Tensor], Tensor],
         params: GenAMPParams,
     ) -> None:

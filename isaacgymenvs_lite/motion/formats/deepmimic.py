@@ -67,15 +67,9 @@ _DECIMALS = 9  # written: nanometres and nanoradians
 
 
 def load_deepmimic(path: str | Path, skeleton: Skeleton, name: str | None = None) -> MotionClip:
-    """Read the DeepMimic clip in the file at `path` for the body `skeleton`.
+    """Read a text file in DeepMimic's format; see `clip_from_deepmimic`.
 
-    Args:
-        path: a text file in DeepMimic's format.
-        skeleton: the humanoid; gives the lengths of the limbs.
-        name: the name of the clip, by default the path.
-
-    Raises:
-        MotionFileError: see `clip_from_deepmimic`.
+    `skeleton` gives the lengths of the limbs, `name` the name of the clip, by default the path.
     """
     return clip_from_deepmimic(read_json(path), skeleton, name or str(path))
 
@@ -99,7 +93,11 @@ def clip_from_deepmimic(data: dict[str, Any], skeleton: Skeleton, name: str) -> 
 def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
     check_columns(data, name)
     rows = _rows(data, name)
-    _check_joints(skeleton, name)
+    missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
+    if missing:
+        raise MotionFileError(
+            f"{name}: a DeepMimic clip moves bodies that this humanoid lacks: {missing}"
+        )
     root = _vector(rows[:, ROOT_POSITION])
     local = np.zeros((len(rows), skeleton.num_bodies, 4))
     local[..., 3] = 1.0
@@ -114,15 +112,8 @@ def _clip(data: dict[str, Any], skeleton: Skeleton, name: str) -> MotionClip:
         local[:, skeleton.body_names.index(body), 3] = np.cos(half)
     fps, local, root = _equal_durations(rows[:-1, DURATION], local, root, name)
     lifted = _lifted(skeleton, local, root, name)
-    clip = MotionClip.from_poses(
-        name,
-        fps,
-        skeleton.body_names,
-        skeleton.parent_indices,
-        skeleton.local_translation,
-        local,
-        lifted,
-    )
+    tree = (skeleton.body_names, skeleton.parent_indices, skeleton.local_translation)
+    clip = MotionClip.from_poses(name, fps, *tree, local, lifted)
     if lifted is root or not is_in_air(clip, skeleton):
         return clip
     # A toe that a crawl drags through the ground has lifted the hands and knees off it.
@@ -138,9 +129,7 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
             f"{name}: is no DeepMimic clip, expected 'Frames' with rows of {NUM_COLUMNS} numbers; "
             f"found the keys {', '.join(sorted(data)) or 'nothing'}"
         )
-    if not np.isfinite(rows).all():
-        raise MotionFileError(f"{name}: the frames hold numbers that are NaN or infinite")
-    if np.abs(rows).max() > MAX_PLACE_M:
+    if not np.abs(rows).max(initial=0.0) <= MAX_PLACE_M:  # NaN, too
         raise MotionFileError(
             f"{name}: the frames hold {np.abs(rows).max():.3g}, expected seconds, metres and "
             f"radians of at most {MAX_PLACE_M:g}"
@@ -148,15 +137,12 @@ def _rows(data: dict[str, Any], name: str) -> FloatArray:
     if len(rows) < 2:
         raise MotionFileError(f"{name}: holds {len(rows)} frame, expected at least 2")
     # The last frame lasts 0 s in most files: nothing comes after it.
-    if (rows[:-1, DURATION] <= 0.0).any():
-        frame = int((rows[:-1, DURATION] <= 0.0).argmax())
+    durations = rows[:-1, DURATION]
+    odd = (durations <= 0.0) | (durations > 1.0 / MIN_FPS)
+    if odd.any():
+        frame = int(odd.argmax())
         raise MotionFileError(
-            f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected more than 0"
-        )
-    if rows[:-1, DURATION].max() > 1.0 / MIN_FPS:
-        frame = int(rows[:-1, DURATION].argmax())
-        raise MotionFileError(
-            f"{name}: frame {frame} lasts {rows[frame, DURATION]:g} s, expected at most "
+            f"{name}: frame {frame} lasts {durations[frame]:g} s, expected more than 0 and at most "
             f"{1.0 / MIN_FPS:g}"
         )
     return rows
@@ -182,14 +168,6 @@ def check_columns(data: dict[str, Any], name: str) -> None:
         f"{name}: its 'Frames' have {columns} columns{family}; DeepMimic's clips of the humanoid "
         f"have rows of {NUM_COLUMNS} numbers. {_ROBOT_ROWS}{rate}"
     )
-
-
-def _check_joints(skeleton: Skeleton, name: str) -> None:
-    missing = [body for body in MOVED_BODIES if body not in skeleton.body_names]
-    if missing:
-        raise MotionFileError(
-            f"{name}: a DeepMimic clip moves bodies that this humanoid lacks: {missing}"
-        )
 
 
 def _vector(xyz: FloatArray) -> FloatArray:
@@ -218,11 +196,7 @@ def _equal_durations(
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return fps, rotations and root positions in frames of equal duration, same first and last.
 
-    Args:
-        durations: (T - 1,) s, from each frame to the next.
-        local: (T, J, 4), local rotations.
-        root: (T, 3) m, root positions.
-        name: the clip's name for the log.
+    `durations` (T - 1,) are from each frame to the next.
     """
     usual = float(np.median(durations))
     total = float(durations.sum())
@@ -272,15 +246,6 @@ def save_deepmimic(path: str | Path, clip: MotionClip) -> Path:
             written.
     """
     clip.validate()
-    path = Path(path)
-    text = json.dumps({"Loop": "none", "Frames": _rows_of_clip(clip).round(_DECIMALS).tolist()})
-    with written_clip(path) as partial:
-        partial.write_text(text + "\n", encoding="utf-8")
-    return path
-
-
-def _rows_of_clip(clip: MotionClip) -> FloatArray:
-    """Return the frames (T, 44)."""
     missing = [body for body in MOVED_BODIES if body not in clip.body_names]
     if missing:
         raise MotionFileError(f"{clip.name}: has no {', '.join(missing)}, which DeepMimic moves")
@@ -295,7 +260,10 @@ def _rows_of_clip(clip: MotionClip) -> FloatArray:
         turn = torch.from_numpy(turns[:, clip.body_names.index(body)])
         # DeepMimic's hinge turns about our -y.
         rows[:, column] = -rotations.quat_log(turn)[:, 1].numpy()
-    return rows
+    text = json.dumps({"Loop": "none", "Frames": rows.round(_DECIMALS).tolist()})
+    with written_clip(Path(path)) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")
+    return Path(path)
 
 
 def _vector_y_up(xyz: FloatArray) -> FloatArray:

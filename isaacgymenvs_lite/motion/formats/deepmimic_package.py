@@ -19,12 +19,7 @@ _SHORT_FOR = "humanoid3d_"
 
 _KINDS = {
     "walk": ("humanoid3d_walk", "walker/0walk_forward"),
-    "turn": (
-        "walker/turn_left0",
-        "walker/turn_left1",
-        "walker/turn_right0",
-        "walker/turn_right1",
-    ),
+    "turn": tuple(f"walker/turn_{side}{number}" for side in ("left", "right") for number in (0, 1)),
     "run": ("humanoid3d_run",),
     "jump": ("humanoid3d_jump",),
     "crawl": ("humanoid3d_crawl",),
@@ -85,17 +80,20 @@ def find_in_package(motion_file: str) -> list[PackageClip]:
     """
     name = motion_file.removeprefix(PREFIX)
     paths = _paths_of_clips(motion_file)
-    if name == _ALL_SET:
-        return _data_set(paths, list(paths))
-    if name == _LOCOMOTION_SET:
-        gaits = [clip for kind in _LOCOMOTION for clip in _KINDS[kind]]
-        missing = [clip for clip in gaits if clip not in paths]
+    gaits = [clip for kind in _LOCOMOTION for clip in _KINDS[kind]]
+    if name in (_ALL_SET, _LOCOMOTION_SET):
+        names = list(paths) if name == _ALL_SET else gaits
+        kinds = [_KIND_OF.get(clip, clip) for clip in names]
+        missing = [clip for clip in names if clip not in paths]
         if missing:
             raise MotionFileError(
                 f"'{motion_file}': the installed {_PACKAGE} lacks {', '.join(missing)}; "
                 "pybullet 3.2.7 has all clips"
             )
-        return _data_set(paths, gaits)
+        return [
+            PackageClip(PREFIX + clip, paths[clip], 1.0 / (len(set(kinds)) * kinds.count(kind)))
+            for clip, kind in zip(names, kinds, strict=True)
+        ]
     for full_name in (name, _SHORT_FOR + name):
         if full_name in paths:
             return [PackageClip(PREFIX + full_name, paths[full_name], 1.0)]
@@ -121,13 +119,3 @@ def _paths_of_clips(motion_file: str) -> dict[str, Path]:
         for path in (folder / sub).glob(pattern)
     }
     return dict(sorted(paths.items()))
-
-
-def _data_set(paths: dict[str, Path], names: list[str]) -> list[PackageClip]:
-    """Return the clips `names`, weighted so that all kinds among them weigh the same."""
-    kinds = [_KIND_OF.get(name, name) for name in names]
-    num_kinds = len(set(kinds))
-    return [
-        PackageClip(PREFIX + name, paths[name], 1.0 / (num_kinds * kinds.count(kind)))
-        for name, kind in zip(names, kinds, strict=True)
-    ]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from isaacgymenvs_lite.errors import MotionFileError, suggest
+from isaacgymenvs_lite.errors import MotionFileError, unknown
 from isaacgymenvs_lite.motion.clip import MAX_JOINT_RAD, MotionClip
 from isaacgymenvs_lite.motion.formats.files import reading, written_clip
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -64,20 +64,16 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
     with reading(path, "table of joint angles"):
         lines, fps = read_lines(path)
         names, units = read_header(lines[0], path)
-        skeleton = _skeleton_of(names, skeletons)
+        # The humanoid with most of the named DOFs; of equal ones the one with fewest others.
+        skeleton = max(
+            skeletons,
+            key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
+        )
         known = (TIME, *POSITION, *ROTATION, *skeleton.dof_names)
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise MotionFileError(
-                f"{path}: unknown column '{unknown[0]}'{suggest(unknown[0], known)}; "
-                f"choices: {', '.join(known)}"
-            )
-        missing = [name for name in known[1:] if name not in names]
-        if missing:
-            raise MotionFileError(
-                f"{path}: the header lacks {', '.join(missing)}; a clip of the humanoid with "
-                f"{skeleton.num_dofs} degrees of freedom names the root and all of them"
-            )
+        others = [name for name in names if name not in known]
+        if others:
+            raise MotionFileError(f"{path}: {unknown('column', others[0], known)}")
+        check_columns(names, known[1:], path)
         column = read_columns(names, units, lines[1:], path)
         dofs = joined(column, skeleton.dof_names)
         if np.abs(dofs).max() > MAX_JOINT_RAD:
@@ -94,14 +90,6 @@ def load_joint_csv(path: str | Path, skeletons: Sequence[Skeleton]) -> MotionCli
             rotations_from_dofs(skeleton, joined(column, ROTATION), dofs),
             joined(column, POSITION),
         )
-
-
-def _skeleton_of(names: list[str], skeletons: Sequence[Skeleton]) -> Skeleton:
-    """Return the humanoid with most of the named DOFs; of equal ones the one with fewest others."""
-    return max(
-        skeletons,
-        key=lambda body: (len(set(body.dof_names) & set(names)), -body.num_dofs),
-    )
 
 
 # --- tables of joint angles, of humanoids and of robots -------------------------------------------
@@ -141,6 +129,16 @@ def read_header(cells: list[str], path: str | Path) -> tuple[list[str], list[str
     if double:
         raise MotionFileError(f"{path}: the header names {', '.join(double)} twice")
     return names, [match["unit"] for match in header]
+
+
+def check_columns(names: list[str], needed: Iterable[str], path: str | Path) -> None:
+    """Raise a MotionFileError for a header that lacks columns."""
+    missing = [name for name in needed if name not in names]
+    if missing:
+        raise MotionFileError(
+            f"{path}: the header lacks {', '.join(missing)}; docs/motion_formats.md has the columns"
+            " of clips"
+        )
 
 
 def read_columns(
@@ -215,13 +213,9 @@ def frame_rate(column: Mapping[str, FloatArray], fps: float | None, path: str | 
 def write_table(
     path: str | Path, table: FloatArray, joint_names: Sequence[str] | None, fps: float
 ) -> Path:
-    """Write the root's position and rotation and the joints (T, 7 + D); returns the path.
+    """Write the root's position and rotation and the joints (T, 7 + D) m, rad; returns the path.
 
-    Args:
-        path: of the file.
-        table: in m and rad.
-        joint_names: D names, for a header with units and a column of times; None: neither.
-        fps: frames per second.
+    D names make a header with units and a column of times at `fps`; None: neither.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -5,7 +5,7 @@ docs/motion_formats.md describes the keys.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,41 +22,43 @@ _FLOAT_KEYS = ("local_translation", "local_rotation", "root_translation")
 _OPTIONAL_KEYS = ("dof_pos",)
 _NEEDED_KEYS = ("fps", "body_names", "parent_indices", *_FLOAT_KEYS)
 _VELOCITY_KEYS = ("linear_velocity_w", "angular_velocity_w")
-_KNOWN_KEYS = ("format", "version", *_NEEDED_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS)
+_KNOWN_KEYS = ("version", *_NEEDED_KEYS, *_VELOCITY_KEYS, *_OPTIONAL_KEYS)
 _EXPECTED = ".npz archive of plain arrays, as motion.formats.npz.save_npz writes it,"
 
 
 def save_npz(path: str | Path, clip: MotionClip) -> Path:
-    """Write a clip; `.npz` is added to `path` where it is missing.
+    """Write a clip and return its path; `.npz` is added to `path` where it is missing.
 
     The bytes depend on the clip only (no time stamps), and a file of the same name is replaced in
     one step.
-
-    Returns:
-        The path of the file.
 
     Raises:
         MotionFileError: the clip itself is not valid, or the file cannot be written.
     """
     clip.validate()
+    arrays = {
+        "body_names": np.array(clip.body_names),
+        "parent_indices": np.array(clip.parent_indices, dtype=np.int64),
+        **{key: getattr(clip, key) for key in (*_FLOAT_KEYS, *_VELOCITY_KEYS)},
+        **({} if clip.dof_pos is None else {"dof_pos": clip.dof_pos}),
+    }
+    return write_arrays(path, _FORMAT, clip.fps, arrays)
+
+
+def write_arrays(
+    path: str | Path, kind: str, fps: float, arrays: Mapping[str, npt.NDArray]
+) -> Path:
+    """Write an archive of this project's format `kind`; see `save_npz`."""
     path = Path(path)
     if path.suffix != ".npz":
         path = path.with_name(path.name + ".npz")
-    joints: dict[str, Any] = {} if clip.dof_pos is None else {"dof_pos": clip.dof_pos}
     with written_clip(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(
             stream,
-            format=np.array(_FORMAT),
+            format=np.array(kind),
             version=np.array(VERSION),
-            fps=np.array(clip.fps, dtype=np.float64),
-            body_names=np.array(clip.body_names),
-            parent_indices=np.array(clip.parent_indices, dtype=np.int64),
-            local_translation=clip.local_translation,
-            local_rotation=clip.local_rotation,
-            root_translation=clip.root_translation,
-            linear_velocity_w=clip.linear_velocity_w,
-            angular_velocity_w=clip.angular_velocity_w,
-            **joints,
+            fps=np.array(fps, dtype=np.float64),
+            **dict[str, Any](arrays),
         )
     return path
 
@@ -98,7 +100,7 @@ def _clip(arrays: dict[str, npt.NDArray], path: str | Path) -> MotionClip:
     return clip
 
 
-def read_arrays(path: str | Path, keys: Collection[str]) -> dict[str, npt.NDArray]:
+def read_arrays(path: str | Path, keys: Iterable[str]) -> dict[str, npt.NDArray]:
     """Return the arrays of an archive that `keys` names; other members are not unpacked.
 
     Works within `reading`: a damaged archive raises anything.

@@ -64,10 +64,12 @@ def _clip(data: Any, name: str) -> MotionClip:
         raise MotionFileError(
             f"{name}: __name__ is {tag!r}{hint}, expected '{_CLIP_TAG}'; found the keys {found}"
         )
-    tree = _item(data, "skeleton_tree", name)
+    tree, fps = _item(data, "skeleton_tree", name), _item(data, "fps", name)
+    if isinstance(fps, Mapping):  # a 0-d array, as in IsaacGymEnvs' clips
+        fps = fps["__ndarray__"]
     clip = MotionClip(
         name=name,
-        fps=_number(data, "fps", name),
+        fps=float(np.asarray(fps).item()),
         body_names=tuple(str(node) for node in np.ravel(_item(tree, "node_names", name))),
         parent_indices=tuple(int(body) for body in _array(tree, "parent_indices", name).ravel()),
         local_translation=native_floats(_array(tree, "local_translation", name)),
@@ -104,12 +106,6 @@ def _array(data: Mapping[str, Any], key: str, name: str) -> npt.NDArray[Any]:
     return array.astype(cast_to)
 
 
-def _number(data: Mapping[str, Any], key: str, name: str) -> float:
-    """Return the number under `key`: int, float or, as in IsaacGymEnvs' clips, a 0-d array."""
-    item = _item(data, key, name)
-    return float(np.asarray(item["__ndarray__"] if isinstance(item, Mapping) else item).item())
-
-
 def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
     """Write a clip in single precision, as the published ones are; returns the path.
 
@@ -123,25 +119,13 @@ def save_poselib_npy(path: str | Path, clip: MotionClip) -> Path:
             f"{clip.name}: joints of its skeleton are beside the origins of their bodies, for which"
             " poselib's format has no place; write a .npz file"
         )
-    path = Path(path)
-    content = np.empty((), dtype=object)
-    content[()] = _as_skeleton_motion(clip)
-    stream = io.BytesIO()
-    header = np.lib.format.header_data_from_array_1_0(content)
-    np.lib.format.write_array_header_1_0(stream, header)
-    stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
-    with written_clip(path) as partial:
-        partial.write_bytes(stream.getvalue())
-    return path
-
-
-def _as_skeleton_motion(clip: MotionClip) -> OrderedDict[str, Any]:
     tree = OrderedDict(
         node_names=list(clip.body_names),
         parent_indices=_tagged(clip.parent_indices, "int64"),
         local_translation=_tagged(clip.local_translation, "float32"),
     )
-    return OrderedDict(
+    content = np.empty((), dtype=object)
+    content[()] = OrderedDict(
         rotation=_tagged(clip.local_rotation, "float32"),
         root_translation=_tagged(clip.root_translation, "float32"),
         global_velocity=_tagged(clip.linear_velocity_w, "float32"),
@@ -150,8 +134,15 @@ def _as_skeleton_motion(clip: MotionClip) -> OrderedDict[str, Any]:
         is_local=True,
         # A whole number where it is one: poselib's own scripts index with it.
         fps=int(clip.fps) if float(clip.fps).is_integer() else float(clip.fps),
-        __name__="SkeletonMotion",
+        __name__=_CLIP_TAG,
     )
+    stream = io.BytesIO()
+    header = np.lib.format.header_data_from_array_1_0(content)
+    np.lib.format.write_array_header_1_0(stream, header)
+    stream.write(_with_old_names(pickle.dumps(content, protocol=_PICKLE_PROTOCOL)))
+    with written_clip(Path(path)) as partial:
+        partial.write_bytes(stream.getvalue())
+    return Path(path)
 
 
 def _tagged(array: Any, dtype: str) -> dict[str, Any]:

@@ -134,37 +134,30 @@ def _from_buffer(
     return values.reshape(shape, order=order)
 
 
-def _names(stream: BinaryIO) -> dict[tuple[str, str], Any]:
-    """Return what the names in a file stand for.
+class _Unpickler(pickle.Unpickler):
+    """Knows a few names, which stand for the classes and functions above, and refuses all others.
 
     Functions are made for each file, because an instruction of a pickle can set their attributes.
     """
-    names: dict[tuple[str, str], Any] = {
-        ("collections", "OrderedDict"): dict,
-        ("numpy", "ndarray"): None,  # an argument of _reconstruct
-        ("numpy", "dtype"): _Dtype,
-        ("joblib.numpy_pickle", "NumpyArrayWrapper"): type(
-            "_JoblibArray", (_JoblibArray,), {"stream": stream}
-        ),
-    }
-    for core in ("numpy.core", "numpy._core"):  # numpy 1 and numpy 2
-        names[f"{core}.multiarray", "_reconstruct"] = _Array
-        names[f"{core}.multiarray", "scalar"] = lambda *arguments: _scalar(*arguments)
-        names[f"{core}.numeric", "_frombuffer"] = lambda *arguments: _from_buffer(*arguments)
-    return names
-
-
-class _Unpickler(pickle.Unpickler):
-    """Knows the names above and refuses all others."""
 
     def __init__(self, stream: BinaryIO, path: str | Path) -> None:
         super().__init__(stream)
         self._path = path
-        self._names = _names(stream)
+        joblib = type("_JoblibArray", (_JoblibArray,), {"stream": stream})
+        self._names: dict[str, Any] = {
+            "collections.OrderedDict": dict,
+            "numpy.ndarray": None,  # an argument of _reconstruct
+            "numpy.dtype": _Dtype,
+            "joblib.numpy_pickle.NumpyArrayWrapper": joblib,
+            "numpy.core.multiarray._reconstruct": _Array,
+            "numpy.core.multiarray.scalar": lambda *arguments: _scalar(*arguments),
+            "numpy.core.numeric._frombuffer": lambda *arguments: _from_buffer(*arguments),
+        }
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) in self._names:
-            return self._names[module, name]
+        known = f"{module}.{name}".replace("numpy._core.", "numpy.core.", 1)  # of numpy 2
+        if known in self._names:
+            return self._names[known]
         if module == "anim.motion":
             raise MotionFileError(
                 f"{self._path}: is a pickled object of MimicKit's class {name}, as its first "

@@ -24,7 +24,7 @@ from isaacgymenvs_lite.motion.formats.robot_dictionary import (
     load_robot_dictionary,
 )
 from isaacgymenvs_lite.motion.formats.robot_npz import is_robot_npz, load_robot_npz
-from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS, UP, JointClip, QuatOrder
+from isaacgymenvs_lite.motion.joint_clip import UP, JointClip, QuatOrder
 from isaacgymenvs_lite.motion.skeleton import SHIPPED_NUM_DOFS, skeleton_for_num_dofs
 
 _log = logging.getLogger(__name__)
@@ -68,18 +68,14 @@ def split_motion(name: str | Path) -> tuple[str, str]:
 
 
 def read_joint_clip(
-    path: str | Path,
-    fps: float | None = None,
-    joint_names: Sequence[str] | None = None,
-    quat_order: QuatOrder | None = None,
-    up_b: Sequence[float] = UP,
+    path: str | Path, fps: float | None = None, quat_order: QuatOrder | None = None
 ) -> JointClip:
     """Read a file's only clip, or the one in `FILE:MOTION`; see `read_joint_clips`.
 
     Raises:
         MotionFileError: also for a file of several motions.
     """
-    clips = read_joint_clips(path, fps, joint_names, quat_order, up_b)
+    clips = read_joint_clips(path, fps, quat_order=quat_order)
     if len(clips) > 1:
         raise MotionFileError(several_motions(path, [clip.name for clip in clips]))
     return clips[0]
@@ -120,8 +116,6 @@ def read_joint_clips(
         raise MotionFileError(
             f"{path}: a robot's clip ends in {', '.join(_SUFFIXES)}, found '{path.suffix}'"
         )
-    if quat_order not in (None, *QUAT_ORDERS):
-        raise MotionFileError(f"quat_order is {quat_order!r}; choices: {', '.join(QUAT_ORDERS)}")
     with reading(path, "clip of a robot"):
         if path.suffix == ".csv":
             clips = [load_robot_csv(path, fps)]
@@ -129,20 +123,11 @@ def read_joint_clips(
             clips = [load_robot_npz(path, joint_names, root_body)]
         else:
             clips = load_robot_dictionary(path, motion, fps)
-        return [_checked(clip, joint_names, quat_order, up_b) for clip in clips]
-
-
-def _checked(
-    clip: JointClip,
-    joint_names: Sequence[str] | None,
-    quat_order: QuatOrder | None,
-    up_b: Sequence[float],
-) -> JointClip:
-    if joint_names is not None:
-        clip = dataclasses.replace(clip, joint_names=tuple(joint_names))
-    clip.validate()
-    if quat_order is not None:
-        clip = clip.reread(quat_order)
-    for oddity in clip.oddities(up_b):
-        _log.warning("%s: %s", clip.name, oddity)
-    return clip
+        for i, clip in enumerate(clips):
+            if joint_names is not None:
+                clip = dataclasses.replace(clip, joint_names=tuple(joint_names))
+            clip.validate()
+            clips[i] = clip if quat_order is None else clip.reread(quat_order)
+            for oddity in clips[i].oddities(up_b):
+                _log.warning("%s: %s", clip.name, oddity)
+        return clips

@@ -26,6 +26,7 @@ from isaacgymenvs_lite.motion.formats.joint_csv import (
     POSITION,
     ROTATION,
     TIME,
+    check_columns,
     frame_rate,
     is_number,
     joined,
@@ -68,13 +69,19 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
             )
         if is_number(lines[0][0]):
             table = read_numbers(lines, len(lines[0]), path)
-            return _headerless(table, fps or LAFAN1_FPS, path)
+            if table.shape[1] <= _ROOT_WIDTH:
+                raise MotionFileError(
+                    f"{path}: has {table.shape[1]} columns and no header, expected root position "
+                    "(3), root quaternion (4) and at least one joint"
+                )
+            position, rotation, dof_pos = np.split(table, (3, _ROOT_WIDTH), axis=1)
+            names = BY_NUMBER.get(dof_pos.shape[1])
+            return JointClip(str(path), fps or LAFAN1_FPS, position, rotation, dof_pos, names)
         names, units = read_header(lines[0], path)
         if _BONES_POSITION[0] in names:
             table = read_numbers(lines[1:], len(names), path)
             return _bones(names, table, fps or BONES_FPS, path)
-        root = (*POSITION, *ROTATION)
-        joints = _joints(names, root, (TIME, *root), path)
+        joints = _joints(names, (TIME, *POSITION, *ROTATION), path)
         column = read_columns(names, units, lines[1:], path)
         return JointClip(
             str(path),
@@ -86,27 +93,9 @@ def load_robot_csv(path: str | Path, fps: float | None = None) -> JointClip:
         )
 
 
-def _headerless(table: FloatArray, fps: float, path: str | Path) -> JointClip:
-    num_dofs = table.shape[1] - _ROOT_WIDTH
-    if num_dofs < 1:
-        raise MotionFileError(
-            f"{path}: has {table.shape[1]} columns and no header, expected root position (3), "
-            "root quaternion (4) and at least one joint"
-        )
-    position, rotation, dof_pos = np.split(table, (3, _ROOT_WIDTH), axis=1)
-    return JointClip(str(path), fps, position, rotation, dof_pos, BY_NUMBER.get(num_dofs))
-
-
-def _joints(
-    names: list[str], needed: tuple[str, ...], others: tuple[str, ...], path: str | Path
-) -> list[str]:
-    """Return the names of the joints; MotionFileError without them, or without `needed` columns."""
-    missing = [name for name in needed if name not in names]
-    if missing:
-        raise MotionFileError(
-            f"{path}: the header lacks {', '.join(missing)}; docs/motion_formats.md has the "
-            "columns of robots' clips"
-        )
+def _joints(names: list[str], others: tuple[str, ...], path: str | Path) -> list[str]:
+    """Return the names that are not `others`, of which all but the first must be there, too."""
+    check_columns(names, others[1:], path)
     joints = [name for name in names if name not in others]
     if not joints:
         raise MotionFileError(f"{path}: the header names no joint columns after the root columns")
@@ -114,8 +103,7 @@ def _joints(
 
 
 def _bones(names: list[str], table: FloatArray, fps: float, path: str | Path) -> JointClip:
-    root = (*_BONES_POSITION, *_BONES_ROTATION)
-    joints = _joints(names, root, (_BONES_FRAME, *root), path)
+    joints = _joints(names, (_BONES_FRAME, *_BONES_POSITION, *_BONES_ROTATION), path)
     column = {name: table[:, i] for i, name in enumerate(names)}
     if _BONES_FRAME in column and not np.all(np.diff(column[_BONES_FRAME]) == 1.0):
         raise MotionFileError(f"{path}: frames are missing, '{_BONES_FRAME}' is not 0, 1, 2, ...")

@@ -109,9 +109,21 @@ def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
     fps = one_number(np.asarray(data[_FPS]), _FPS, name) if _FPS in data else fps
     if fps is None:
         raise MotionFileError(f"{name}: has no fps; give file_fps=, the frames per second")
-    names = next((_texts(data, key, name) for key in _JOINT_NAMES if key in data), None)
-    if not any(key in data for key in _POSITION):
-        return _mimickit(data, name, fps, names)
+    names: tuple[str, ...] | None = None
+    given = next((data[key] for key in _JOINT_NAMES if key in data), None)
+    if given is not None:
+        check_kind(np.asarray(given), "joint_names", "U", name)
+        names = tuple(str(joint) for joint in np.ravel(given))
+    if not any(key in data for key in _POSITION):  # MimicKit's
+        frames = _floats(data, _FRAMES, name)
+        if frames.ndim != 2 or frames.shape[1] < 7:
+            raise MotionFileError(
+                f"{name}: frames has shape {frames.shape}, expected (frames, 6 + joints)"
+            )
+        position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
+        turns = torch.from_numpy(np.ascontiguousarray(exp_map))
+        rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
+        return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
     position_key, rotation_key, joints_key = (
         next(key for key in part if key in data) for part in (_POSITION, _ROTATION, _JOINTS)
     )
@@ -125,30 +137,6 @@ def _clip(data: Mapping[str, Any], name: str, fps: float | None) -> JointClip:
     if joints.ndim == 3 and joints.shape[2] == 1:
         joints = joints[..., 0]
     return JointClip(name, fps, position, rotation, joints, names)
-
-
-def _mimickit(
-    data: Mapping[str, Any], name: str, fps: float, names: tuple[str, ...] | None
-) -> JointClip:
-    frames = _floats(data, _FRAMES, name)
-    if frames.ndim != 2 or frames.shape[1] < 7:
-        raise MotionFileError(
-            f"{name}: frames has shape {frames.shape}, expected (frames, 6 + joints)"
-        )
-    position, exp_map, dof_pos = np.split(frames, (3, 6), axis=1)
-    turns = torch.from_numpy(np.ascontiguousarray(exp_map))
-    rotation = rotations.exp_map_to_quat(turns, keep_long=True).numpy()
-    return JointClip(name, fps, position, rotation, dof_pos, names, file_quat_order=None)
-
-
-def _texts(data: Mapping[str, Any], key: str, name: str) -> tuple[str, ...] | None:
-    value = data[key]
-    if value is None:
-        return None
-    items = value.ravel().tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
-        raise MotionFileError(f"{name}: {key} is no list of texts")
-    return tuple(items)
 
 
 def _floats(data: Mapping[str, Any], key: str, name: str) -> FloatArray:

@@ -6,6 +6,8 @@ they are the orders of the joints in the robots' URDF and MJCF files.
 
 from __future__ import annotations
 
+import itertools
+
 _ARM_7 = (
     *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"),
     *("wrist_roll", "wrist_pitch", "wrist_yaw"),
@@ -35,19 +37,10 @@ BY_NUMBER = {len(names): names for names in (G1_29, H1_2_27, H1_19)}
 """Names by the number of joints: a file without a header says no more."""
 
 
-def _by_depth(chains: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """Return the joints of chains level by level; () is the gap above a chain's first joint."""
-    depth = max(map(len, chains))
-    return tuple(chain[i] for i in range(depth) for chain in chains if i < len(chain) and chain[i])
-
-
-G1_29_BREADTH_FIRST = _by_depth(
-    (
-        G1_29[:6],
-        G1_29[6:12],
-        G1_29[12:15],
-        ("", "", "", *G1_29[15:22]),
-        ("", "", "", *G1_29[22:29]),
-    )
+_WAIST = ("",) * 3  # the arms begin three levels below the root
+_LEVELS = itertools.zip_longest(
+    *(G1_29[:6], G1_29[6:12], G1_29[12:15], _WAIST + G1_29[15:22], _WAIST + G1_29[22:]),
+    fillvalue="",
 )
+G1_29_BREADTH_FIRST = tuple(joint for level in _LEVELS for joint in level if joint)
 """The order of Isaac Lab, which numbers bodies and joints level by level."""

@@ -12,8 +12,6 @@
 Quaternions of the first two are wxyz; Isaac Lab 3 writes xyzw. A body that does not move within the
 root shows which: only with the right order it stays in its place.
 
-Sources of these forms: mjlab's script, the script of whole_body_tracking in the copy of
-ZhengmaoHe/whole_body_tracking, and Isaac Lab's loader.
 """
 
 from __future__ import annotations
@@ -22,28 +20,23 @@ import dataclasses
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.errors import MotionFileError, listed
-from isaacgymenvs_lite.motion.formats.files import native_floats, reading, written_clip
+from isaacgymenvs_lite.motion.formats.files import native_floats, reading
 from isaacgymenvs_lite.motion.formats.npz import (
-    VERSION,
     check_kind,
     check_version,
     one_number,
     opened,
     read_arrays,
+    write_arrays,
 )
 from isaacgymenvs_lite.motion.formats.robot_joints import G1_29, G1_29_BREADTH_FIRST
-from isaacgymenvs_lite.motion.joint_clip import (
-    QUAT_ORDERS,
-    JointClip,
-    QuatOrder,
-)
+from isaacgymenvs_lite.motion.joint_clip import QUAT_ORDERS, JointClip, QuatOrder
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 
@@ -84,8 +77,7 @@ def load_robot_npz(
         MotionFileError: the file is damaged or holds something else.
     """
     with reading(path, _EXPECTED):
-        keys = {key for form in _FORMS for key in form}
-        arrays = read_arrays(path, (*sorted(keys), *JOINT_NAME_KEYS, _BODY_NAMES, "version"))
+        arrays = read_arrays(path, {*sum(_FORMS, ()), *JOINT_NAME_KEYS, _BODY_NAMES, "version"})
         form = next((form for form in _FORMS if set(form) <= set(arrays)), None)
         if form is None:
             raise MotionFileError(
@@ -96,13 +88,22 @@ def load_robot_npz(
             check_kind(arrays[key], key, "fiu", path)
         fps = one_number(arrays["fps"], "fps", path)
         parts = [native_floats(arrays[key]) for key in form[1:]]
-        names = _names(arrays, path) if joint_names is None else tuple(joint_names)
+        names = None if joint_names is None else tuple(joint_names)
+        named = [arrays[key] for key in JOINT_NAME_KEYS if key in arrays]
+        if names is None and named:
+            check_kind(named[0], "joint_names", "U", path)
+            names = tuple(str(name) for name in named[0].ravel())
         if form is _OWN_KEYS:
             check_version(arrays, path)
             position, rotation, dof_pos = parts
             return JointClip(str(path), fps, position, rotation, dof_pos, names)
         dof_pos, body_pos_w, body_quat_w = parts
-        _check_bodies(body_pos_w, body_quat_w, path)
+        shape = body_pos_w.shape[:2]
+        if (body_pos_w.shape, body_quat_w.shape) != ((*shape, 3), (*shape, 4)) or 0 in shape:
+            raise MotionFileError(
+                f"{path}: the bodies' positions and quaternions have shapes {body_pos_w.shape} and "
+                f"{body_quat_w.shape}, expected (frames, bodies, 3) and (frames, bodies, 4)"
+            )
         order = _root_first(arrays.get(_BODY_NAMES), root_body, body_pos_w, body_quat_w, path)
         body_pos_w, body_quat_w = body_pos_w[:, order], body_quat_w[:, order]
         clip = JointClip(
@@ -119,24 +120,6 @@ def load_robot_npz(
         return clip.reread(_quat_order(body_pos_w, body_quat_w))
 
 
-def _names(arrays: dict[str, npt.NDArray], path: str | Path) -> tuple[str, ...] | None:
-    for key in JOINT_NAME_KEYS:
-        if key in arrays:
-            check_kind(arrays[key], key, "U", path)
-            return tuple(str(name) for name in arrays[key].ravel())
-    return None
-
-
-def _check_bodies(positions: FloatArray, quaternions: FloatArray, path: str | Path) -> None:
-    shape = positions.shape[:2]
-    fits = positions.shape == (*shape, 3) and quaternions.shape == (*shape, 4)
-    if not fits or 0 in shape:
-        raise MotionFileError(
-            f"{path}: the bodies' positions and quaternions have shapes {positions.shape} and "
-            f"{quaternions.shape}, expected (frames, bodies, 3) and (frames, bodies, 4)"
-        )
-
-
 def _root_first(
     names: npt.NDArray | None,
     root_body: str | None,
@@ -144,11 +127,7 @@ def _root_first(
     quaternions: FloatArray,
     path: str | Path,
 ) -> list[int]:
-    """Return the bodies with the root first, without MuJoCo's world, which some converters write.
-
-    Raises:
-        MotionFileError: there are not as many names as bodies.
-    """
+    """Return the ids of the bodies with the root first, without MuJoCo's world."""
     bodies = list(range(positions.shape[1]))
     if names is not None and root_body is not None:
         check_kind(names, _BODY_NAMES, "U", path)
@@ -215,21 +194,7 @@ def save_robot_npz(path: str | Path, clip: JointClip) -> Path:
         MotionFileError: the clip is not valid, or the file cannot be written.
     """
     clip.validate()
-    path = Path(path)
-    if path.suffix != ".npz":
-        path = path.with_name(path.name + ".npz")
-    names: dict[str, Any] = (
-        {} if clip.joint_names is None else {"joint_names": np.array(clip.joint_names)}
-    )
-    with written_clip(path) as partial, partial.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            format=np.array(_FORMAT),
-            version=np.array(VERSION),
-            fps=np.array(clip.fps, dtype=np.float64),
-            root_pos=clip.root_pos,
-            root_rot=clip.root_rot,
-            dof_pos=clip.dof_pos,
-            **names,
-        )
-    return path
+    arrays = {"root_pos": clip.root_pos, "root_rot": clip.root_rot, "dof_pos": clip.dof_pos}
+    if clip.joint_names is not None:
+        arrays["joint_names"] = np.array(clip.joint_names)
+    return write_arrays(path, _FORMAT, clip.fps, arrays)

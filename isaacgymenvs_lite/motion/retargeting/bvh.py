@@ -2,8 +2,8 @@
 
 Many programs write position channels for all joints, not for the root alone, and some write a ROOT
 that stands still above the hips that move. pybvh reads neither: `_split_positions` takes the
-positions out of the text. Those of joints above the body move the root; those of other joints must
-be constant: they replace the offset, or are zero.
+positions out of the text. Positions of joints above the body move the root. Positions of other
+joints must be constant: they replace the offset, or are zero.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import re
 import tempfile
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,12 @@ from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.utils import rotations
 from isaacgymenvs_lite.utils.optional_packages import import_package
 
-# What it reads in place of the file, and how its messages name that.
+# The file that pybvh reads in place of the user's, and how its messages name it.
 _COPY = "motion.bvh"
 _PLACE = re.compile(rf" in (file )?\S*{re.escape(_COPY)}")
 # A joint may move in its parent by this part of the longest bone: rounding, and markers' noise.
 _TOLERANCE = 0.01
-_JOINT = re.compile(r"^\s*(ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
+_JOINT = re.compile(r"^\s*(?:ROOT|JOINT)\s+(.*?)\s*\{?\s*$")
 _CHANNELS = re.compile(r"^\s*CHANNELS\s+\d+(.*)", re.IGNORECASE)
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 _ROTATIONS = ("Zrotation", "Yrotation", "Xrotation")
@@ -75,15 +75,34 @@ class BvhMotion:
         turns[:, 0] = rotations.quat_mul(up, torch.from_numpy(turns[:, 0])).numpy()
         places = rotations.quat_apply(up, torch.from_numpy(self.places)).numpy()
         with reading(self.name, "BVH file"):
-            return MotionClip.from_poses(
-                self.name,
-                self.fps,
-                self.joint_names,
-                self.parent_indices,
-                self.offsets * unit_m,
-                turns,
-                places * unit_m,
-            )
+            skeleton = (self.joint_names, self.parent_indices, self.offsets * unit_m)
+            return MotionClip.from_poses(self.name, self.fps, *skeleton, turns, places * unit_m)
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """A joint: its parent's id, its CHANNELS line (-1: none), the frames' columns by channel."""
+
+    name: str
+    parent: int
+    line: int = -1
+    columns: Mapping[str, int] = field(default_factory=dict)
+
+    def expected(self) -> tuple[str, ...]:
+        """Return the channels that pybvh expects: positions of ROOT, rotations as in the file."""
+        turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
+        return (*(_POSITIONS if self.parent < 0 else ()), *(turns or _ROTATIONS))
+
+
+def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
+    """Return the names of the joints of a BVH file and their parents' ids; no frames are read.
+
+    Raises:
+        MotionFileError: the file is missing or has no joints.
+    """
+    with reading(path, "BVH file"):
+        joints = _joints(_lines(path))
+    return [joint.name for joint in joints], [joint.parent for joint in joints]
 
 
 def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
@@ -102,69 +121,36 @@ def read_bvh(path: str | Path, joints: Collection[str] = ()) -> BvhMotion:
     """
     pybvh = import_package("pybvh", "reading BVH files")
     with reading(path, "BVH file"):
-        return _motion(pybvh, Path(path), joints)
-
-
-def bvh_hierarchy(path: str | Path) -> tuple[list[str], list[int]]:
-    """Return the names of the joints of a BVH file and their parents' ids; no frames are read.
-
-    Raises:
-        MotionFileError: the file is missing, too long, or has no joints.
-    """
-    with reading(path, "BVH file"):
-        return _hierarchy(Path(path).read_text(encoding="utf-8", errors="replace"))
-
-
-def _hierarchy(text: str) -> tuple[list[str], list[int]]:
-    names, parents, open_joints = list[str](), list[int](), [-1]
-    for line in text.partition("MOTION")[0].splitlines():
-        if match := _JOINT.match(line):
-            names.append(match[2])
-            parents.append(open_joints[-1])
-        for brace in re.findall("[{}]", line):
-            if brace == "{":  # of a joint, or of the end site below the newest one
-                open_joints.append(len(names) - 1)
-            elif len(open_joints) > 1:
-                open_joints.pop()
-    if not names:
-        raise ValueError("it has no joints")
-    return names, parents
-
-
-def _motion(pybvh: Any, path: Path, joints: Collection[str]) -> BvhMotion:
-    text, positions = _split_positions(path.read_text(encoding="utf-8", errors="replace"))
-    try:
-        motion, root, wxyz = _parse(pybvh, text)
-    except ValueError as error:
-        raise ValueError(_PLACE.sub("", one_line(error))) from error
-    nodes = [node for node in motion.nodes if not node.is_end_site()]
-    names, parents = _hierarchy(text)  # the library ends names at a space
-    offsets = np.array([node.offset for node in nodes], dtype=np.float64)
-    if not all(
-        np.isfinite(numbers).all() for numbers in (root, wxyz, offsets, *positions.values())
-    ):
-        raise MotionFileError(f"{path}: holds numbers that are NaN or infinite")
-    above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
-    steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
-    turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
-    # Without positions of ROOT, or with zeros, its offset is its place.
-    place = torch.from_numpy(root if root.any() else root + offsets[0])
-    turn = turns[:, 0]
-    for joint, step in zip(above[1:], steps, strict=True):
-        place = place + rotations.quat_apply(turn, torch.from_numpy(step).expand_as(place))
-        turn = rotations.quat_mul(turn, turns[:, joint])
-    kept = above[-1:]
-    kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in chain(parents, i)]
-    turns[:, kept[0]] = turn
-    return BvhMotion(
-        str(path),
-        1.0 / motion.frame_time,
-        tuple(names[i] for i in kept),
-        (-1, *(kept.index(parents[i]) for i in kept[1:])),
-        offsets[kept],
-        turns[:, kept].numpy(),
-        place.numpy(),
-    )
+        lines = _lines(path)
+        header = _joints(lines)  # pybvh ends names at a space
+        names, parents = [joint.name for joint in header], [joint.parent for joint in header]
+        lines, positions = _split_positions(lines, header)
+        motion, root, wxyz = _parse(pybvh, "\n".join(lines))
+        nodes = [node for node in motion.nodes if not node.is_end_site()]
+        offsets = np.array([node.offset for node in nodes], dtype=np.float64)
+        if not all(np.isfinite(x).all() for x in (root, wxyz, offsets, *positions.values())):
+            raise MotionFileError(f"{path}: holds numbers that are NaN or infinite")
+        above = shared_chain(parents, [names.index(joint) for joint in joints if joint in names])
+        steps = _places_in_parents(names, offsets, positions, [names[i] for i in above], path)
+        turns = rotations.xyzw_from_wxyz(torch.from_numpy(wxyz))
+        # Without positions of ROOT, or with zeros, its offset is its place.
+        place = torch.from_numpy(root if root.any() else root + offsets[0])
+        turn = turns[:, 0]
+        for joint, step in zip(above[1:], steps, strict=True):
+            place = place + rotations.quat_apply(turn, torch.from_numpy(step).expand_as(place))
+            turn = rotations.quat_mul(turn, turns[:, joint])
+        kept = above[-1:]
+        kept += [i for i in range(kept[0] + 1, len(names)) if kept[0] in chain(parents, i)]
+        turns[:, kept[0]] = turn
+        return BvhMotion(
+            str(path),
+            1.0 / motion.frame_time,
+            tuple(names[i] for i in kept),
+            (-1, *(kept.index(parents[i]) for i in kept[1:])),
+            offsets[kept],
+            turns[:, kept].numpy(),
+            place.numpy(),
+        )
 
 
 def chain(parents: Sequence[int], joint: int) -> list[int]:
@@ -181,12 +167,83 @@ def shared_chain(parents: Sequence[int], joints: Sequence[int]) -> list[int]:
     return [level[0] for level in itertools.takewhile(lambda x: len(set(x)) == 1, levels)] or [0]
 
 
+def _lines(path: str | Path) -> list[str]:
+    return Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+
+
+def _joints(lines: Sequence[str]) -> list[_Joint]:
+    """Return the joints of the lines before MOTION, at least one, parents first."""
+    joints, open_joints, column = list[_Joint](), [-1], 0
+    for number, line in enumerate(itertools.takewhile(lambda x: x.strip() != "MOTION", lines)):
+        if found := _JOINT.match(line):
+            joints.append(_Joint(found[1], open_joints[-1]))
+        elif (found := _CHANNELS.match(line)) and joints:
+            channels = [channel.capitalize() for channel in found[1].split()]
+            columns = {channel: column + i for i, channel in enumerate(channels)}
+            joints[-1] = _Joint(joints[-1].name, joints[-1].parent, number, columns)
+            column += len(channels)
+        for brace in re.findall("[{}]", line):
+            if brace == "{":  # of a joint, or of the end site below the newest one
+                open_joints.append(len(joints) - 1)
+            elif len(open_joints) > 1:
+                open_joints.pop()
+    if not joints:
+        raise ValueError("it has no joints")
+    return joints
+
+
+def _split_positions(
+    lines: list[str], joints: Sequence[_Joint]
+) -> tuple[list[str], dict[str, FloatArray]]:
+    """Return the lines with positions of ROOT only, and the positions (T, 3) of other joints.
+
+    In the result every joint has rotations, zero where the file has none. Lines that need no change
+    are returned unchanged, also if they are no BVH file: pybvh reports what is wrong.
+    """
+    start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
+    joints = [joint for joint in joints if joint.line >= 0]
+    if start is None or all(set(joint.expected()) == set(joint.columns) for joint in joints):
+        return lines, {}
+    first = start + 3  # after "Frames:" and "Frame Time:"
+    if not any(map(str.strip, lines[first:])):
+        raise ValueError("there are no frames after 'MOTION', 'Frames:' and 'Frame Time:'")
+    values = np.loadtxt(lines[first:], comments=None, ndmin=2)
+    width = sum(len(joint.columns) for joint in joints)
+    if values.shape[1] != width:
+        raise ValueError(f"the joints have {width} channels, the frames another number")
+    values = np.pad(values, ((0, 0), (0, 1)))
+    positions, kept, lines = {}, list[int](), lines[:]
+    for joint in joints:
+        expected = joint.expected()
+        kept += [joint.columns.get(channel, width) for channel in expected]
+        lines[joint.line] = f"CHANNELS {len(expected)} {' '.join(expected)}"
+        if joint.parent >= 0 and _POSITIONS[0] in joint.columns:
+            positions[joint.name] = values[:, [joint.columns[channel] for channel in _POSITIONS]]
+    frames = [" ".join(f"{x:.9g}" for x in row) for row in values[:, kept]]
+    return [*lines[:first], *frames, ""], positions
+
+
+def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
+    """Return the library's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        # A file without frames is an error later; numpy's warning of it would be a second line.
+        warnings.simplefilter("ignore")
+        copy = Path(folder) / _COPY  # the library reads files only
+        copy.write_text(text, encoding="utf-8")
+        try:
+            # The mapping gives the axis that points up.
+            motion = pybvh.read_bvh_file(copy, world_up="+y")
+            return motion, *motion.to_quat()
+        except ValueError as error:
+            raise ValueError(_PLACE.sub("", one_line(error))) from error
+
+
 def _places_in_parents(
     names: Sequence[str],
     offsets: FloatArray,
     positions: Mapping[str, FloatArray],
     above: Sequence[str],
-    path: Path,
+    path: str | Path,
 ) -> list[FloatArray]:
     """Replace offsets (J, 3) by constant positions, in place; return the places of joints `above`.
 
@@ -195,7 +252,7 @@ def _places_in_parents(
     Args:
         names: of the J joints.
         offsets: (J, 3), in the file's unit.
-        positions: as `_split_positions` returns them.
+        positions: (T, 3) by the names of joints.
         above: from ROOT down to the root of the clip; the places in their parents may change.
         path: of the file, for messages.
 
@@ -221,87 +278,3 @@ def _places_in_parents(
                 )
             offsets[names.index(name)] = given.mean(axis=0)
     return [steps[name] for name in above[1:]]
-
-
-def _parse(pybvh: Any, text: str) -> tuple[Any, FloatArray, FloatArray]:
-    """Return the library's motion, root positions (T, 3) and rotations (T, J, 4) wxyz."""
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        # A file without frames is an error later; numpy's warning of it would be a second line.
-        warnings.simplefilter("ignore")
-        copy = Path(folder) / _COPY  # the library reads files only
-        copy.write_text(text, encoding="utf-8")
-        # The mapping gives the axis that points up.
-        motion = pybvh.read_bvh_file(copy, world_up="+y")
-        return motion, *motion.to_quat()
-
-
-@dataclass(frozen=True)
-class _Joint:
-    """A joint of the hierarchy.
-
-    Attributes:
-        name: as in the file.
-        is_root: whether it has no parent.
-        line: number of its CHANNELS line.
-        columns: of the frames, by the channels' names.
-    """
-
-    name: str
-    is_root: bool
-    line: int
-    columns: Mapping[str, int]
-
-    @property
-    def expected(self) -> tuple[str, ...]:
-        """The channels that pybvh expects: positions of ROOT, rotations in the file's order."""
-        turns = tuple(channel for channel in self.columns if channel not in _POSITIONS)
-        return (*(_POSITIONS if self.is_root else ()), *(turns or _ROTATIONS))
-
-
-def _split_positions(text: str) -> tuple[str, dict[str, FloatArray]]:
-    """Return a BVH text with positions of ROOT only, and the positions of the other joints.
-
-    In the text every joint has rotations, zero where the file has none. A text that needs no change
-    is returned unchanged, and so is one that is no BVH file: its reader reports what is wrong.
-
-    Returns:
-        The text, and the positions (T, 3) of each other joint that has them.
-
-    Raises:
-        ValueError: there are no frames, or one has not as many numbers as there are channels.
-    """
-    lines = text.splitlines()
-    start = next((i for i, line in enumerate(lines) if line.strip() == "MOTION"), None)
-    joints = _joints(lines[:start]) if start is not None else []
-    if start is None or all(set(joint.expected) == set(joint.columns) for joint in joints):
-        return text, {}
-    first = start + 3  # after "Frames:" and "Frame Time:"
-    if not any(map(str.strip, lines[first:])):
-        raise ValueError("there are no frames after 'MOTION', 'Frames:' and 'Frame Time:'")
-    values = np.loadtxt(lines[first:], comments=None, ndmin=2)
-    width = sum(len(joint.columns) for joint in joints)
-    if values.shape[1] != width:
-        raise ValueError(f"the joints have {width} channels, the frames another number")
-    values = np.pad(values, ((0, 0), (0, 1)))
-    positions, kept = {}, []
-    for joint in joints:
-        kept += [joint.columns.get(channel, width) for channel in joint.expected]
-        lines[joint.line] = f"CHANNELS {len(joint.expected)} {' '.join(joint.expected)}"
-        if not joint.is_root and _POSITIONS[0] in joint.columns:
-            positions[joint.name] = values[:, [joint.columns[channel] for channel in _POSITIONS]]
-    frames = [" ".join(f"{x:.9g}" for x in row) for row in values[:, kept]]
-    return "\n".join([*lines[:first], *frames, ""]), positions
-
-
-def _joints(header: list[str]) -> list[_Joint]:
-    joints: list[_Joint] = []
-    name, is_root, column = "", False, 0
-    for number, line in enumerate(header):
-        if found := _JOINT.match(line):
-            name, is_root = found[2], found[1] == "ROOT"
-        elif found := _CHANNELS.match(line):
-            channels = [channel.capitalize() for channel in found[1].split()]
-            columns = {channel: column + i for i, channel in enumerate(channels)}
-            joints.append(_Joint(name, is_root, number, columns))
-            column += len(channels)
-    return joints

@@ -30,7 +30,7 @@ def pin_feet(
 ) -> tuple[Flags, FloatArray, FloatArray]:
     """Return places and attitudes of a foot whose points in contact rest on the ground.
 
-    Between contacts the correction passes smoothly from the last one's to the next one's.
+    Between contacts the correction passes smoothly from the last contact's to the next one's.
 
     Args:
         sole: its points.
@@ -42,15 +42,16 @@ def pin_feet(
         Which points are in contact (T, K), and the places (T, 3) and attitudes (T, 4) of the foot.
     """
     contact = find_contacts(sole.places(feet, turns), fps)
-    touching = _any_point(contact)
+    touching = np.any(contact, axis=1)
     turns = _untwisted(sole, feet, turns, contact)
     points = sole.places(feet, turns)
     moved = _planted(points, contact)
     _bridge(moved, touching)
-    lowest = points[..., 2].min(axis=1)
-    length = sole.length_m
-    least = _CLEARANCE * length * swing_profile(touching) - lowest
-    moved[:, 2] = _smooth_maximum(moved[:, 2], least, _BLEND * length, ~touching)
+    least = _CLEARANCE * sole.length_m * swing_profile(touching) - points[..., 2].min(axis=1)
+    # The larger height, rounded where both cross in a swing.
+    width = _BLEND * sole.length_m
+    round_off = np.maximum(width - np.abs(moved[:, 2] - least), 0.0) ** 2 / (4.0 * width)
+    moved[:, 2] = np.maximum(moved[:, 2], least) + np.where(~touching, round_off, 0.0)
     return contact, feet + moved, turns
 
 
@@ -60,21 +61,19 @@ def _untwisted(sole: Sole, feet: FloatArray, turns: FloatArray, contact: Flags) 
     A foot that turns far on the ground, as dancers' do, keeps its turn.
     """
     points = sole.places(feet, turns)[..., :2]
-    touching = _any_point(contact)
+    touching = np.any(contact, axis=1)
     twist = np.zeros((len(feet), 1))
     for start, end in spans(touching):
-        steps = [
-            _twist(points[i - 1][both], points[i][both])
-            for i in range(start + 1, end)
-            for both in (contact[i - 1] & contact[i],)
-        ]
+        steps = []
+        for i in range(start + 1, end):
+            both = contact[i - 1] & contact[i]
+            steps.append(_twist(points[i - 1][both], points[i][both]))
         total = np.concatenate(([0.0], -np.cumsum(steps)))
         if np.ptp(total) < _MOST_TWIST_RAD:
             twist[start:end, 0] = total - total.mean()
     _bridge(twist, touching)
-    angles = torch.from_numpy(twist[:, 0])
     up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64).expand(len(feet), 3)
-    about_z = rotations.quat_from_angle_axis(angles, up)
+    about_z = rotations.quat_from_angle_axis(torch.from_numpy(twist[:, 0]), up)
     return rotations.quat_mul(about_z, torch.from_numpy(turns)).numpy()
 
 
@@ -85,10 +84,6 @@ def _twist(before: FloatArray, after: FloatArray) -> float:
     a, b = before - before.mean(axis=0), after - after.mean(axis=0)
     cross = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
     return float(np.arctan2(cross, float((a * b).sum())))
-
-
-def _any_point(contact: Flags) -> Flags:
-    return np.asarray(contact.any(axis=1), dtype=np.bool_)
 
 
 def swing_profile(touching: Flags) -> FloatArray:
@@ -102,16 +97,12 @@ def swing_profile(touching: Flags) -> FloatArray:
         rise = np.ones_like(share) if start == 0 else np.minimum(share / _RISE_SHARE, 1.0)
         if end < len(touching):
             rise = np.minimum(rise, (1.0 - share) / _RISE_SHARE)
-        rise = np.clip(rise, 0.0, 1.0)
-        profile[start:end] = rise * rise * (3.0 - 2.0 * rise)
+        profile[start:end] = _smoothed(np.clip(rise, 0.0, 1.0))
     return profile
 
 
-def _smooth_maximum(one: FloatArray, other: FloatArray, width: float, where: Flags) -> FloatArray:
-    """Return the larger of two (T,), rounded where they cross by up to a quarter of `width`."""
-    apart = np.abs(one - other)
-    round_off = np.maximum(width - apart, 0.0) ** 2 / (4.0 * width)
-    return np.maximum(one, other) + np.where(where, round_off, 0.0)
+def _smoothed(share: FloatArray) -> FloatArray:
+    return share * share * (3.0 - 2.0 * share)
 
 
 def onto_ground(points: FloatArray, contact: Flags) -> FloatArray:
@@ -141,7 +132,7 @@ def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatAr
         wanted: (T, K, 3) m, where they should be.
         contact: (T, K), which of them are in contact.
     """
-    touching = _any_point(contact)
+    touching = np.any(contact, axis=1)
     moved = _planted(points, contact)
     share = _resting(points[..., 2], contact)[..., None]
     missed = ((wanted - points)[..., :2] * share).sum(axis=1)
@@ -152,23 +143,27 @@ def replanted(points: FloatArray, wanted: FloatArray, contact: Flags) -> FloatAr
 
 
 def _planted(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return how a foot must move (T, 3) so that its points rest on z = 0; 0 between contacts."""
+    """Return how a foot must move (T, 3) so that its points rest on z = 0; 0 between contacts.
+
+    In the plane the mean of a contact's shift is zero: the foot stays where the source has it.
+    """
     moved = np.zeros((len(points), 3))
-    for start, end in spans(_any_point(contact)):
-        moved[start:end, :2] = _unslid(points[start:end], contact[start:end])
-        moved[start:end, 2] = -points[start:end, :, 2].min(axis=1)
+    for start, end in spans(np.any(contact, axis=1)):
+        own, touches = points[start:end], contact[start:end]
+        steps = np.diff(own[..., :2], axis=0)
+        middle = 0.5 * (own[1:, :, 2] + own[:-1, :, 2])
+        share = _resting(middle, touches[1:] & touches[:-1])[..., None]
+        shift = np.concatenate((np.zeros((1, 2)), -np.cumsum((steps * share).sum(axis=1), axis=0)))
+        moved[start:end, :2] = shift - shift.mean(axis=0)
+        moved[start:end, 2] = -own[..., 2].min(axis=1)
     return moved
 
 
 def _resting(heights: FloatArray, contact: Flags) -> FloatArray:
     """Return how much of a foot rests on each point, (T, K) with sum 1, 0 without contact.
 
-    A foot rests on its lowest points. The others in contact are a little higher, and move as it
-    rolls over its heel or toes; their weight falls with their height, without a jump.
-
-    Args:
-        heights: (T, K) m, of the points.
-        contact: (T, K), which of them are in contact.
+    A foot rests on its lowest points. Other points in contact are a little higher, and move as the
+    foot rolls over its heel or toes; their weight falls with their height, without a jump.
     """
     above = heights - np.where(contact, heights, np.inf).min(axis=1, keepdims=True)
     weights = np.where(contact, np.exp(-np.where(contact, above, 0.0) / _RESTS_M), 0.0)
@@ -196,28 +191,14 @@ def spans(flags: Flags) -> list[tuple[int, int]]:
     return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
 
 
-def _unslid(points: FloatArray, contact: Flags) -> FloatArray:
-    """Return the shift (T, 2) that removes the sliding of the points (T, K, 3) that rest.
-
-    Its mean is zero: the foot stays where the source has it.
-    """
-    steps = np.diff(points[..., :2], axis=0)
-    middle = 0.5 * (points[1:, :, 2] + points[:-1, :, 2])
-    share = _resting(middle, contact[1:] & contact[:-1])[..., None]
-    shift = np.concatenate((np.zeros((1, 2)), -np.cumsum((steps * share).sum(axis=1), axis=0)))
-    return shift - shift.mean(axis=0)
-
-
 def _bridge(values: FloatArray, known: Flags) -> None:
     """Fill the rows of (T, D) that are not known with smooth ways between the known ones."""
+    if not known.any():
+        values[:] = 0.0
+        return
     for start, end in spans(~known):
-        before = values[start - 1] if start else None
-        after = values[end] if end < len(values) else None
-        if before is None or after is None:
-            values[start:end] = (
-                0.0 if before is None and after is None else (after if before is None else before)
-            )
+        if start == 0 or end == len(values):
+            values[start:end] = values[end] if start == 0 else values[start - 1]
             continue
-        share = np.arange(1, end - start + 1) / (end - start + 1)
-        share = (share * share * (3.0 - 2.0 * share))[:, None]
-        values[start:end] = before * (1.0 - share) + after * share
+        share = _smoothed(np.arange(1, end - start + 1) / (end - start + 1))[:, None]
+        values[start:end] = values[start - 1] * (1.0 - share) + values[end] * share

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
+import numpy.typing as npt
 
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.motion.retargeting.source import FEET, leg_length, rotate
 from isaacgymenvs_lite.motion.skeleton import Skeleton, skeleton_for_num_dofs
+from isaacgymenvs_lite.robots.limbs import ancestors
+from isaacgymenvs_lite.robots.start_pose import mesh_vertices, posed
 
 # Radii of the humanoid's hands and, about the origin of the shin, knees.
 _ROUND_M = {"right_hand": 0.04, "left_hand": 0.04, "right_shin": 0.05, "left_shin": 0.05}
+# Points this much higher than the lowest one, with the robot upright, belong to the sole.
+_SOLE_M = 0.015
+# Seen from above, a sole with more points is described by those that reach furthest in so many
+# directions.
+_DIRECTIONS = 12
+_Geom = mujoco.mjtGeom
+_ENDS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +54,8 @@ class Sole:
 
     def lowest(self, turns: FloatArray) -> FloatArray:
         """Return the height (T,) m of the lowest point over the foot."""
-        heights = [
-            rotate(turns, point)[:, 2] - radius
-            for point, radius in zip(self.points, self.radii, strict=True)
-        ]
-        return np.min(heights, axis=0)
+        balls = zip(self.points, self.radii, strict=True)
+        return np.min([rotate(turns, point)[:, 2] - radius for point, radius in balls], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +86,8 @@ class Figure:
     def rest_places(self) -> dict[str, FloatArray]:
         """Return the places (1, 3) m of the upright figure's bodies."""
         places: dict[str, FloatArray] = {}
-        for body, parent, offset in zip(
-            self.body_names, self.parent_indices, self.offsets, strict=True
-        ):
+        bodies = zip(self.body_names, self.parent_indices, self.offsets, strict=True)
+        for body, parent, offset in bodies:
             base = places[self.body_names[parent]] if parent >= 0 else 0.0
             places[body] = base + offset[None]
         return places
@@ -91,21 +100,63 @@ def humanoid_figure(skeleton: Skeleton) -> Figure:
     for foot in FEET:
         corners = skeleton.foot_corners[[owner == foot for owner in owners]]
         soles[foot] = Sole(corners, np.zeros(len(corners)))
-    return Figure(
-        skeleton.body_names,
-        skeleton.parent_indices,
-        skeleton.local_translation,
-        soles,
-        _ROUND_M,
-        pins_feet=False,
-    )
+    tree = (skeleton.body_names, skeleton.parent_indices, skeleton.local_translation)
+    return Figure(*tree, soles, _ROUND_M, pins_feet=False)
 
 
 def round_bodies(figure_leg_m: float, names: tuple[str, ...]) -> dict[str, float]:
     """Return radii of hands and knees of another figure, in proportion to its legs."""
     humanoid_leg_m = humanoid_figure(skeleton_for_num_dofs(28)).leg_length_m
-    return {
-        body: radius * figure_leg_m / humanoid_leg_m
-        for body, radius in _ROUND_M.items()
-        if body in names
-    }
+    radii = _ROUND_M.items()
+    return {body: m * figure_leg_m / humanoid_leg_m for body, m in radii if body in names}
+
+
+def find_sole(
+    model: mujoco.MjModel, start: FloatArray, foot: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return centres (K, 3) m, seen from the foot in world axes, and radii (K,) of a robot's sole.
+
+    Corners of boxes, ends of capsules and cylinders, spheres, vertices of meshes, of the foot and
+    of bodies that it carries. Geoms that do not collide count only if no other exists.
+
+    Args:
+        model: the compiled model.
+        start: (nq,), a pose in which the robot stands upright with flat feet.
+        foot: name of the body.
+
+    Raises:
+        ConfigError: it has no geoms.
+    """
+    data, body = posed(model, start), model.body(foot).id
+    geoms = [i for i in range(model.ngeom) if body in ancestors(model, int(model.geom_bodyid[i]))]
+    colliding = [i for i in geoms if model.geom_contype[i] or model.geom_conaffinity[i]]
+    parts = [_points(model, data, geom) for geom in colliding or geoms]
+    if not parts:
+        raise ConfigError(f"the foot '{foot}' of the robot has no geoms: where is its sole?")
+    centres = np.concatenate([points for points, _ in parts])
+    radii = np.concatenate([np.full(len(points), radius) for points, radius in parts])
+    heights = centres[:, 2] - radii
+    low = np.flatnonzero(heights < heights.min() + _SOLE_M)
+    if len(low) > _DIRECTIONS:
+        angles = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+        ways = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        low = low[np.unique((centres[low, :2] @ ways.T).argmax(axis=0))]
+    return centres[low] - data.xpos[body], radii[low]
+
+
+def _points(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int
+) -> tuple[npt.NDArray[np.float64], float]:
+    """Return points (K, 3) m in the world, and the radius of the balls about them."""
+    kind, size = _Geom(int(model.geom_type[geom])), model.geom_size[geom]
+    radius = 0.0
+    if kind == _Geom.mjGEOM_SPHERE:
+        local, radius = np.zeros((1, 3)), float(size[0])
+    elif kind == _Geom.mjGEOM_CAPSULE:
+        local, radius = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]]), float(size[0])
+    elif kind == _Geom.mjGEOM_MESH:
+        local = mesh_vertices(model, geom).astype(np.float64)
+    else:  # corners of a box, and of the box around a cylinder or an ellipsoid
+        half = (size[0], size[0], size[1]) if kind == _Geom.mjGEOM_CYLINDER else size
+        local = np.array(_ENDS) * half
+    return local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], radius

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import mujoco
@@ -10,7 +11,7 @@ import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
 from isaacgymenvs_lite.robots.followers import Followers
-from isaacgymenvs_lite.robots.limbs import limb_ends, touching_bodies
+from isaacgymenvs_lite.robots.limbs import ancestors, free_joints, limb_ends, touching_bodies
 from isaacgymenvs_lite.utils import rotations
 
 _ANGLES = 91  # at which a hinge is tried
@@ -38,54 +39,35 @@ def find_bend(
 ) -> tuple[int, FloatArray, FloatArray] | None:
     """Return the hinge that bends a limb, a knee or an elbow.
 
-    It is the one between both ends of the limb that changes their distance most.
+    It is the hinge between both ends of the limb that changes their distance most.
 
     Args:
         model: of the robot.
         start: (nq,), the pose of the other joints.
-        top: number of the limb's first body.
-        end: number of its last one.
+        top: id of the limb's first body.
+        end: id of its last one.
 
     Returns:
         The joint, angles (rad) over its range, and the distances (m) of both ends at them; None of
         a limb without a hinge between its ends.
     """
-    followers = Followers(model)
-    joints = [joint for joint in _between(model, top, end) if joint not in followers.joints]
-    tried = [_distances(model, followers, start, joint, top, end) for joint in joints]
+    between = itertools.takewhile(lambda body: body != top, ancestors(model, end)[1:])
+    names = [model.body(top).name, model.body(end).name]
+    followers, tried = Followers(model), []
+    for joint in free_joints(model, list(between)):
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            continue
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
+        angles = np.linspace(low, high, _ANGLES)
+        poses = np.repeat(start[None], _ANGLES, axis=0)
+        poses[:, model.jnt_qposadr[joint]] = angles
+        places, _ = body_poses(model, followers.placed(poses), names)
+        tried.append((joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)))
     return max(tried, key=lambda entry: float(np.ptp(entry[2])), default=None)
 
 
-def _between(model: mujoco.MjModel, top: int, end: int) -> list[int]:
-    """Return the hinges below body `top` that move body `end`, its own left out."""
-    joints = []
-    body = int(model.body_parentid[end])
-    while body not in (0, top):
-        first = int(model.body_jntadr[body])
-        joints += [
-            joint
-            for joint in range(first, first + int(model.body_jntnum[body]))
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        ]
-        body = int(model.body_parentid[body])
-    return joints
-
-
-def _distances(
-    model: mujoco.MjModel, followers: Followers, start: FloatArray, joint: int, top: int, end: int
-) -> tuple[int, FloatArray, FloatArray]:
-    """Return the joint, angles over its range, and the distances in m of two bodies at them."""
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.pi, math.pi)
-    angles = np.linspace(low, high, _ANGLES)
-    poses = np.repeat(start[None], _ANGLES, axis=0)
-    poses[:, model.jnt_qposadr[joint]] = angles
-    poses = followers.placed(poses)
-    places, _ = body_poses(model, poses, [model.body(top).name, model.body(end).name])
-    return joint, angles, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
-
-
 def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
-    """Return the bodies of a robot on two legs by the humanoid's names, or {}.
+    """Return the ids of bodies of a robot on two legs by the humanoid's names, or {}.
 
     The legs are the limbs that end on the floor, the arms those that end farthest aside above them.
     A limb bends where `find_bend` says.
@@ -102,7 +84,7 @@ def find_limbs(model: mujoco.MjModel, start: FloatArray) -> dict[str, int]:
         return {}
     found = {"pelvis": legs[1], **legs[0]}
     others = [end for end in ends if end not in feet]
-    arms = _pair(model, start, others, _ARM, _ASIDE * float(start[2]))
+    arms = _pair(model, start, others, _ARM, _ASIDE * float(start[2])) if others else None
     if arms is not None:
         found |= arms[0]
         if arms[1] not in found.values():
@@ -122,7 +104,7 @@ def _pair(
     Args:
         model: of the robot.
         start: (nq,), the pose in which it stands.
-        ends: bodies to choose from.
+        ends: bodies to choose from, at least one.
         parts: names of a limb's three links.
         aside_m: how far from the middle they end at least.
 
@@ -130,8 +112,6 @@ def _pair(
         Bodies by names with sides, and the last body with joints that moves both limbs, or the
         root; None if there is no such pair.
     """
-    if not ends:
-        return None
     places, turns = body_poses(model, start[None], [model.body(i).name for i in (1, *ends)])
     back = rotations.quat_conjugate(torch.from_numpy(turns[0, :1])).expand(len(ends), 4)
     from_root = torch.from_numpy(places[0, 1:] - places[0, :1])
@@ -139,32 +119,23 @@ def _pair(
     if left_m.max() <= aside_m or left_m.min() >= -aside_m:
         return None
     sides = {"left": ends[int(left_m.argmax())], "right": ends[int(left_m.argmin())]}
-    chains = {side: _chain(model, end) for side, end in sides.items()}
+    # Bodies with joints, from below the root to the end.
+    chains = {
+        side: [i for i in reversed(ancestors(model, end)[:-1]) if model.body_jntnum[i] > 0]
+        for side, end in sides.items()
+    }
     shared = set(chains["left"]) & set(chains["right"])
     found: dict[str, int] = {}
     for side, end in sides.items():
         links = [body for body in chains[side] if body not in shared]
-        names = [f"{side}_{part}" for part in parts]
-        found |= dict(zip(names, _links(model, start, links, end), strict=False))
-    complete = len(found) == len(sides) * len(parts)
-    return (found, max(shared, default=1)) if complete else None
-
-
-def _links(model: mujoco.MjModel, start: FloatArray, chain: list[int], end: int) -> tuple[int, ...]:
-    """Return the links before and after the bend of a limb and its last one; () without a bend."""
-    bend = find_bend(model, start, chain[0], end) if chain else None
-    lower = int(model.jnt_bodyid[bend[0]]) if bend is not None else None
-    if lower not in chain[1:]:
-        return ()
-    last = chain[-1] if chain[-1] != lower else end
-    return (chain[chain.index(lower) - 1], lower, last) if last != lower else ()
-
-
-def _chain(model: mujoco.MjModel, end: int) -> list[int]:
-    """Return the bodies with joints from below the root to an end of a limb, the root left out."""
-    chain, body = list[int](), end
-    while body > 1:
-        if model.body_jntnum[body] > 0:
-            chain.insert(0, body)
-        body = int(model.body_parentid[body])
-    return chain
+        bend = find_bend(model, start, links[0], end) if links else None
+        lower = int(model.jnt_bodyid[bend[0]]) if bend is not None else None
+        if lower not in links[1:]:
+            return None
+        last = links[-1] if links[-1] != lower else end
+        if last == lower:
+            return None
+        upper = links[links.index(lower) - 1]
+        names = (f"{side}_{part}" for part in parts)
+        found |= dict(zip(names, (upper, lower, last), strict=True))
+    return found, max(shared, default=1)

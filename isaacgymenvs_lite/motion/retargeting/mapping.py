@@ -36,7 +36,7 @@ class _BodySettings:
     joint: str = setting()
     x: str | None = setting(None, choices=AXES)
     z: str | None = setting(None, choices=AXES)
-    turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), min_length=3, minimum=-360, maximum=360)
+    turn_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), length=3, minimum=-360, maximum=360)
     level: bool = setting(False)
 
 
@@ -110,18 +110,17 @@ def load_mapping(mapping: str | Path) -> SkeletonMapping:
             cannot be used; a body is missing or unknown; axes that do not make a frame.
     """
     with reading(mapping, "mapping file"):
-        return _read_mapping(mapping)
-
-
-def _read_mapping(mapping: str | Path) -> SkeletonMapping:
-    path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
-    settings = read_section(_MappingSettings, content, where=str(path), complete=True)
-    return SkeletonMapping(
-        name=str(mapping),
-        up=settings.up,
-        unit_m=settings.unit_m,
-        sources=_sources(settings.bodies, str(path)),
-    )
+        path, content = read_mapping_keys(mapping, shipped_mappings(), "up, unit_m and bodies")
+        settings = read_section(_MappingSettings, content, where=str(path), complete=True)
+        bodies, known = settings.bodies, skeleton_for_num_dofs(28).body_names
+        for body in bodies:
+            if body not in known:
+                raise ConfigError(f"{path}: {unknown('body', str(body), known)}")
+        missing = [body for body in known if body not in bodies]
+        if missing:
+            raise ConfigError(f"{path}: bodies lacks {', '.join(missing)}")
+        sources = {body: _source(body, bodies[body], f"{path}: bodies.{body}") for body in known}
+        return SkeletonMapping(str(mapping), settings.up, settings.unit_m, sources)
 
 
 def read_mapping_keys(
@@ -145,20 +144,8 @@ def read_mapping_keys(
         )
     content = load_yaml(path)
     if not isinstance(content, dict):
-        keys = "key" if expected == "bodies" else "keys"
-        raise ConfigError(f"{path}: expected the {keys} {expected}")
+        raise ConfigError(f"{path}: expected the keys {expected}")
     return path, content
-
-
-def _sources(bodies: Mapping[str, Any], where: str) -> dict[str, BodySource]:
-    known = skeleton_for_num_dofs(28).body_names
-    for body in bodies:
-        if body not in known:
-            raise ConfigError(f"{where}: {unknown('body', str(body), known)}")
-    missing = [body for body in known if body not in bodies]
-    if missing:
-        raise ConfigError(f"{where}: bodies lacks {', '.join(missing)}")
-    return {body: _source(body, bodies[body], f"{where}: bodies.{body}") for body in known}
 
 
 def _source(body: str, entry: Any, where: str) -> BodySource:
@@ -174,8 +161,6 @@ def _source(body: str, entry: Any, where: str) -> BodySource:
         )
     if settings.x[1] == settings.z[1]:
         raise ConfigError(f"{where}: x is {settings.x} and z {settings.z}, expected two axes")
-    if len(settings.turn_deg) != 3:
-        raise ConfigError(f"{where}.turn_deg is {settings.turn_deg}, expected three numbers")
     frame = body_frame(settings.x, settings.z, settings.turn_deg)
     return BodySource(settings.joint, frame, settings.level)
 

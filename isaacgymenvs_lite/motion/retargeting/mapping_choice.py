@@ -1,4 +1,4 @@
-"""Finds the mappings of a retargeting: those that a user names, else those that the names fit."""
+"""Finds the mappings of a retargeting: as the user names them, else by the names of joints."""
 
 from __future__ import annotations
 
@@ -46,9 +46,7 @@ _MARKS = {
 _HELPER = re.compile("twist|roll", re.IGNORECASE)
 
 
-def read_named_mappings(
-    mapping: str,
-) -> tuple[SkeletonMapping | None, RobotMapping | None]:
+def read_named_mappings(mapping: str) -> tuple[SkeletonMapping | None, RobotMapping | None]:
     """Read the mappings that a user names: of a BVH file's skeleton, and of a robot.
 
     Args:
@@ -78,10 +76,7 @@ def read_named_mappings(
 
 def _is_of_robot(name: str) -> bool:
     """Return whether a mapping is of a robot: its bodies have no joints of another skeleton."""
-    shipped = {**shipped_mappings(), **shipped_robot_mappings()}
-    if name in shipped:
-        return name in shipped_robot_mappings()
-    _, keys = read_mapping_keys(name, shipped, "bodies")
+    _, keys = read_mapping_keys(name, shipped_mappings() | shipped_robot_mappings(), "bodies")
     bodies = keys.get("bodies")
     entries = bodies.values() if isinstance(bodies, Mapping) else ()
     joints = any(isinstance(entry, Mapping) and "joint" in entry for entry in entries)
@@ -105,12 +100,13 @@ def recognise_skeleton(path: str | Path) -> SkeletonMapping:
         used = {source.joint for source in mapping.sources.values()}
         if set(names) >= marks | used:
             found = fitted(read_bvh(path, used), mapping)
-            own = [
-                *([f"up: {found.up}"] if found.up != mapping.up else []),
-                *([f"unit_m: {found.unit_m:g}"] if found.unit_m != mapping.unit_m else []),
-                *(["x and z of its joints"] if found.sources is not mapping.sources else []),
-            ]
-            but = f" but for its own {', '.join(own)}" if own else ""
+            own = {
+                f"up: {found.up}": found.up != mapping.up,
+                f"unit_m: {found.unit_m:g}": found.unit_m != mapping.unit_m,
+                "x and z of its joints": found.sources is not mapping.sources,
+            }
+            changes = ", ".join(change for change, is_own in own.items() if is_own)
+            but = f" but for its own {changes}" if changes else ""
             _log.info("%s: has the joints of mapping=%s, which is used%s", path, name, but)
             return found
     joints = _guess_joints(names, parents)
@@ -170,12 +166,7 @@ def _first_named(names: Sequence[str], patterns: Sequence[str], side: str) -> in
 def recognise_robot(model: mujoco.MjModel, start: FloatArray) -> RobotMapping:
     """Return the shipped mapping for the bodies of a robot, else a guessed one; log which.
 
-    Args:
-        model: of the robot.
-        start: (nq,), the pose in which it stands.
-
-    Raises:
-        ConfigError: as `guess_robot_mapping`.
+    `start` (nq,) is the pose in which it stands. Raises ConfigError as `guess_robot_mapping`.
     """
     bodies = {model.body(i).name for i in range(model.nbody)}
     for name in shipped_robot_mappings():

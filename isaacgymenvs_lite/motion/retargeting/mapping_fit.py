@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +23,7 @@ from isaacgymenvs_lite.motion.retargeting.mapping import (
     axis_vector,
     body_frame,
 )
-from isaacgymenvs_lite.motion.retargeting.source import (
-    FEET,
-    SIDES,
-    leg_length,
-    rotate,
-)
+from isaacgymenvs_lite.motion.retargeting.source import FEET, SIDES, leg_length, rotate
 from isaacgymenvs_lite.utils import rotations
 
 _FRAMES = [(x, z) for x, z in itertools.product(AXES, AXES) if x[1] != z[1]]
@@ -67,12 +62,10 @@ class _Skeleton:
         if at_rest:
             turns, root = np.zeros_like(turns[:1]), np.zeros((1, 3))
             turns[..., 3] = 1.0
-        places, turns = kinematics.forward_kinematics(
-            motion.parent_indices, motion.offsets, turns, root
-        )
-        ids = {
-            body: motion.joint_names.index(source.joint) for body, source in mapping.sources.items()
-        }
+        tree = (motion.parent_indices, motion.offsets)
+        places, turns = kinematics.forward_kinematics(*tree, turns, root)
+        joints = {body: source.joint for body, source in mapping.sources.items()}
+        ids = {body: motion.joint_names.index(joint) for body, joint in joints.items()}
         return cls(
             {body: places[:, i] for body, i in ids.items()},
             {body: turns[:, i] for body, i in ids.items()},
@@ -142,28 +135,20 @@ def fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
         ConfigError: a mapping that fits cannot be found; the line has what to write.
     """
     with reading(motion.name, "BVH file"):
-        return _fitted(motion, mapping)
-
-
-def _fitted(motion: BvhMotion, mapping: SkeletonMapping) -> SkeletonMapping:
-    skeleton = _Skeleton.of(motion, mapping)
-    fitting = (one for one in _variants(motion, mapping) if not _wrong_axes(skeleton, one))
-    found = next(fitting, mapping)
-    up = _up_axis(skeleton, _rest_axis(motion, mapping), found.up)
-    unit_m = _unit_m(skeleton, mapping.unit_m) or mapping.unit_m
-    if problems := _problems(motion, dataclasses.replace(found, up=up, unit_m=unit_m)):
-        raise ConfigError(
-            f"{motion.name} does not fit the mapping {mapping.name}: {problems}; give mapping=FILE "
-            "(docs/motion_formats.md)"
-        )
-    return dataclasses.replace(found, up=up, unit_m=unit_m)
-
-
-def _variants(motion: BvhMotion, mapping: SkeletonMapping) -> Iterator[SkeletonMapping]:
-    """Yield a mapping, then the mapping with the axes of the rest pose."""
-    yield mapping
-    if sources := _sources_at_rest(motion, mapping):
-        yield dataclasses.replace(mapping, up=_rest_axis(motion, mapping), sources=sources)
+        skeleton, rest_axis = _Skeleton.of(motion, mapping), _rest_axis(motion, mapping)
+        found = mapping
+        if _wrong_axes(skeleton, mapping) and (sources := _sources_at_rest(motion, mapping)):
+            at_rest = dataclasses.replace(mapping, up=rest_axis, sources=sources)
+            found = mapping if _wrong_axes(skeleton, at_rest) else at_rest
+        up = _up_axis(skeleton, rest_axis, found.up)
+        unit_m = _unit_m(skeleton, mapping.unit_m) or mapping.unit_m
+        found = dataclasses.replace(found, up=up, unit_m=unit_m)
+        if problems := _problems(motion, found):
+            raise ConfigError(
+                f"{motion.name} does not fit the mapping {mapping.name}: {problems}; give "
+                "mapping=FILE (docs/motion_formats.md)"
+            )
+        return found
 
 
 def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
@@ -172,9 +157,8 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
     unit_m = _unit_m(skeleton, mapping.unit_m)
     if unit_m != mapping.unit_m:
         leg_m = leg_length(skeleton.places) * mapping.unit_m
-        size = (
-            f"its legs are {leg_m:.3g} m long, expected {_SHORTEST_LEG_M:g} to {_LONGEST_LEG_M:g}"
-        )
+        usual = f"{_SHORTEST_LEG_M:g} to {_LONGEST_LEG_M:g}"
+        size = f"its legs are {leg_m:.3g} m long, expected {usual}"
         if unit_m is None:
             return f"{size}: check unit_m"
         found.append(f"{size}: write unit_m: {unit_m:g}")
@@ -191,14 +175,9 @@ def _problems(motion: BvhMotion, mapping: SkeletonMapping) -> str:
 def _up_axis(skeleton: _Skeleton, rest_axis: str, mapped: str) -> str:
     """Return the axis of the file that points up.
 
-    It is the axis along which the body stands on average, if the mapping or the rest pose has the
-    same axis. Bodies also lie, crawl and stand on their hands; then it is the axis along which the
-    lowest joint stays at the height of the ground.
-
-    Args:
-        skeleton: in the frames of the motion.
-        rest_axis: from the feet to the head in the rest pose; "": it does not stand.
-        mapped: the axis of the mapping.
+    It is the axis along which the body stands on average, if the mapping (`mapped`) or the rest
+    pose (`rest_axis`) has the same axis. Bodies also lie, crawl and stand on their hands; then it
+    is the axis along which the lowest joint stays at the height of the ground.
     """
     stands = _nearest_axis(skeleton.upward.mean(axis=0), _STANDS)
     if stands and stands in (mapped, rest_axis):

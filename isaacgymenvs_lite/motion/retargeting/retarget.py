@@ -1,9 +1,10 @@
-"""Retargets a BVH file to a clip of the humanoid, and logs the remaining errors."""
+"""Retargets motion to the humanoid or a robot, and logs the remaining errors."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,14 +22,6 @@ from isaacgymenvs_lite.motion.retargeting.contacts import Flags, onto_ground, re
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
 from isaacgymenvs_lite.motion.retargeting.mapping import SkeletonMapping
 from isaacgymenvs_lite.motion.retargeting.mapping_fit import check_fit
-from isaacgymenvs_lite.motion.retargeting.report import (
-    KEY_BODIES,
-    RetargetReport,
-    deepest,
-    most_limited,
-    sliding_speeds,
-    summed_up,
-)
 from isaacgymenvs_lite.motion.retargeting.robot import Robot, body_poses, robot_problem
 from isaacgymenvs_lite.motion.retargeting.solve import IkProblem, humanoid_problem, solve_poses
 from isaacgymenvs_lite.motion.retargeting.source import FEET, SourceMotion, source_from_bvh
@@ -37,12 +30,97 @@ from isaacgymenvs_lite.motion.skeleton import Skeleton, shipped_humanoid_with
 
 _log = logging.getLogger(__name__)
 
+KEY_BODIES = ("pelvis", "head", "right_hand", "left_hand", "right_foot", "left_foot")
+_ON_GROUND_M = 0.01  # a point of a sole below this height should not move
 _AT_LIMIT_RAD = np.radians(0.1)
-_ENDS = ("lower", "upper")
 # How often the feet's goals are corrected by what the soles miss.
 _CORRECTIONS = 2
 # A first step this large, and so many times the median, is no motion.
 _JUMP_DEG, _JUMP_RATIO = 20.0, 5.0
+
+
+@dataclass(frozen=True)
+class RetargetReport:
+    """What a retargeting leaves.
+
+    Attributes:
+        scale: the figure's leg length divided by the source's.
+        errors_m: mean and largest distance in m of the key bodies from the scaled source, by the
+            humanoid's names.
+        deepest_m: how far a point of a sole is below the ground at most, 0 or more.
+        slide_m_s: median and largest horizontal speed of points of the soles in contact; None: no
+            foot rests on the ground.
+        limited: (share of the frames, joint) of the joint that is at its limit most often; None:
+            none ever is.
+        fastest_rad_s: the largest speed of a joint.
+    """
+
+    scale: float
+    errors_m: Mapping[str, tuple[float, float]]
+    deepest_m: float
+    slide_m_s: tuple[float, float] | None
+    limited: tuple[float, str] | None
+    fastest_rad_s: float
+
+    @classmethod
+    def of(
+        cls,
+        targets: Targets,
+        missed: Mapping[str, FloatArray],
+        points: FloatArray,
+        contact: Flags,
+        margins: FloatArray,
+        joints: Sequence[str],
+        fps: float,
+        fastest_rad_s: float,
+    ) -> RetargetReport:
+        """Sum up a motion.
+
+        Args:
+            targets: of the motion.
+            missed: (T, 3) m, from the scaled source to each key body.
+            points: (T, 2, K, 3) m, of the soles.
+            contact: (T, 2, K), which points rest on the ground in the source; a foot that swings
+                close above the ground does not rest.
+            margins: (T, D) rad, from the joint's angle to its nearest limit.
+            joints: D names.
+            fps: frames per second.
+            fastest_rad_s: see above.
+        """
+        errors = {body: np.linalg.norm(way, axis=-1) for body, way in missed.items()}
+        speed = np.linalg.norm(np.diff(points[..., :2], axis=0), axis=-1) * fps
+        touching = contact & (points[..., 2] < _ON_GROUND_M)
+        slide = speed[touching[1:] & touching[:-1]]
+        shares = (margins < _AT_LIMIT_RAD).mean(axis=0)
+        joint = int(shares.argmax()) if len(shares) else 0
+        return cls(
+            scale=targets.scale,
+            errors_m={body: (float(e.mean()), float(e.max())) for body, e in errors.items()},
+            deepest_m=max(0.0, -float(points[..., 2].min())),
+            slide_m_s=(float(np.median(slide)), float(slide.max())) if slide.size else None,
+            limited=(float(shares[joint]), joints[joint]) if shares.any() else None,
+            fastest_rad_s=fastest_rad_s,
+        )
+
+    def lines(self) -> list[str]:
+        """Return two lines for a log."""
+        bodies = ", ".join(
+            f"{body} {mean:.4f} ({largest:.4f})" for body, (mean, largest) in self.errors_m.items()
+        )
+        sliding = "they never rest on it"
+        if self.slide_m_s is not None:
+            median, largest = self.slide_m_s
+            sliding = f"where they rest on it they slide at {largest:.3f} m/s (median {median:.3f})"
+        limited = "no joint is ever at its limit"
+        if self.limited is not None:
+            share, joint = self.limited
+            limited = f"{joint} is at its limit in {share:.0%} of the frames, no joint more often"
+        return [
+            f"scaled by {self.scale:.3f}, the length of the legs; m from the scaled source on "
+            f"average (at most): {bodies}",
+            f"feet {self.deepest_m:.4f} m below the ground at most; {sliding}; {limited}, the "
+            f"fastest moves at {self.fastest_rad_s:.1f} rad/s",
+        ]
 
 
 def retarget_bvh(
@@ -74,16 +152,12 @@ def retarget_bvh(
     model = mujoco.MjModel.from_xml_path(str(model_path))
     problem = humanoid_problem(model, skeleton, targets, source.fps)
     root, local = poses_from_qpos(skeleton, solve_poses(problem))
-    clip = MotionClip.from_poses(
-        str(path),
-        source.fps,
-        skeleton.body_names,
-        skeleton.parent_indices,
-        skeleton.local_translation.astype(np.float32),
-        local.astype(np.float32),
-        root.astype(np.float32),
-    )
-    _log_report(humanoid_report(clip, targets, skeleton))
+    offsets = skeleton.local_translation.astype(np.float32)
+    poses = (offsets, local.astype(np.float32), root.astype(np.float32))
+    tree = (skeleton.body_names, skeleton.parent_indices)
+    clip = MotionClip.from_poses(str(path), source.fps, *tree, *poses)
+    for line in humanoid_report(clip, targets, skeleton).lines():
+        _log.info("%s", line)
     return clip
 
 
@@ -94,15 +168,51 @@ def load_bvh_source(
     end_s: float | None = None,
     fps: float | None = None,
 ) -> SourceMotion:
-    """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`."""
-    joints = [source.joint for source in mapping.sources.values()]
-    motion = read_bvh(path, joints)
+    """Read the motion of a BVH file; arguments and errors as in `retarget_bvh`.
+
+    A warning names a first frame that does not belong to the motion, as in CMU's files.
+    """
+    motion = read_bvh(path, [source.joint for source in mapping.sources.values()])
     check_fit(motion, mapping)
     source = cut(motion.clip(mapping.to_z_up, mapping.unit_m), start_s, end_s)
-    _warn_of_rest_pose(source)
-    if fps is not None:
-        source = resample(source, fps)
-    return source_from_bvh(source, mapping)
+    first_deg, *later_deg = np.degrees(_frame_to_frame_rad(source))
+    if later_deg and first_deg > max(_JUMP_DEG, _JUMP_RATIO * float(np.median(later_deg))):
+        _log.warning(
+            "%s: the first frame is %.0f degrees away from the second, maybe it is the rest pose;"
+            " start_s=%.4f leaves it out",
+            source.name,
+            first_deg,
+            1.0 / source.fps,
+        )
+    return source_from_bvh(source if fps is None else resample(source, fps), mapping)
+
+
+def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
+    """Return the largest rotation of any joint from each frame to the next, (T - 1,) rad."""
+    turns = clip.local_rotation.astype(np.float64)
+    cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1))
+    return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
+
+
+def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
+    """Return what remains between a clip of a humanoid and its targets."""
+    positions, turns = clip.global_poses()
+    missed = positions - targets.positions
+    feet = [clip.body_names.index(foot) for foot in FEET]
+    soles = zip(humanoid_figure(skeleton).soles.values(), feet, strict=True)
+    points = [sole.places(positions[:, foot], turns[:, foot]) for sole, foot in soles]
+    dofs = dofs_of_clip(skeleton, clip)
+    lower, upper = skeleton.dof_limits.T
+    return RetargetReport.of(
+        targets,
+        {body: missed[:, clip.body_names.index(body)] for body in KEY_BODIES},
+        np.stack(points, axis=1),
+        np.stack([targets.contacts[foot] for foot in FEET], axis=1),
+        np.minimum(dofs - lower, upper - dofs),
+        skeleton.dof_names,
+        clip.fps,
+        float(_frame_to_frame_rad(clip).max()) * clip.fps,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,21 +244,26 @@ def retarget_to_robot(source: SourceMotion, robot: Robot) -> RobotMotion:
     first = problem = robot_problem(robot, targets, source.fps)
     qpos = solve_poses(problem)
     contact = robot.padded([targets.contacts[foot] for foot in FEET])
-    wanted = robot.padded(
-        [
-            robot.figure.soles[foot].places(
-                targets.positions[:, robot.figure.body_names.index(foot)], targets.turns[foot]
-            )
-            for foot in FEET
-        ]
-    )
+    wanted = []
+    for foot in FEET:
+        feet = targets.positions[:, robot.figure.body_names.index(foot)]
+        wanted.append(robot.figure.soles[foot].places(feet, targets.turns[foot]))
     for _ in range(_CORRECTIONS):
-        problem = _with_corrected_feet(robot, problem, wanted, robot.soles(qpos), contact)
+        # A robot without an ankle, or with one at its limit, cannot give its foot the source's
+        # attitude; its sole is then elsewhere although the foot's origin is where it should be.
+        goals, points, places = dict(problem.goals), robot.soles(qpos), robot.padded(wanted)
+        for side, foot in enumerate(FEET):
+            body = robot.mapping.bodies[foot].body
+            goals[body] = goals[body].copy()
+            missed = replanted(points[:, side], places[:, side], contact[:, side])
+            goals[body][problem.lead_in :, 4:] += missed
+        problem = dataclasses.replace(problem, goals=goals)
         qpos = solve_poses(problem)
     _make_continuous(robot.model, qpos)
     qpos[:, 2] += onto_ground(robot.soles(qpos), contact)
-    report = _robot_report(robot, first, qpos, contact, targets.scale)
-    _log_report(report)
+    report = _robot_report(robot, first, targets, qpos, contact)
+    for line in report.lines():
+        _log.info("%s", line)
     return RobotMotion(source.fps, qpos, report)
 
 
@@ -164,103 +279,26 @@ def _make_continuous(model: mujoco.MjModel, qpos: npt.NDArray[np.float64]) -> No
         turns *= np.cumprod(np.concatenate(([1.0 if turns[0, 0] >= 0.0 else -1.0], jumps)))[:, None]
 
 
-def _with_corrected_feet(
-    robot: Robot, problem: IkProblem, wanted: FloatArray, points: FloatArray, contact: Flags
-) -> IkProblem:
-    """Return the problem with the feet moved by what their points in contact miss.
-
-    A robot without an ankle, or with one at its limit, cannot give its foot the source's attitude;
-    its sole is then elsewhere although the foot's origin is where it should be.
-
-    Args:
-        robot: it.
-        problem: that was solved.
-        wanted: (T, 2, K, 3) m, where the points of the soles should be, right foot first.
-        points: (T, 2, K, 3) m, where they are.
-        contact: (T, 2, K), which of them are in contact.
-    """
-    goals = dict(problem.goals)
-    for side, foot in enumerate(FEET):
-        body = robot.mapping.bodies[foot].body
-        goal = goals[body].copy()
-        goal[problem.lead_in :, 4:] += replanted(points[:, side], wanted[:, side], contact[:, side])
-        goals[body] = goal
-    return dataclasses.replace(problem, goals=goals)
-
-
 def _robot_report(
-    robot: Robot, problem: IkProblem, qpos: FloatArray, contact: Flags, scale: float
+    robot: Robot, problem: IkProblem, targets: Targets, qpos: FloatArray, contact: Flags
 ) -> RetargetReport:
-    mapped = {name: robot.mapping.bodies[name].body for name in KEY_BODIES if name in robot.frames}
+    bodies = robot.mapping.bodies
+    mapped = {name: bodies[name].body for name in KEY_BODIES if name in bodies}
     places, _ = body_poses(robot.model, qpos, list(mapped.values()))
-    points = robot.soles(qpos)
-    hinges = problem.limits.hinges
-    angles = qpos[:, [hinge.qpos for hinge in hinges]]
-    lower, upper = (np.array([getattr(hinge, end)[0] for hinge in hinges]) for end in _ENDS)
-    near = np.minimum(angles - lower, upper - angles) < _AT_LIMIT_RAD
-    joints = [robot.model.dof_jntid[hinge.dof] for hinge in hinges]
-    return RetargetReport(
-        scale=scale,
-        errors_m={
-            name: summed_up(
-                np.linalg.norm(places[:, i] - problem.goals[body][problem.lead_in :, 4:], axis=-1)
-            )
+    hinges = list(problem.limits.hinges)
+    angles = qpos[:, robot.model.jnt_qposadr[hinges]]
+    lower, upper = np.array(list(problem.limits.hinges.values())).reshape(-1, 2).T
+    return RetargetReport.of(
+        targets,
+        {
+            name: places[:, i] - problem.goals[body][problem.lead_in :, 4:]
             for i, (name, body) in enumerate(mapped.items())
             if body in problem.goals
         },
-        deepest_m=deepest(points),
-        slide_m_s=sliding_speeds(points, problem.fps, contact),
-        limited=most_limited(near, [robot.model.joint(joint).name for joint in joints]),
-        fastest_rad_s=float(np.abs(np.diff(angles, axis=0)).max(initial=0.0)) * problem.fps,
+        robot.soles(qpos),
+        contact,
+        np.minimum(angles - lower, upper - angles),
+        [robot.model.joint(joint).name for joint in hinges],
+        problem.fps,
+        float(np.abs(np.diff(angles, axis=0)).max(initial=0.0)) * problem.fps,
     )
-
-
-def _warn_of_rest_pose(source: MotionClip) -> None:
-    """Warn of a first frame that does not belong to the motion, as in CMU's files."""
-    first_deg, *later_deg = np.degrees(_frame_to_frame_rad(source))
-    if later_deg and first_deg > max(_JUMP_DEG, _JUMP_RATIO * float(np.median(later_deg))):
-        _log.warning(
-            "%s: the first frame is %.0f degrees away from the second, maybe it is the rest pose;"
-            " start_s=%.4f leaves it out",
-            source.name,
-            first_deg,
-            1.0 / source.fps,
-        )
-
-
-def _frame_to_frame_rad(clip: MotionClip) -> FloatArray:
-    """Return the largest rotation of any joint from each frame to the next, (T - 1,) rad."""
-    turns = clip.local_rotation.astype(np.float64)
-    cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1))
-    return 2.0 * np.arccos(np.minimum(cosines, 1.0)).max(axis=-1)
-
-
-def humanoid_report(clip: MotionClip, targets: Targets, skeleton: Skeleton) -> RetargetReport:
-    """Return what remains between a clip of a humanoid and its targets."""
-    positions, turns = clip.global_poses()
-    errors = np.linalg.norm(positions - targets.positions, axis=-1)
-    feet = [clip.body_names.index(foot) for foot in FEET]
-    points = np.stack(
-        [
-            sole.places(positions[:, foot], turns[:, foot])
-            for sole, foot in zip(humanoid_figure(skeleton).soles.values(), feet, strict=True)
-        ],
-        axis=1,
-    )
-    contact = np.stack([targets.contacts[foot] for foot in FEET], axis=1)
-    dofs = dofs_of_clip(skeleton, clip)
-    lower, upper = skeleton.dof_limits.T
-    near = np.minimum(dofs - lower, upper - dofs) < _AT_LIMIT_RAD
-    return RetargetReport(
-        scale=targets.scale,
-        errors_m={body: summed_up(errors[:, clip.body_names.index(body)]) for body in KEY_BODIES},
-        deepest_m=deepest(points),
-        slide_m_s=sliding_speeds(points, clip.fps, contact),
-        limited=most_limited(near, skeleton.dof_names),
-        fastest_rad_s=float(_frame_to_frame_rad(clip).max()) * clip.fps,
-    )
-
-
-def _log_report(report: RetargetReport) -> None:
-    for line in report.lines():
-        _log.info("%s", line)

@@ -15,15 +15,12 @@ import torch
 from isaacgymenvs_lite.errors import ConfigError, unknown
 from isaacgymenvs_lite.motion.editing import interpolate_rotations
 from isaacgymenvs_lite.motion.kinematics import FloatArray
-from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, round_bodies
+from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole, find_sole, round_bodies
 from isaacgymenvs_lite.motion.retargeting.limbs import body_poses, find_bend
 from isaacgymenvs_lite.motion.retargeting.robot_mapping import RobotMapping
-from isaacgymenvs_lite.motion.retargeting.soles import find_sole
 from isaacgymenvs_lite.motion.retargeting.solve import (
     FIRST_BEND_RAD,
     LEAST_BEND_RAD,
-    BallLimit,
-    HingeLimit,
     IkProblem,
     JointLimits,
     body_goals,
@@ -34,7 +31,6 @@ from isaacgymenvs_lite.robots.followers import Followers
 from isaacgymenvs_lite.utils import rotations
 
 _START_POSES = ("home", "stand", "standing")
-_ROOT = 7
 _LEAD_IN = 30  # frames from the start pose to the first of the motion
 _STANDS = 0.4  # of the length of the legs, between hip and foot
 _LIMBS = (("thigh", "shin", "foot"), ("upper_arm", "lower_arm", "hand"))
@@ -51,8 +47,8 @@ class Robot:
         figure: its lengths and soles, upright and facing +x.
         frames: (4,) xyzw, by the humanoid's names: the body's attitude in the upright figure.
         hips: (3,) m, the middle of the hips seen from the pelvis' origin, in the upright figure.
-        bends: (joint, lowest, highest) rad of the hinges that bend limbs, without the straight
-            limb.
+        bends: ids of the hinges that bend limbs, with their lowest and highest angle in rad; the
+            straight limb is left out.
         followers: the joints that follow others.
     """
 
@@ -62,7 +58,7 @@ class Robot:
     figure: Figure
     frames: dict[str, FloatArray]
     hips: FloatArray
-    bends: tuple[tuple[int, float, float], ...]
+    bends: dict[int, tuple[float, float]]
     followers: Followers
 
     def soles(self, qpos: FloatArray) -> FloatArray:
@@ -98,36 +94,54 @@ def robot_from_model(
 
     Raises:
         ConfigError: no free root, or another joint that is neither hinge nor ball; a body or start
-            pose of the mapping that the model lacks; a start pose in which it does not stand; legs
-            of no length; a foot without geometry.
+            pose of the mapping that the model lacks; a start pose in which it does not stand; a
+            foot without geometry.
     """
-    _check_joints(model)
-    _check_bodies(model, mapping)
+    _check(model, mapping)
     followers = Followers(model)
-    start = _start_pose(model, mapping.start_pose) if start is None else start
-    start = followers.placed(start)
-    names = [entry.body for entry in mapping.bodies.values()]
-    found, turned = body_poses(model, start[None], names)
+    start = followers.placed(_start_pose(model, mapping.start_pose) if start is None else start)
+    found, turned = body_poses(model, start[None], [b.body for b in mapping.bodies.values()])
     places = dict(zip(mapping.bodies, found[0], strict=True))
-    _check_standing(places)
-    facing = _facing(places)
-    upright = {body: _turned_back(facing, place) for body, place in places.items()}
+    leg_m = leg_length({name: place[None] for name, place in places.items()})
+    high_m = min(places[f"{side}_thigh"][2] - places[f"{side}_foot"][2] for side in SIDES)
+    if high_m < max(_STANDS * leg_m, 1e-3):  # directions would mean nothing
+        raise ConfigError(
+            f"the robot does not stand in its start pose: a hip is {high_m:.2f} m above its "
+            f"foot, and the legs are {leg_m:.2f} m long; give start_pose, a keyframe, or "
+            "start_rotation, the root's quaternion xyzw, in a mapping file"
+        )
+    # A rotation about z; the left of a standing robot is from hip to hip.
+    left = places["left_thigh"] - places["right_thigh"]
+    half = 0.5 * math.atan2(-left[0], left[1])
+    facing = torch.tensor((0.0, 0.0, math.sin(half), math.cos(half)), dtype=torch.float64)
+    back = rotations.quat_conjugate(facing)
+
+    def turned_back(vector: FloatArray) -> FloatArray:
+        return rotations.quat_apply(back[None], torch.from_numpy(vector)[None])[0].numpy()
+
+    upright = {body: turned_back(place) for body, place in places.items()}
     hips = 0.5 * (upright["right_thigh"] + upright["left_thigh"])
     pelvis = upright["pelvis"]
     upright["pelvis"] = hips
     attitudes = torch.from_numpy(turned[0])
-    back = rotations.quat_conjugate(torch.from_numpy(facing)).expand_as(attitudes)
-    frames = dict(zip(mapping.bodies, rotations.quat_mul(back, attitudes).numpy(), strict=True))
-    return Robot(
-        model=model,
-        mapping=mapping,
-        start=start,
-        figure=_figure(model, mapping, start, upright, facing),
-        frames=frames,
-        hips=hips - pelvis,
-        bends=tuple(_bends(model, mapping, start)),
-        followers=followers,
+    frames = rotations.quat_mul(back.expand_as(attitudes), attitudes).numpy()
+    soles = {}
+    for foot in FEET:
+        points, radii = find_sole(model, start, mapping.bodies[foot].body)
+        soles[foot] = Sole(np.stack([turned_back(point) for point in points]), radii)
+    names = tuple(upright)
+    parents = [mapping.parent(name) for name in names]
+    figure = Figure(
+        names,
+        tuple(-1 if parent is None else names.index(parent) for parent in parents),
+        np.stack([upright[n] - upright[p or n] for n, p in zip(names, parents, strict=True)]),
+        soles,
+        round_bodies(leg_length({name: place[None] for name, place in upright.items()}), names),
+        pins_feet=True,
     )
+    frames_by_name = dict(zip(mapping.bodies, frames, strict=True))
+    bends = _bends(model, mapping, start)
+    return Robot(model, mapping, start, figure, frames_by_name, hips - pelvis, bends, followers)
 
 
 def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
@@ -150,16 +164,8 @@ def robot_problem(robot: Robot, targets: Targets, fps: float) -> IkProblem:
     places, turns = body_poses(robot.model, first_pose[None], list(goals))
     for i, body in enumerate(goals):
         goals[body] = _led_in(places[0, i], turns[0, i], goals[body])
-    return IkProblem(
-        model=robot.model,
-        fps=fps,
-        goals=goals,
-        weights=weights,
-        first_pose=first_pose,
-        posture=robot.start,
-        limits=_limits(robot),
-        lead_in=_LEAD_IN,
-    )
+    limits = _limits(robot)
+    return IkProblem(robot.model, fps, goals, weights, first_pose, robot.start, limits, _LEAD_IN)
 
 
 def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray:
@@ -175,7 +181,8 @@ def _led_in(place: FloatArray, turn: FloatArray, goal: FloatArray) -> FloatArray
     return np.concatenate((np.concatenate((wxyz, places), axis=1), goal))
 
 
-def _check_joints(model: mujoco.MjModel) -> None:
+def _check(model: mujoco.MjModel, mapping: RobotMapping) -> None:
+    """Refuse joints that retargeting does not move, and bodies that the model lacks."""
     kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
     if not kinds or kinds[0] != mujoco.mjtJoint.mjJNT_FREE or model.jnt_bodyid[0] != 1:
         raise ConfigError(
@@ -188,9 +195,6 @@ def _check_joints(model: mujoco.MjModel) -> None:
                 f"joint '{model.joint(i).name}' of the robot is a {kind.name[6:].lower()} joint, "
                 "expected hinge or ball joints below the free root; fix or remove it"
             )
-
-
-def _check_bodies(model: mujoco.MjModel, mapping: RobotMapping) -> None:
     known = [model.body(i).name for i in range(1, model.nbody)]
     used: dict[str, str] = {}
     if not mapping.bodies:
@@ -212,128 +216,70 @@ def _start_pose(model: mujoco.MjModel, name: str) -> FloatArray:
     keys = [model.key(i).name for i in range(model.nkey)]
     if name and name not in keys:
         raise ConfigError(f"start_pose: {unknown('key of the robot', name, keys)}")
-    for choice in (name,) if name else _START_POSES:
-        if choice in keys:
-            return model.key(choice).qpos.copy()
-    return model.qpos0.copy()
-
-
-def _check_standing(places: dict[str, FloatArray]) -> None:
-    """Refuse a start pose in which the robot lies: directions would mean nothing."""
-    leg_m = leg_length({name: place[None] for name, place in places.items()})
-    high_m = [places[f"{side}_thigh"][2] - places[f"{side}_foot"][2] for side in SIDES]
-    if min(high_m) < _STANDS * leg_m:
-        raise ConfigError(
-            f"the robot does not stand in its start pose: a hip is {min(high_m):.2f} m above its "
-            f"foot, and the legs are {leg_m:.2f} m long; give start_pose, a keyframe, or "
-            "start_rotation, the root's quaternion xyzw, in a mapping file"
-        )
-
-
-def _facing(places: dict[str, FloatArray]) -> FloatArray:
-    """Return the rotation (4,) xyzw about z of a standing robot; its left is from hip to hip."""
-    left = places["left_thigh"] - places["right_thigh"]
-    half = 0.5 * math.atan2(-left[0], left[1])
-    return np.array((0.0, 0.0, math.sin(half), math.cos(half)))
-
-
-def _turned_back(facing: FloatArray, vector: FloatArray) -> FloatArray:
-    turn = rotations.quat_conjugate(torch.from_numpy(facing))
-    return rotations.quat_apply(turn[None], torch.from_numpy(vector)[None])[0].numpy()
-
-
-def _figure(
-    model: mujoco.MjModel,
-    mapping: RobotMapping,
-    start: FloatArray,
-    upright: dict[str, FloatArray],
-    facing: FloatArray,
-) -> Figure:
-    names = tuple(upright)
-    parents = {name: mapping.parent(name) for name in names}
-    offsets = [upright[name] - upright[parents[name] or name] for name in names]
-    leg_m = leg_length({name: place[None] for name, place in upright.items()})
-    if leg_m < 1e-3:
-        raise ConfigError(f"mapping={mapping.name}: the robot's legs are {leg_m:g} m long")
-    soles = {}
-    for foot in FEET:
-        points, radii = find_sole(model, start, mapping.bodies[foot].body)
-        soles[foot] = Sole(np.stack([_turned_back(facing, p) for p in points]), radii)
-    return Figure(
-        names,
-        tuple(-1 if parents[name] is None else names.index(str(parents[name])) for name in names),
-        np.stack(offsets),
-        soles,
-        round_bodies(leg_m, names),
-        pins_feet=True,
-    )
+    choices = [choice for choice in ((name,) if name else _START_POSES) if choice in keys]
+    return model.key(choices[0]).qpos.copy() if choices else model.qpos0.copy()
 
 
 def _bends(
     model: mujoco.MjModel, mapping: RobotMapping, start: FloatArray
-) -> list[tuple[int, float, float]]:
-    """Return the hinge that bends each limb, and its range on the larger side of the straight limb.
+) -> dict[int, tuple[float, float]]:
+    """Return the hinges that bend limbs, with their ranges on the larger side of the straight limb.
 
-    It is the one between both ends of the limb that changes their distance most.
+    A limb bends where `find_bend` says.
     """
-    bends = []
+    bends = {}
     for side in SIDES:
         for parts in _LIMBS:
-            limb = [f"{side}_{part}" for part in parts]
-            if not all(name in mapping.bodies for name in limb):
+            limb = [mapping.bodies.get(f"{side}_{part}") for part in parts]
+            top, *_, end = limb
+            if top is None or end is None or None in limb:
                 continue
-            top, *_, end = (model.body(mapping.bodies[name].body).id for name in limb)
-            bend = find_bend(model, start, top, end)
+            bend = find_bend(model, start, model.body(top.body).id, model.body(end.body).id)
             if bend is None:
                 continue
             joint, angles, distances = bend
             low, high = angles[0], angles[-1]
             straight = angles[distances.argmax()]
             if high - straight >= straight - low:
-                bends.append((joint, straight + LEAST_BEND_RAD, high))
+                bends[joint] = (straight + LEAST_BEND_RAD, high)
             else:
-                bends.append((joint, low, straight - LEAST_BEND_RAD))
+                bends[joint] = (low, straight - LEAST_BEND_RAD)
     return bends
 
 
 def _limits(robot: Robot) -> JointLimits:
     model = robot.model
-    bends = {joint: (low, high) for joint, low, high in robot.bends}
-    hinges, balls = list[HingeLimit](), list[BallLimit]()
+    hinges, balls = {}, {}
     for joint in range(1, model.njnt):
-        place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
         if joint in robot.followers.joints:
             continue
         limited = bool(model.jnt_limited[joint])
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
-            longest = float(model.jnt_range[joint, 1]) if limited else math.inf
-            balls.append(BallLimit(*place, np.full(3, -math.tau), np.full(3, math.tau), longest))
-            continue
         low, high = model.jnt_range[joint] if limited else (-math.inf, math.inf)
-        low, high = bends.get(joint, (low, high))
-        hinges.append(HingeLimit(*place, np.array([low]), np.array([high])))
-    return JointLimits(tuple(hinges), tuple(balls), robot.mapping.fastest_rad_s)
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
+            balls[joint] = (np.full(3, -math.tau), np.full(3, math.tau), float(high))
+        else:
+            hinges[joint] = robot.bends.get(joint, (low, high))
+    return JointLimits(hinges, balls, robot.mapping.fastest_rad_s)
 
 
 def _first_pose(robot: Robot, goals: dict[str, FloatArray]) -> FloatArray:
     """Return the start pose with bent limbs, its pelvis where the first frame has it."""
     qpos = robot.start.copy()
-    for joint, low, high in robot.bends:
+    for joint, (low, high) in robot.bends.items():
         near, far = (low, high) if abs(low) < abs(high) else (high, low)
         column = robot.model.jnt_qposadr[joint]
         if not low <= qpos[column] <= high or abs(qpos[column] - near) < FIRST_BEND_RAD:
             qpos[column] = near + math.copysign(min(FIRST_BEND_RAD, high - low), far - near)
     qpos = robot.followers.placed(qpos)
     pelvis = robot.mapping.bodies["pelvis"].body
-    place, turn = (
-        torch.from_numpy(value[0]) for value in body_poses(robot.model, qpos[None], [pelvis])
-    )
+    poses = body_poses(robot.model, qpos[None], [pelvis])
+    place, turn = (torch.from_numpy(value[0]) for value in poses)
     goal = torch.from_numpy(goals[pelvis][:1])
     change = rotations.quat_mul(
         rotations.xyzw_from_wxyz(goal[:, :4]), rotations.quat_conjugate(turn)
     )
-    root = torch.from_numpy(qpos[None, :_ROOT])
+    root = torch.from_numpy(qpos[None, :7])
     root_turn = rotations.quat_mul(change, rotations.xyzw_from_wxyz(root[:, 3:]))
     qpos[:3] = (goal[:, 4:] + rotations.quat_apply(change, root[:, :3] - place))[0]
-    qpos[3:_ROOT] = rotations.wxyz_from_xyzw(root_turn)[0]
+    qpos[3:7] = rotations.wxyz_from_xyzw(root_turn)[0]
     return qpos

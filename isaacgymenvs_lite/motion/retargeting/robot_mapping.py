@@ -23,6 +23,8 @@ from isaacgymenvs_lite.motion.retargeting.limbs import find_limbs
 from isaacgymenvs_lite.motion.retargeting.mapping import WITH_ATTITUDE, read_mapping_keys
 from isaacgymenvs_lite.motion.retargeting.solve import weights_of
 from isaacgymenvs_lite.motion.retargeting.source import SIDES
+from isaacgymenvs_lite.robots.limbs import ancestors
+from isaacgymenvs_lite.robots.start_pose import posed
 from isaacgymenvs_lite.schema import read_section, setting
 
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in SIDES for part in ("thigh", "shin", "foot")))
@@ -40,6 +42,7 @@ _PARENTS = {
     },
 }
 ROBOT_BODIES = ("pelvis", *_PARENTS)
+_OF_ARMS = ("lower_arm", "hand")  # useless without the body before them
 _MAX_WEIGHT = 1e3
 
 
@@ -114,33 +117,25 @@ def load_robot_mapping(mapping: str | Path) -> RobotMapping:
     with reading(mapping, "mapping file"):
         path, content = read_mapping_keys(mapping, shipped_robot_mappings(), "bodies")
         settings = read_section(_RobotMappingSettings, content, where=str(path), complete=True)
-        bodies = {
-            name: _robot_body(name, entry, f"{path}: bodies.{name}")
-            for name, entry in _checked_names(settings.bodies, str(path)).items()
-        }
+        bodies = settings.bodies
+        for name in bodies:
+            if name not in ROBOT_BODIES:
+                raise ConfigError(f"{path}: {unknown('body', str(name), ROBOT_BODIES)}")
+        needed = [*NEEDED, *(_PARENTS[name] for name in bodies if name.endswith(_OF_ARMS))]
+        missing = [name for name in dict.fromkeys(needed) if bodies and name not in bodies]
+        if missing:
+            raise ConfigError(f"{path}: bodies lacks {', '.join(missing)}")
         return RobotMapping(
             str(mapping),
-            bodies,
+            {
+                name: _robot_body(name, bodies[name], f"{path}: bodies.{name}")
+                for name in ROBOT_BODIES
+                if name in bodies
+            },
             settings.start_pose,
             settings.fastest_rad_s,
             settings.start_rotation,
         )
-
-
-def _checked_names(bodies: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return the entries, parents first; none if none are given."""
-    if not bodies:
-        return {}
-    for name in bodies:
-        if name not in ROBOT_BODIES:
-            raise ConfigError(f"{where}: {unknown('body', str(name), ROBOT_BODIES)}")
-    missing = [name for name in NEEDED if name not in bodies]
-    if missing:
-        raise ConfigError(f"{where}: bodies lacks {', '.join(missing)}")
-    for name in bodies:
-        if name.endswith(("lower_arm", "hand")) and _PARENTS[name] not in bodies:
-            raise ConfigError(f"{where}: bodies has {name}, but lacks {_PARENTS[name]} before it")
-    return {name: bodies[name] for name in ROBOT_BODIES if name in bodies}
 
 
 def _robot_body(name: str, entry: Any, where: str) -> RobotBody:
@@ -203,11 +198,10 @@ def guess_robot_mapping(
     }
     if "pelvis" not in found:
         found["pelvis"] = 1  # the root
-    found = _without_orphans({name: found[name] for name in ROBOT_BODIES if name in found})
-    found = _without_other_limbs(model, found)
-    found = _with_whole_feet(model, found)
+    found = _plausible(model, {name: found[name] for name in ROBOT_BODIES if name in found})
     how = "name"
-    by_joints = {} if found.keys() >= set(NEEDED) else find_limbs(model, _pose(model, start))
+    pose = model.qpos0.copy() if start is None else start
+    by_joints = {} if found.keys() >= set(NEEDED) else find_limbs(model, pose)
     if by_joints:
         how, found = "their joints", {n: by_joints[n] for n in ROBOT_BODIES if n in by_joints}
     matched = ", ".join(f"{name}: {names[body]}" for name, body in found.items())
@@ -222,46 +216,28 @@ def guess_robot_mapping(
     return RobotMapping(f"guessed by {how}", bodies), f"bodies by {how}: {matched}"
 
 
-def _pose(model: mujoco.MjModel, start: FloatArray | None) -> FloatArray:
-    return model.qpos0.copy() if start is None else start
+def _plausible(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
+    """Return the bodies that fit each other, parents first.
 
-
-def _with_whole_feet(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
-    """Replace feet without geoms, frames and sensors, by the links that they are fixed to."""
-    kept = dict(found)
-    for side in SIDES:
-        foot, shin = found.get(f"{side}_foot"), found.get(f"{side}_shin")
-        if foot is not None and model.body_geomnum[foot] == 0:
-            link = int(model.body_weldid[foot])
-            if link != shin:
-                kept[f"{side}_foot"] = link
-    return kept
-
-
-def _without_orphans(found: Mapping[str, int]) -> dict[str, int]:
-    """Leave out limbs without the body before them, and bodies that are matched already."""
+    Bodies that are matched already and arms without the body before them are left out; so are
+    shins, feet, lower arms and hands of another limb than the body before them, which keeps front
+    and hind legs of a quadruped apart. A foot without geoms, a frame or a sensor, is replaced by
+    the link that it is fixed to.
+    """
     kept: dict[str, int] = {}
     for name, body in found.items():
-        limb = name.endswith(("lower_arm", "hand"))
-        if body not in kept.values() and not (limb and _PARENTS[name] not in kept):
+        if body not in kept.values() and not (
+            name.endswith(_OF_ARMS) and _PARENTS[name] not in kept
+        ):
             kept[name] = body
-    return kept
-
-
-def _without_other_limbs(model: mujoco.MjModel, found: Mapping[str, int]) -> dict[str, int]:
-    """Leave out shins, feet, lower arms and hands of another limb than the body before them.
-
-    So that front and hind legs of a quadruped are not taken for one.
-    """
-    kept = dict(found)
-    for name, body in found.items():
-        if not name.endswith(("shin", "foot", "lower_arm", "hand")):
-            continue
-        above = int(model.body_parentid[body])
-        while above not in (0, kept.get(_PARENTS[name])):
-            above = int(model.body_parentid[above])
-        if above == 0:
+    for name in [name for name in kept if name.endswith(("shin", "foot", *_OF_ARMS))]:
+        if kept.get(_PARENTS[name]) not in ancestors(model, kept[name])[1:]:
             del kept[name]
+    for side in SIDES:
+        foot = kept.get(f"{side}_foot")
+        if foot is not None and model.body_geomnum[foot] == 0:
+            link = int(model.body_weldid[foot])
+            kept[f"{side}_foot"] = foot if link == kept.get(f"{side}_shin") else link
     return kept
 
 
@@ -291,9 +267,8 @@ def names_body(text: str, pattern: str, side: str) -> bool:
 
 
 def _joint_names(model: mujoco.MjModel, body: int) -> str:
-    first = int(model.body_jntadr[body])
-    hinges = range(first, first + int(model.body_jntnum[body]))
-    return " ".join(model.joint(i).name for i in hinges) if first > 0 else ""
+    joints = np.flatnonzero(model.jnt_bodyid == body)
+    return " ".join(model.joint(i).name for i in joints if i > 0)
 
 
 def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
@@ -303,10 +278,8 @@ def _of_chain(model: mujoco.MjModel, bodies: Sequence[int], part: str) -> int:
     end of a limb is the last link.
     """
     if part in ("thigh", "upper_arm"):
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        first = data.xpos[bodies[0]]
-        below = max((float(np.linalg.norm(data.xpos[i] - first)) for i in bodies), default=0.0)
-        near = [i for i in bodies if np.linalg.norm(data.xpos[i] - first) < 0.5 * below]
+        places = posed(model, model.qpos0).xpos[bodies]
+        below = np.linalg.norm(places - places[0], axis=1)
+        near = [i for i, far in zip(bodies, below, strict=True) if far < 0.5 * below.max()]
         return near[-1] if near else bodies[0]
     return bodies[-1] if part in ("foot", "hand", "torso") else bodies[0]

@@ -52,41 +52,19 @@ FIRST_BEND_RAD = 0.5
 LEAST_BEND_RAD = math.radians(2.0)
 
 
-@dataclass(frozen=True)
-class HingeLimit:
-    """Limits of a hinge: its places in qpos and qvel, lowest and highest angle (1,) rad."""
-
-    qpos: int
-    dof: int
-    lower: FloatArray
-    upper: FloatArray
-
-
-@dataclass(frozen=True)
-class BallLimit:
-    """Limits of a ball joint: its first places in qpos and qvel, and its rotation vector's range.
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of a model's joints.
 
     Attributes:
-        qpos: the first place in qpos.
-        dof: the first place in qvel.
-        lower: (3,) rad, of the components.
-        upper: (3,) rad.
-        longest: rad, of the vector's length, as MuJoCo limits a ball joint.
+        hinges: joint id -> lowest and highest angle in rad.
+        balls: joint id -> lowest and highest components (3,) rad of the rotation vector, and the
+            largest length of the vector in rad, as MuJoCo limits a ball joint.
+        fastest_rad_s: how fast a hinge may be from frame to frame.
     """
 
-    qpos: int
-    dof: int
-    lower: FloatArray
-    upper: FloatArray
-    longest: float = math.inf
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """Limits of a model's joints; `fastest_rad_s` is of hinges, from frame to frame."""
-
-    hinges: tuple[HingeLimit, ...]
-    balls: tuple[BallLimit, ...] = ()
+    hinges: Mapping[int, tuple[float, float]]
+    balls: Mapping[int, tuple[FloatArray, FloatArray, float]]
     fastest_rad_s: float = math.inf
 
 
@@ -127,9 +105,11 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     model = problem.model
     configuration = mink.Configuration(model)
     configuration.update(problem.first_pose.copy())
-    posture = mink.PostureTask(model, cost=_joint_costs(model, _POSTURE))
+    jointed = np.ones(model.nv)
+    jointed[:6] = 0.0  # the root goes where the targets are
+    posture = mink.PostureTask(model, cost=_POSTURE * jointed)
     posture.set_target(problem.posture)
-    steadiness = mink.PostureTask(model, cost=_joint_costs(model, _STEADINESS))
+    steadiness = mink.PostureTask(model, cost=_STEADINESS * jointed)
     limits = DofLimits(mink, model, problem.limits)
     followers = Followers(model)
     follow = []
@@ -166,12 +146,6 @@ def solve_poses(problem: IkProblem) -> npt.NDArray[np.float64]:
     return solved[problem.lead_in :]
 
 
-def _joint_costs(model: mujoco.MjModel, cost: float) -> FloatArray:
-    costs = np.full(model.nv, cost)
-    costs[:6] = 0.0  # the root goes where the targets are
-    return costs
-
-
 def weights_of(body: str) -> tuple[float, float] | None:
     """Return the weights of a body with a name of the humanoid's; None: it has no goal."""
     return WEIGHTS.get(body) or WEIGHTS.get(body.partition("_")[2])
@@ -181,40 +155,22 @@ def humanoid_problem(
     model: mujoco.MjModel, skeleton: Skeleton, targets: Targets, fps: float
 ) -> IkProblem:
     """Return the problem of a shipped humanoid, whose bodies the targets name."""
-    with_attitude = _with_attitude(skeleton, targets)
+    # Rigid hands have no attitude of their own: they follow their forearms.
+    jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
     weights = {
-        body: (place, turn if body in with_attitude else 0.0)
+        body: (pair[0], pair[1] if body in jointed & set(targets.turns) else 0.0)
         for body in skeleton.body_names
         if (pair := weights_of(body))
-        for place, turn in (pair,)
     }
     goals = {body: body_goals(skeleton.body_names, targets, body) for body in weights}
-    return IkProblem(
-        model=model,
-        fps=fps,
-        goals=goals,
-        weights=weights,
-        first_pose=_first_pose(model, skeleton, goals["pelvis"][0]),
-        posture=model.qpos0,
-        limits=humanoid_limits(model, skeleton),
-    )
-
-
-def _with_attitude(skeleton: Skeleton, targets: Targets) -> set[str]:
-    """Return the bodies with an attitude of their own: rigid hands only follow their forearms."""
-    jointed = {skeleton.body_names[body] for body in (0, *skeleton.dof_body_ids)}
-    return jointed & set(targets.turns)
-
-
-def _first_pose(model: mujoco.MjModel, skeleton: Skeleton, pelvis: FloatArray) -> FloatArray:
-    """Return the zero pose with bent knees and elbows at the place of the first pelvis."""
-    qpos = model.qpos0.copy()
-    qpos[:7] = np.roll(pelvis, 3)
-    for body in skeleton.hinge_body_ids:
-        joint = model.body(skeleton.body_names[body]).jntadr[0]
+    limits = humanoid_limits(model, skeleton)
+    # The zero pose with bent knees and elbows at the place of the first pelvis.
+    first_pose = model.qpos0.copy()
+    first_pose[:7] = np.roll(goals["pelvis"][0], 3)
+    for joint in limits.hinges:
         sign = 1.0 if model.jnt_range[joint, 1] > 0.0 else -1.0
-        qpos[model.jnt_qposadr[joint]] = sign * FIRST_BEND_RAD
-    return qpos
+        first_pose[model.jnt_qposadr[joint]] = sign * FIRST_BEND_RAD
+    return IkProblem(model, fps, goals, weights, first_pose, model.qpos0, limits)
 
 
 def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
@@ -234,66 +190,56 @@ def body_goals(names: Sequence[str], targets: Targets, body: str) -> FloatArray:
 def humanoid_limits(model: mujoco.MjModel, skeleton: Skeleton) -> JointLimits:
     """Return the limits of a shipped humanoid's joints; knees and elbows stay bent a little."""
     lower, upper = skeleton.dof_limits.T
-    balls, hinges = list[BallLimit](), list[HingeLimit]()
-    for body, (start, end) in zip(
-        skeleton.dof_body_ids, itertools.pairwise(skeleton.dof_offsets), strict=True
-    ):
-        joint = model.body(skeleton.body_names[body]).jntadr[0]
-        place = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
-        limits = (lower[start:end], upper[start:end])
+    hinges, balls = {}, {}
+    spans = itertools.pairwise(skeleton.dof_offsets)
+    for body, (start, end) in zip(skeleton.dof_body_ids, spans, strict=True):
+        joint = int(model.body(skeleton.body_names[body]).jntadr[0])
         if end - start == 3:
-            balls.append(BallLimit(*place, *limits))
+            balls[joint] = (lower[start:end], upper[start:end], math.inf)
         else:
-            hinges.append(HingeLimit(*place, *_bent(*limits)))
-    return JointLimits(tuple(hinges), tuple(balls))
+            # The straight limb is one of the limits.
+            low, high = float(lower[start]), float(upper[start])
+            hinges[joint] = (low or LEAST_BEND_RAD, high or -LEAST_BEND_RAD)
+    return JointLimits(hinges, balls)
 
 
 class DofLimits:
-    """Linear limits of a step from the present pose; one of mink's limits by its method.
-
-    Args:
-        mink: the module.
-        model: the compiled model.
-        limits: of its joints.
-    """
+    """Linear limits of a step from the present pose; one of mink's limits by its method."""
 
     def __init__(self, mink: Any, model: mujoco.MjModel, limits: JointLimits) -> None:
         self._constraint = mink.Constraint
-        self._nv = model.nv
-        self._limits = limits
+        self._model, self._limits = model, limits
+        hinges = list(limits.hinges)
+        self._columns = model.jnt_qposadr[hinges]
+        self._lower, self._upper = np.array(list(limits.hinges.values())).reshape(-1, 2).T
+        self._rows = np.eye(model.nv)[model.jnt_dofadr[hinges]]
         self._last: FloatArray | None = None
         self._reach = math.inf
 
     def start_frame(self, last: FloatArray, time_s: float) -> None:
         """Limit the way of hinges from the pose `last` (nq,), `time_s` before."""
-        self._last, self._reach = last, self._limits.fastest_rad_s * time_s
+        self._last, self._reach = last[self._columns], self._limits.fastest_rad_s * time_s
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> Any:
         """Return G and h of G step <= h for a step (nv) in the tangent space; `dt` is not used."""
-        rows, bounds = [], []
-        for hinge in self._limits.hinges:
-            row = np.zeros((1, self._nv))
-            row[0, hinge.dof] = 1.0
-            here = slice(hinge.qpos, hinge.qpos + 1)
-            value, lower, upper = configuration.q[here], hinge.lower, hinge.upper
-            if self._last is not None:
-                lower = np.maximum(lower, self._last[here] - self._reach)
-                upper = np.minimum(upper, self._last[here] + self._reach)
+        angles, lower, upper = configuration.q[self._columns], self._lower, self._upper
+        if self._last is not None:
+            lower = np.maximum(lower, self._last - self._reach)
+            upper = np.minimum(upper, self._last + self._reach)
+        nv = self._model.nv
+        rows = [np.stack((self._rows, -self._rows), axis=1).reshape(-1, nv)]
+        bounds = [np.stack((upper - angles, angles - lower), axis=1).ravel()]
+        for joint, (low, high, longest) in self._limits.balls.items():
+            column, dof = self._model.jnt_qposadr[joint], self._model.jnt_dofadr[joint]
+            vector = nearest_vector(configuration.q[column : column + 4], low, high)
+            row = np.zeros((3, nv))
+            row[:, dof : dof + 3] = vector_jacobian(vector)
             rows += [row, -row]
-            bounds += [upper - value, value - lower]
-        for ball in self._limits.balls:
-            quaternion = configuration.q[ball.qpos : ball.qpos + 4]
-            vector = nearest_vector(quaternion, ball.lower, ball.upper)
-            row = np.zeros((3, self._nv))
-            row[:, ball.dof : ball.dof + 3] = vector_jacobian(vector)
-            rows += [row, -row]
-            bounds += [ball.upper - vector, vector - ball.lower]
+            bounds += [high - vector, vector - low]
             length = float(np.linalg.norm(vector))
-            if length > LEAST_BEND_RAD and math.isfinite(ball.longest):
+            if length > LEAST_BEND_RAD and math.isfinite(longest):
                 rows.append(vector[None] / length @ row)
-                bounds.append(np.array([ball.longest - length]))
-        if not rows:
-            return self._constraint()
+                bounds.append(np.array([longest - length]))
         return self._constraint(G=np.concatenate(rows), h=np.concatenate(bounds))
 
 
@@ -309,12 +255,7 @@ def nearest_vector(quaternion: FloatArray, lower: FloatArray, upper: FloatArray)
     if angle < 0.5 * math.pi:
         return short
     long = short * (1.0 - 2.0 * math.pi / angle)
-    return min((short, long), key=lambda vector: beyond(vector, lower, upper))
-
-
-def beyond(vector: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
-    """Return the largest excess in rad of a rotation vector's components over their limits."""
-    return max(0.0, float(np.maximum(vector - upper, lower - vector).max()))
+    return min((short, long), key=lambda v: max(0.0, float(np.maximum(v - upper, lower - v).max())))
 
 
 def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
@@ -329,11 +270,3 @@ def vector_jacobian(vector: FloatArray) -> npt.NDArray[np.float64]:
         return np.eye(3) + 0.5 * cross
     factor = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / angle**2
     return np.eye(3) + 0.5 * cross + factor * cross @ cross
-
-
-def _bent(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the limits of a hinge, the straight limb excluded where it is one of them."""
-    return (
-        np.where(lower == 0.0, LEAST_BEND_RAD, lower),
-        np.where(upper == 0.0, -LEAST_BEND_RAD, upper),
-    )

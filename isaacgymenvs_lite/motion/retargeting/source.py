@@ -36,21 +36,11 @@ class SourceMotion:
     fps: float
     places: Mapping[str, FloatArray]
     turns: Mapping[str, FloatArray]
-    levelled: frozenset[str] = frozenset()
-
-    @property
-    def leg_length_m(self) -> float:
-        """The length of thigh and shin, the mean of both legs and all frames."""
-        return leg_length(self.places)
+    levelled: tuple[str, ...] = ()
 
 
 def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
-    """Return the motion of a BVH file's skeleton, in m, z up.
-
-    Raises:
-        ConfigError: the clip lacks a joint of the mapping.
-    """
-    mapping.check_joints(clip.body_names, clip.name)
+    """Return the motion of a BVH file's skeleton, in m, z up; it has the joints of the mapping."""
     everywhere, attitudes = clip.global_poses()
     index = {body: clip.body_names.index(s.joint) for body, s in mapping.sources.items()}
     return SourceMotion(
@@ -62,7 +52,7 @@ def source_from_bvh(clip: MotionClip, mapping: SkeletonMapping) -> SourceMotion:
             for body, entry in mapping.sources.items()
             if entry.frame is not None
         },
-        levelled=frozenset(foot for foot in FEET if mapping.sources[foot].level),
+        levelled=tuple(foot for foot in FEET if mapping.sources[foot].level),
     )
 
 
@@ -85,7 +75,7 @@ def source_from_clip(clip: MotionClip) -> SourceMotion:
 
 
 def leg_length(places: Mapping[str, FloatArray]) -> float:
-    """Return the length in m of thigh and shin, the mean of both legs and all frames."""
+    """Return the length of thigh and shin, the mean of both legs and all frames of (T, 3)."""
     total = 0.0
     for side in SIDES:
         for upper, lower in (("thigh", "shin"), ("shin", "foot")):

@@ -6,7 +6,6 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from isaacgymenvs_lite.motion.kinematics import FloatArray
@@ -16,10 +15,11 @@ from isaacgymenvs_lite.motion.retargeting.contacts import (
     find_contacts,
     pin_feet,
 )
-from isaacgymenvs_lite.motion.retargeting.figure import Figure, Sole
+from isaacgymenvs_lite.motion.retargeting.figure import Figure
 from isaacgymenvs_lite.motion.retargeting.source import (
     FEET,
     SourceMotion,
+    leg_length,
     rotate,
     rotated_in_body,
 )
@@ -65,11 +65,10 @@ class Targets:
 def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     """Return the targets of a figure that moves as the source does."""
     turns = dict(source.turns)
-    scale = figure.leg_length_m / source.leg_length_m
+    scale = figure.leg_length_m / leg_length(source.places)
     scaled = {body: place * scale for body, place in source.places.items()}
-    for foot in FEET:
-        if foot in source.levelled:
-            turns[foot] = _levelled(turns[foot], scaled[foot], source.fps, foot)
+    for foot in source.levelled:
+        turns[foot] = _levelled(turns[foot], scaled[foot], source.fps, foot)
     target = {foot: scaled[foot] for foot in FEET}
     target["pelvis"] = 0.5 * (scaled["right_thigh"] + scaled["left_thigh"])
     if figure.pins_feet:
@@ -79,12 +78,7 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     lowest = [target[body][:, 2] - radius for body, radius in figure.round_m.items()]
     ground = float(np.quantile(np.min([*soles.values(), *lowest], axis=0), _BELOW_GROUND_SHARE))
     if figure.pins_feet:
-        resting = [_resting_heights(figure.soles[f], target[f], turns[f], source.fps) for f in FEET]
-        heights = np.concatenate(resting)
-        if len(heights) >= _FEWEST_CONTACT_FRAMES:
-            above = float(np.quantile(heights, _BELOW_GROUND_SHARE)) - ground
-            most = _DEEPEST * max(figure.soles[foot].length_m for foot in FEET)
-            ground += min(above, most) if above > CONTACT_LOW_M else 0.0
+        ground += _ground_of_level_soles(target, figure, turns, source.fps, ground)
     positions = np.stack([target[body] for body in figure.body_names], axis=1)
     positions[..., 2] -= ground
     contacts: dict[str, Flags] = {}
@@ -92,9 +86,8 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
         column = figure.body_names.index(foot)
         sole, feet = figure.soles[foot], positions[:, column]
         if figure.pins_feet:
-            contacts[foot], positions[:, column], turns[foot] = pin_feet(
-                sole, feet, turns[foot], source.fps
-            )
+            pinned = pin_feet(sole, feet, turns[foot], source.fps)
+            contacts[foot], positions[:, column], turns[foot] = pinned
         else:
             # Not below the ground, whatever the noise.
             feet[:, 2] += np.maximum(ground - soles[foot], 0.0)
@@ -102,17 +95,30 @@ def make_targets(source: SourceMotion, figure: Figure) -> Targets:
     return Targets(positions, turns, scale, contacts)
 
 
-def _resting_heights(
-    sole: Sole, feet: FloatArray, turns: FloatArray, fps: float
-) -> npt.NDArray[np.float64]:
-    """Return the lowest heights (n,) m of a sole while it is level and hardly moves.
+def _ground_of_level_soles(
+    target: dict[str, FloatArray],
+    figure: Figure,
+    turns: dict[str, FloatArray],
+    fps: float,
+    ground: float,
+) -> float:
+    """Return how much higher (m) the ground is where soles are level and hardly move.
 
     A sole longer than the source's goes below the ground where the foot rolls over its toes.
     """
-    points = sole.places(feet, turns)
-    speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * fps
-    level = np.ptp(points[..., 2], axis=1) < _LEVEL * sole.length_m
-    return points[..., 2].min(axis=1)[level & (speed < _CONTACT_SPEED)]
+    heights = []
+    for foot in FEET:
+        sole = figure.soles[foot]
+        points = sole.places(target[foot], turns[foot])
+        speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * fps
+        level = np.ptp(points[..., 2], axis=1) < _LEVEL * sole.length_m
+        heights.append(points[..., 2].min(axis=1)[level & (speed < _CONTACT_SPEED)])
+    resting = np.concatenate(heights)
+    if len(resting) < _FEWEST_CONTACT_FRAMES:
+        return 0.0
+    above = float(np.quantile(resting, _BELOW_GROUND_SHARE)) - ground
+    most = _DEEPEST * max(figure.soles[foot].length_m for foot in FEET)
+    return min(above, most) if above > CONTACT_LOW_M else 0.0
 
 
 def _widen_stance(

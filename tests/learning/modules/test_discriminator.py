@@ -10,12 +10,11 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
-    DiscriminatorTrainer,
+    StyleDiscriminator,
+    StyleLosses,
     StyleNetwork,
     disc_obs_size,
     eval_discriminator,
-    scheduled_grad_penalty,
-    upright_progress,
 )
 
 PARAMS: dict[str, Any] = {
@@ -69,7 +68,14 @@ def make(network: Any = None, default: str = "logistic", **changes: Any) -> Any:
     if network is None:
         network = Linear(torch.zeros(1, 1), torch.ones(1))
     params = AMPParams(**{**PARAMS, **changes})
-    return DiscriminatorTrainer(network, network.v.shape[0], params, default, "cpu")
+    return StyleDiscriminator(network, network.v.shape[0], params, default, "cpu")
+
+
+class Losses(StyleLosses):
+    """The losses of an agent with this discriminator."""
+
+    def __init__(self, discriminator: StyleDiscriminator) -> None:
+        self.discriminator = discriminator
 
 
 def column(*numbers: float) -> torch.Tensor:
@@ -127,7 +133,7 @@ def test_rows_keep_their_places_when_a_rollout_is_cut_up():
 def test_the_statistics_are_of_all_rows_so_far():
     discriminator = make(normalize_amp_input=True)
     data = torch.tensor([[2.0], [4.0], [9.0]])
-    discriminator.update_normalizer(data)
+    discriminator.normalizer.count_in(data)
     normalized = discriminator.normalize(data)
     # three rows (mean 5, variance 26/3) merged with one of mean 0 and variance 1
     mean = 15 / 4
@@ -162,7 +168,6 @@ def test_without_normaliser_observations_pass_unchanged():
     discriminator = make(normalize_amp_input=False)
     assert discriminator.normalizer is None
     data = torch.tensor([[123.0]])
-    discriminator.update_normalizer(data)
     assert torch.equal(discriminator.normalize(data), data)
     assert discriminator.checkpoint_modules == {}
 
@@ -175,7 +180,9 @@ AGENT, DEMO = (-1.0, 0.5, 0.0, 2.0), (1.0, -0.5)
 def example_loss(network: Any, **changes: Any) -> dict[str, torch.Tensor]:
     """Loss for the logits of learning.md 3.2; the demonstrations' depend on their input."""
     demo_obs = column(*DEMO).requires_grad_(True)
-    return make(network, **changes).loss(column(*AGENT), network.eval_disc(demo_obs), demo_obs)
+    return Losses(make(network, **changes))._disc_loss(
+        column(*AGENT), network.eval_disc(demo_obs), demo_obs
+    )
 
 
 def test_prediction_loss_of_the_example():
@@ -199,11 +206,11 @@ def test_least_squares_loss_of_the_example():
 def test_agents_are_the_fakes_and_demonstrations_the_real_ones():
     network = Linear(torch.zeros(1, 1), torch.ones(1))
     for kind in ("bce", "least_squares"):
-        discriminator = make(network, disc_loss=kind)
+        losses = Losses(make(network, disc_loss=kind))
         demo = column(1.0).requires_grad_(True)
-        good = discriminator.loss(column(-1.0), network.eval_disc(demo), demo)
+        good = losses._disc_loss(column(-1.0), network.eval_disc(demo), demo)
         demo = column(-1.0).requires_grad_(True)
-        bad = discriminator.loss(column(1.0), network.eval_disc(demo), demo)
+        bad = losses._disc_loss(column(1.0), network.eval_disc(demo), demo)
         assert good["disc_loss"] < bad["disc_loss"]
         assert good["disc_agent_acc"] == good["disc_demo_acc"] == 1.0
         assert bad["disc_agent_acc"] == bad["disc_demo_acc"] == 0.0
@@ -222,30 +229,14 @@ def test_regularisation_terms_add_up():
     assert info["disc_loss"].item() == pytest.approx(plain + 0.2 * 1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("share", "progress"), [(0.0, 0.0), (0.3, 0.0), (0.45, 0.5), (0.6, 1.0), (0.99, 1.0)]
-)
-def test_a_policy_that_stays_up(share: float, progress: float):
-    assert upright_progress(share) == pytest.approx(progress)
-
-
-def test_a_scheduled_penalty_changes_by_a_constant_factor():
-    weights = [scheduled_grad_penalty(5.0, 0.2, progress) for progress in (0.0, 0.5, 1.0)]
-    assert weights == pytest.approx([5.0, 1.0, 0.2])
-    assert scheduled_grad_penalty(2.0, 0.0, 0.99) == 0.0
-    assert scheduled_grad_penalty(2.0, 0.0, 0.0) == 2.0
-    # A user's penalty below the final one stays.
-    assert scheduled_grad_penalty(0.1, 0.2, 1.0) == scheduled_grad_penalty(0.1, 0.2, 0.0) == 0.1
-
-
 def test_the_weight_in_force_is_the_scheduled_one():
     network = Linear(torch.zeros(1, 3), torch.tensor([1.0, -2.0, 3.0]))
     demo_obs = torch.zeros(6, 3, requires_grad=True)
-    trainer = make(network, disc_grad_penalty=5.0)
+    trainer = Losses(make(network, disc_grad_penalty=5.0))
     losses = []
-    for weight in (0.0, None, 0.5):
-        trainer.grad_penalty = weight
-        info = trainer.loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
+    for weight in (0.0, 5.0, 0.5):
+        trainer.discriminator.grad_penalty = weight
+        info = trainer._disc_loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
         losses.append(info["disc_loss"].item())
     assert losses[1] - losses[0] == pytest.approx(5.0 * 14.0)
     assert losses[2] - losses[0] == pytest.approx(0.5 * 14.0)
@@ -254,7 +245,7 @@ def test_the_weight_in_force_is_the_scheduled_one():
 def test_gradient_penalty_of_a_linear_discriminator():
     network = Linear(torch.zeros(1, 3), torch.tensor([1.0, -2.0, 3.0]))
     demo_obs = torch.randn(6, 3, generator=torch.Generator().manual_seed(0)).requires_grad_(True)
-    info = make(network).loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
+    info = Losses(make(network))._disc_loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
     # the gradient is v for every row: 1 + 4 + 9
     assert info["disc_grad_penalty"].item() == pytest.approx(14.0, rel=1e-6)
 
@@ -280,7 +271,7 @@ def test_gradient_penalty_against_finite_differences():
     w, v, x = smooth_case()
     network = Smooth(torch.tensor(w, dtype=torch.float32), torch.tensor(v, dtype=torch.float32))
     demo_obs = torch.tensor(x, dtype=torch.float32, requires_grad=True)
-    info = make(network).loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
+    info = Losses(make(network))._disc_loss(column(0.0), network.eval_disc(demo_obs), demo_obs)
     # float32 against differences that are exact to 1e-9
     assert info["disc_grad_penalty"].item() == pytest.approx(slow_penalty(w, v, x), rel=1e-5)
 
@@ -293,7 +284,7 @@ def test_the_penalty_itself_has_gradients():
     gradients = []
     for weight in (3.0, 0.0):
         demo_obs = torch.tensor(x, dtype=torch.float32, requires_grad=True)
-        info = make(network, disc_grad_penalty=weight).loss(
+        info = Losses(make(network, disc_grad_penalty=weight))._disc_loss(
             column(0.0), network.eval_disc(demo_obs), demo_obs
         )
         gradients.append(torch.autograd.grad(info["disc_loss"], parameters[1])[0].numpy())
@@ -316,60 +307,12 @@ def test_the_penalty_is_taken_at_demonstrations_only():
     penalties = set()
     for agent in (column(0.0), column(5.0, -3.0, 2.0)):
         demo_obs = torch.tensor(x, dtype=torch.float32, requires_grad=True)
-        info = make(network).loss(agent, network.eval_disc(demo_obs), demo_obs)
+        info = Losses(make(network))._disc_loss(agent, network.eval_disc(demo_obs), demo_obs)
         penalties.add(info["disc_grad_penalty"].item())
     assert len(penalties) == 1
 
 
-# --- buffers and noise ------------------------------------------------------------------------
-
-
-def numbers(rows: torch.Tensor) -> list[int]:
-    return sorted(int(n) for n in rows[:, 0])
-
-
-def test_demonstrations_are_stored_in_batches_until_the_buffer_is_full():
-    trainer = make(amp_obs_demo_buffer_size=10, amp_batch_size=4)
-    trainer.make_buffers()
-    fetched = iter(torch.arange(24.0).view(6, 4, 1).expand(6, 4, 3))
-    trainer.fill_demo_buffer(lambda: trainer.store_demos({"amp_obs": next(fetched)}))
-    assert trainer.demo_buffer.get_total_count() == 12  # three batches
-    assert numbers(trainer.demo_buffer.rows["amp_obs"]) == list(range(2, 12))
-    # Of three numbers the discriminator sees the first.
-    assert trainer.sample_demos(5)["amp_obs"].shape == (5, 1)
-
-
-def test_the_policy_s_own_rows_are_replayed_until_there_are_older_ones():
-    trainer = make(amp_replay_buffer_size=10, amp_replay_keep_prob=0.0)
-    trainer.make_buffers()
-    new = {"amp_obs": column(1.0, 2.0), "amp_obs_latents": column(10.0, 20.0)}
-    assert trainer.sample_replay(new) is new
-    old = torch.arange(100.0, 110.0).unsqueeze(-1)
-    trainer.store_replay({"amp_obs": old, "amp_obs_latents": 10.0 * old})
-    replayed = trainer.sample_replay(new)
-    assert replayed["amp_obs"].shape == (2, 1)
-    assert (replayed["amp_obs"] >= 100.0).all()
-    assert torch.equal(replayed["amp_obs_latents"], 10.0 * replayed["amp_obs"])
-    trainer.store_replay({"amp_obs": old[:1], "amp_obs_latents": 10.0 * old[:1]})
-    # Now more was stored than fits, and nothing of what follows is kept.
-    trainer.store_replay(new)
-    assert trainer.replay_buffer.get_total_count() == 11
-
-
-def test_noise_has_the_spread_of_its_key():
-    rows = torch.zeros(20_000, 2)
-    assert make().sample_noise(rows) is None
-    torch.manual_seed(0)
-    noise = make(disc_input_noise=0.3).sample_noise(rows)
-    # of 40,000 numbers: a standard error of 0.001
-    assert noise.std().item() == pytest.approx(0.3, abs=0.006)
-    assert noise.mean().item() == pytest.approx(0.0, abs=0.008)
-
-
-def test_the_total_reward_is_weighted():
-    trainer = make(task_reward_w=0.5, disc_reward_w=2.0)
-    total = trainer.total_reward(torch.tensor([4.0, -2.0]), torch.tensor([1.0, 3.0]))
-    assert total.tolist() == [4.0, 5.0]
+# --- rows ---------------------------------------------------------------------------------------
 
 
 def test_all_kinds_of_rows_are_evaluated_with_the_gradient_at_the_demonstrations():
@@ -433,7 +376,7 @@ def test_how_much_is_seen_of_an_amp_observation():
 def test_what_is_not_seen_has_no_effect():
     network = Smooth(torch.randn(4, 3), torch.randn(4))
     params = read_agent_params({**PARAMS, "normalize_amp_input": True}, AMPParams)
-    discriminator = DiscriminatorTrainer(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
+    discriminator = StyleDiscriminator(network, 3, params, "logistic", "cpu")  # type: ignore[arg-type]
     whole = torch.randn(5, 2, 6)
     expected = discriminator.reward(whole[..., :3].clone())
     assert torch.equal(discriminator.reward(whole), expected)

@@ -27,7 +27,7 @@ def test_round_trip_is_bit_exact(tmp_path: Path, tiny_clip: MotionClip, dtype) -
 
 @pytest.mark.parametrize(
     ("stored", "read"),
-    [(">f4", "f4"), (">f8", "f8"), ("<f2", "f4"), (np.longdouble, "f8")],
+    [(">f4", "f4"), (np.longdouble, "f8")],
 )
 def test_other_floats_are_converted(tmp_path: Path, tiny_clip: MotionClip, stored, read) -> None:
     arrays = _arrays(tmp_path, tiny_clip)
@@ -65,51 +65,37 @@ def test_missing_velocities_are_computed(tmp_path: Path, tiny_clip: MotionClip) 
     np.testing.assert_allclose(clip.linear_velocity_w[:, 0, 0], 20.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"fps": None}, "lacks fps; found angular_velocity_w, body_names"),
-        ({"version": np.array(2)}, "format version 2, this program reads 1"),
-        ({"local_rotation": np.zeros((3, 3, 4), dtype=int)}, "local_rotation holds int64"),
-        ({"body_names": np.arange(3)}, "body_names holds int64, expected strings"),
-        ({"fps": np.ones(2)}, r"fps has shape \(2,\), expected one number"),
-        ({"root_translation": np.zeros((2, 3))}, r"root_translation has shape \(2, 3\)"),
-        ({"parent_indices": np.array([{}], dtype=object)}, "Object arrays cannot be loaded"),
-    ],
-)
-def test_bad_content_is_refused(tmp_path: Path, tiny_clip, changes, message: str) -> None:
-    arrays = _arrays(tmp_path, tiny_clip) | changes
-    path = tmp_path / "bad.npz"
-    np.savez(path, **{key: array for key, array in arrays.items() if array is not None})
-    _expect_error(path, message)
-
-
-def test_damaged_files_are_refused(tmp_path: Path, tiny_clip: MotionClip) -> None:
-    whole = save_npz(tmp_path / "whole.npz", tiny_clip).read_bytes()
-    path = tmp_path / "bad.npz"
-    for content in (b"", b"text", whole[: len(whole) // 2], whole[:200] + b"x" * 20 + whole[220:]):
-        path.write_bytes(content)
-        _expect_error(path, "no .npz archive")
-    with path.open("wb") as stream:
-        np.save(stream, np.zeros(3))
-    _expect_error(path, "single array")
-    path.unlink()
-    _expect_error(path, "no such file")
-
-
-def test_invalid_clip_is_not_written(tmp_path: Path, tiny_clip: MotionClip) -> None:
-    with pytest.raises(MotionFileError, match="fps is -1"):
-        save_npz(tmp_path / "clip.npz", dataclasses.replace(tiny_clip, fps=-1.0))
-    assert list(tmp_path.iterdir()) == []
-
-
 def _arrays(folder: Path, clip: MotionClip) -> dict:
     with np.load(save_npz(folder / "template.npz", clip), allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}
 
 
-def _expect_error(path: Path, message: str) -> None:
-    with pytest.raises(MotionFileError, match=message) as raised:
+def test_bad_files_are_one_line(tmp_path: Path, tiny_clip: MotionClip) -> None:
+    whole = save_npz(tmp_path / "whole.npz", tiny_clip).read_bytes()
+    path, arrays = tmp_path / "bad.npz", _arrays(tmp_path, tiny_clip)
+    no_archive = "no .npz archive"
+    for content, message in (
+        (b"text", no_archive),
+        (whole[: len(whole) // 2], no_archive),
+        (whole[:200] + b"x" * 20 + whole[220:], no_archive),
+        ({"version": np.array(2)}, "format version 2, this program reads 1"),
+        ({"body_names": np.arange(3)}, "body_names holds int64, expected strings"),
+        ({"fps": np.ones(2)}, r"fps has shape \(2,\), expected one number"),
+        ({"root_translation": np.zeros((2, 3))}, r"root_translation has shape \(2, 3\)"),
+        ({"parent_indices": np.array([{}], dtype=object)}, "Object arrays cannot be loaded"),
+    ):
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        else:
+            np.savez(path, **(arrays | content))
+        with pytest.raises(MotionFileError, match=message) as raised:
+            load_npz(path)
+        assert str(raised.value).startswith(str(path))
+        assert "\n" not in str(raised.value)
+    np.savez(path, fps=np.array(30.0))
+    with pytest.raises(MotionFileError, match="lacks body_names, parent_indices"):
         load_npz(path)
-    assert str(raised.value).startswith(str(path))
-    assert "\n" not in str(raised.value)
+    with path.open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    with pytest.raises(MotionFileError, match="single array"):
+        load_npz(path)

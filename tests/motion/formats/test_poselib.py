@@ -1,5 +1,7 @@
 import json
-from collections.abc import Callable
+import pickletools
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,12 @@ import pytest
 
 from isaacgymenvs_lite.errors import MotionFileError
 from isaacgymenvs_lite.motion.clip import MotionClip
-from isaacgymenvs_lite.motion.formats.poselib import clip_from_poselib, load_poselib_npy
+from isaacgymenvs_lite.motion.formats.poselib import (
+    clip_from_poselib,
+    load_poselib_npy,
+    save_poselib_npy,
+)
+from isaacgymenvs_lite.motion.loader import load_clips
 
 
 @pytest.fixture
@@ -16,7 +23,7 @@ def data(tiny_clip: MotionClip, as_poselib) -> dict[str, Any]:
     return as_poselib(tiny_clip)
 
 
-@pytest.mark.parametrize("fps", [10, 10.0, np.float64(10.0), np.array(10, dtype=np.int32)])
+@pytest.mark.parametrize("fps", [10.0, np.array(10, dtype=np.int32)])
 def test_npy_clip_is_read(
     tmp_path: Path, save_object_npy, data, tiny_clip: MotionClip, fps
 ) -> None:
@@ -60,41 +67,67 @@ def test_json_variant_is_the_same(data, tiny_clip: MotionClip) -> None:
     assert clip.fps == 10.0
 
 
-def _drop(key: str) -> Callable[[dict], Any]:
-    return lambda data: {k: v for k, v in data.items() if k != key}
+def test_bad_content_is_one_line(tmp_path: Path, save_object_npy, data) -> None:
+    no_numbers = {"arr": ["a"], "context": {"dtype": "float32"}}
+    for content, message in (
+        (data | {"__name__": "SkeletonState"}, "'SkeletonState' .a single pose.*'SkeletonMotion'"),
+        ([data], "__name__ is None, expected 'SkeletonMotion'"),
+        (data | {"skeleton_tree": []}, "lacks the key 'node_names'; found nothing"),
+        (data | {"rotation": no_numbers}, "rotation holds <U1"),
+        (data | {"fps": "fast"}, "no poselib clip .*could not convert"),
+        (data | {"fps": 0}, "fps is 0, expected 0.1 to 10000"),
+    ):
+        path = save_object_npy(tmp_path / "bad.npy", content)
+        with pytest.raises(MotionFileError, match=message) as raised:
+            load_poselib_npy(path)
+        assert str(raised.value).startswith(str(path))
+        assert "\n" not in str(raised.value)
 
 
-def _change(**changes: Any) -> Callable[[dict], Any]:
-    return lambda data: data | changes
+PUBLISHED_NAMES = {
+    "collections OrderedDict",
+    "numpy.core.multiarray _reconstruct",
+    "numpy ndarray",
+    "numpy dtype",
+}
 
 
-_NUMBERS = {"context": {"dtype": "float32"}}
+@pytest.fixture
+def walk():
+    return load_clips("walk")[0][0]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (_change(__name__="SkeletonState"), "'SkeletonState' .a single pose.*'SkeletonMotion'"),
-        (_drop("__name__"), "__name__ is None, expected 'SkeletonMotion'"),
-        (lambda data: [data], "__name__ is None, expected 'SkeletonMotion'"),
-        (_drop("rotation"), "lacks the key 'rotation'; found __name__, fps"),
-        (_drop("skeleton_tree"), "lacks the key 'skeleton_tree'"),
-        (_drop("is_local"), "lacks the key 'is_local'"),
-        (_change(skeleton_tree=[]), "lacks the key 'node_names'; found nothing"),
-        (_change(rotation={"arr": np.zeros(3)}), "lacks the key 'context'"),
-        (_change(rotation={"arr": ["a"], **_NUMBERS}), "rotation holds <U1"),
-        (_change(rotation={"arr": [[1], [1, 2]], **_NUMBERS}), "no poselib clip .*inhomogeneous"),
-        (_change(rotation={"arr": np.zeros((3, 2, 4)), **_NUMBERS}), r"shape \(3, 2, 4\)"),
-        (_change(fps="fast"), "no poselib clip .*could not convert"),
-        (_change(fps=[1, 2]), "no poselib clip .*size 1"),
-        (_change(fps=0), "fps is 0, expected 0.1 to 10000"),
-    ],
-)
-def test_bad_content_is_refused(
-    tmp_path: Path, save_object_npy, data, change, message: str
-) -> None:
-    path = save_object_npy(tmp_path / "bad.npy", change(data))
-    with pytest.raises(MotionFileError, match=message) as raised:
-        load_poselib_npy(path)
-    assert str(raised.value).startswith(str(path))
-    assert "\n" not in str(raised.value)
+def test_what_is_read_again_differs_by_rounding_only(tmp_path: Path, walk) -> None:
+    again = load_poselib_npy(save_poselib_npy(tmp_path / "walk.npy", walk))
+    assert again.fps == walk.fps
+    assert again.body_names == walk.body_names
+    assert again.parent_indices == walk.parent_indices
+    # Half a unit in the last place of a float32 below 8 (m, m/s; quaternions are smaller).
+    for key in ("local_rotation", "root_translation", "linear_velocity_w", "local_translation"):
+        np.testing.assert_allclose(getattr(again, key), getattr(walk, key), atol=2.4e-7)
+
+
+def test_the_pickle_names_what_old_numpy_knows(tmp_path: Path, walk) -> None:
+    data = save_poselib_npy(tmp_path / "walk.npy", walk).read_bytes()
+    start = data.index(b"\n") + 1  # behind numpy's header
+    instructions = list(pickletools.genops(data[start:]))
+    names = {str(argument) for code, argument, _ in instructions if code.name == "GLOBAL"}
+    assert names == PUBLISHED_NAMES
+    assert not any(code.name == "STACK_GLOBAL" for code, _, _ in instructions)
+
+
+def test_numpy_itself_reads_it_as_poselib_does(tmp_path: Path, walk) -> None:
+    path = save_poselib_npy(tmp_path / "walk.npy", walk)
+    script = (
+        "import sys, numpy as np; d = np.load(sys.argv[1], allow_pickle=True).item();"
+        "assert d['__name__'] == 'SkeletonMotion' and d['is_local'] is True and d['fps'] == 60;"
+        "r = d['rotation']; assert r['arr'].dtype == r['context']['dtype'] == 'float32';"
+        "t = d['skeleton_tree']; assert list(t['node_names'])[:2] == ['pelvis', 'torso'];"
+        "assert t['parent_indices']['arr'].dtype == 'int64'"
+    )
+    subprocess.run([sys.executable, "-c", script, str(path)], check=True)
+
+
+def test_a_fraction_of_fps_stays(tmp_path: Path, make_humanoid_clip) -> None:
+    path = save_poselib_npy(tmp_path / "clip.npy", make_humanoid_clip(fps=29.97))
+    assert load_poselib_npy(path).fps == 29.97

@@ -44,8 +44,6 @@ def check(clip, expected, fps):
     ("num_dofs", "number", "name"),
     [
         (29, 12, "waist_yaw_joint"),
-        (27, 1, "left_hip_pitch_joint"),
-        (19, 14, "left_elbow_joint"),
         (12, 0, None),
     ],
 )
@@ -81,7 +79,7 @@ def write_pickle(path, data, protocol=4, numpy_1=False):
     return path
 
 
-@pytest.mark.parametrize(("protocol", "numpy_1"), [(5, False), (4, False), (3, True)])
+@pytest.mark.parametrize(("protocol", "numpy_1"), [(5, False), (3, True)])
 def test_gmr(tmp_path, protocol, numpy_1):
     keys = ("root_pos", "root_rot", "dof_pos")
     data = {"fps": 50, **dict(zip(keys, arrays(6), strict=True)), "local_body_pos": None}
@@ -135,9 +133,14 @@ def test_motions_by_name(tmp_path, how, suffix):
         read_joint_clip(f"{path}:run")
 
 
-@pytest.mark.parametrize("as_array", [True, False])
-@pytest.mark.parametrize("key", ["joint_names", "dof_names", ""])
-@pytest.mark.parametrize(("how", "suffix"), [("pickle", "pkl"), ("numpy", "npy")])
+@pytest.mark.parametrize(
+    ("how", "suffix", "key", "as_array"),
+    [
+        ("pickle", "pkl", "joint_names", True),
+        ("numpy", "npy", "dof_names", False),
+        ("pickle", "pkl", "", False),
+    ],
+)
 def test_names_of_joints_in_a_dictionary(tmp_path, how, suffix, key, as_array):
     position, rotation, dofs = arrays(3)
     names = ["c", "a", "b"]
@@ -155,16 +158,6 @@ def test_names_of_joints_in_a_dictionary(tmp_path, how, suffix, key, as_array):
     check(clip.fitted_to(["a", "b", "c"]), arrays(3), 25.0)
 
 
-def test_an_array_of_joblib_that_lies_about_its_size_is_refused(tmp_path):
-    path = tmp_path / "a.pkl"
-    dump(path, {"fps": 30, "frames": np.zeros((2, 9))}, "joblib")
-    content = path.read_bytes()
-    assert content.count(b"K\x02K\x09\x86") == 1
-    path.write_bytes(content.replace(b"K\x02K\x09\x86", b"J\xff\xff\xff\x00K\x09\x86"))
-    with pytest.raises(MotionFileError, match="no dictionary of a robot's clip"):
-        read_joint_clip(path)
-
-
 def test_code_in_a_pickle_is_not_run(tmp_path):
     class Evil:
         def __reduce__(self):
@@ -176,8 +169,7 @@ def test_code_in_a_pickle_is_not_run(tmp_path):
     assert not (tmp_path / "canary").exists()
 
 
-@pytest.mark.parametrize("mirror", [2, 7])
-@pytest.mark.parametrize("world", [0, 1])
+@pytest.mark.parametrize(("mirror", "world"), [(2, 0), (7, 1)])
 def test_tracking_archive_shows_its_order(tmp_path, mirror, world):
     position, rotation, dofs = arrays(29)
     bodies = position[:, None] + 0.01 * np.arange(30)[:, None] * [1.0, 0.0, 0.0]
@@ -210,18 +202,10 @@ def test_round_trip(tmp_path, form):
     assert looks_like_joint_clip(path)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".pkl", ".npz"])
-def test_wxyz_is_reported_and_swapped(tmp_path, caplog, suffix):
+def test_wxyz_is_reported_and_swapped(tmp_path, caplog):
     position, rotation, dofs = arrays(12)
     wxyz = np.roll(rotation, 1, axis=1)
-    path = tmp_path / f"a{suffix}"
-    data = {"fps": 30, "root_pos": position, "root_rot": wxyz, "dof_pos": dofs}
-    if suffix == ".csv":
-        write_rows(path, np.hstack((position, wxyz, dofs)))
-    elif suffix == ".pkl":
-        write_pickle(path, data)
-    else:
-        np.savez(path, **data)
+    path = write_rows(tmp_path / "a.csv", np.hstack((position, wxyz, dofs)))
     read_joint_clip(path)
     assert "lies on its side or upside down in 100% of the frames" in caplog.text
     assert "not if the quaternions of the file are wxyz" in caplog.text
@@ -248,8 +232,7 @@ def bodies_of_a_walk(frames=8):
     return root, rotation, np.stack((root, hip, moved), axis=1)
 
 
-@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
-@pytest.mark.parametrize("world", [0, 1])
+@pytest.mark.parametrize(("order", "world"), [("wxyz", 1), ("xyzw", 0)])
 def test_bodies_show_the_order_of_their_quaternions(tmp_path, order, world, caplog):
     root, rotation, bodies = bodies_of_a_walk()
     quaternions = np.repeat(rotation[:, None], 3, axis=1)
@@ -281,24 +264,6 @@ def test_wrong_rate_is_reported(tmp_path, caplog):
     assert "m/s at 5000 fps" in caplog.text and "rad/s at 5000 fps" in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("content", "match"),
-    [
-        ("1,2,3\n1,2,3\n", "3 columns and no header"),
-        ("1;2;3\n1;2;3\n", "has one column, expected several with commas .* begins with '1;2;3'"),
-        ("0,0,1,0,0,0,1,0\n0,0,1,0,0,0,1\n", "row 2 has 7 values"),
-        ("0,0,1,0,0,0,1,nan\n0,0,1,0,0,0,1,0\n", "NaN"),
-        ("0,0,1,0,0,0,2,0\n0,0,1,0,0,0,1,0\n", "no unit quaternion"),
-        ("", "holds 0 line"),
-    ],
-)
-def test_broken_tables(tmp_path, content, match):
-    path = tmp_path / "a.csv"
-    path.write_text(content)
-    with pytest.raises(MotionFileError, match=match):
-        read_joint_clip(path)
-
-
 BOTH_ORDERS = {
     # the indices of a public converter of whole_body_tracking's files, joint by joint of MuJoCo's
     "left leg": (0, 3, 6, 9, 13, 17),
@@ -319,60 +284,33 @@ def parts(**changed):
     return {"fps": 30, "root_pos": position, "root_rot": rotation, "dof_pos": dofs} | changed
 
 
-@pytest.mark.parametrize(
-    ("content", "match"),
-    [
-        (parts(dof_pos=np.zeros((4, 3)).astype(object)), "Object arrays cannot be loaded"),
-        (parts(dof_pos=np.zeros(4)), r"dof_pos has shape \(4,\)"),
-        (parts(dof_pos=np.array(["a"] * 4)), "dof_pos holds <U1, expected numbers"),
-        (parts(root_pos=np.zeros((4, 3, 2))), r"root_pos has shape \(4, 3, 2\)"),
-        (parts(dof_pos=np.zeros((0, 3))), "has 0 frames|holds 0 frame"),
-        (parts(fps=[30, 60]), r"fps has shape \(2,\)"),
-        (parts(joint_names=np.arange(3)), "joint_names holds int64, expected strings"),
-        (parts(joint_names=["a"] * 3), "has 3 names of joints \\(1 different"),
-        (parts(version=7), "a clip of format version 7"),
-        ({"fps": 30}, "holds fps, expected"),
-    ],
-)
-def test_broken_archives(tmp_path, content, match):
-    path = tmp_path / "a.npz"
-    np.savez_compressed(path, **content)
-    with pytest.raises(MotionFileError, match=match) as raised:
-        read_joint_clip(path)
-    assert len(str(raised.value)) <= 500 and "\n" not in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("bodies", "match"),
-    [
-        ({"body_pos_w": np.zeros((4, 3))}, r"have shapes \(4, 3\)"),
-        ({"body_quat_w": np.zeros((3, 2, 4))}, r"\(3, 2, 4\), expected"),
-        ({"body_pos_w": np.zeros((4, 0, 3)), "body_quat_w": np.zeros((4, 0, 4))}, "have shapes"),
-        ({"body_pos_w": np.full((4, 2, 3), np.nan)}, "root_pos holds 12 number"),
-    ],
-)
-def test_broken_bodies(tmp_path, bodies, match):
-    path = tmp_path / "a.npz"
+def test_broken_files_are_one_line(tmp_path):
     quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (4, 2, 1))
-    whole = {"body_pos_w": np.zeros((4, 2, 3)), "body_quat_w": quaternions}
-    np.savez_compressed(path, fps=[50], joint_pos=arrays(3)[2], **(whole | bodies))
-    with pytest.raises(MotionFileError, match=match):
-        read_joint_clip(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "match"),
-    [
-        (parts(dof_pos=[["1", "2", "3"]] * 4), "dof_pos holds <U1, expected numbers"),
-        ({"fps": 30, "frames": [[0.0] * 8, [0.0] * 9]}, "inhomogeneous"),
-        ({"fps": 30, "frames": [[10**400] * 8] * 2}, "that can be read|expected numbers"),
-        ({"fps": {}, "frames": [[0.0] * 8] * 2}, "fps holds object, expected numbers"),
-        ([1, 2], "holds list, expected the keys"),
-        ({}, "holds dict, expected the keys"),
-    ],
-)
-def test_broken_pickles(tmp_path, content, match):
-    path = write_pickle(tmp_path / "a.pkl", content)
-    with pytest.raises(MotionFileError, match=match) as raised:
-        read_joint_clip(path)
-    assert len(str(raised.value)) <= 500 and "\n" not in str(raised.value)
+    tracking = {"fps": [50], "joint_pos": arrays(3)[2], "body_quat_w": quaternions}
+    for i, (suffix, content, match) in enumerate(
+        (
+            ("csv", "1,2,3\n1,2,3\n", "3 columns and no header"),
+            ("csv", "1;2;3\n1;2;3\n", "has one column, .* begins with '1;2;3'"),
+            ("csv", "0,0,1,0,0,0,1,0\n0,0,1,0,0,0,1\n", "row 2 has 7 values"),
+            ("csv", "0,0,1,0,0,0,2,0\n0,0,1,0,0,0,1,0\n", "no unit quaternion"),
+            ("npz", parts(dof_pos=np.array([{}])), "Object arrays cannot be loaded"),
+            ("npz", parts(dof_pos=np.array(["a"] * 4)), "dof_pos holds <U1, expected numbers"),
+            ("npz", parts(joint_names=["a"] * 3), r"has 3 names of joints \(1 different"),
+            ("npz", parts(version=7), "a clip of format version 7"),
+            ("npz", {"fps": 30}, "holds fps, expected"),
+            ("npz", tracking | {"body_pos_w": np.zeros((4, 3))}, r"have shapes \(4, 3\)"),
+            ("pkl", {"fps": 30, "frames": [[0.0] * 8, [0.0] * 9]}, "inhomogeneous"),
+            ("pkl", {"fps": {}, "frames": [[0.0] * 8] * 2}, "fps holds object, expected numbers"),
+            ("pkl", [1, 2], "holds list, expected the keys"),
+        )
+    ):
+        path = tmp_path / f"{i}.{suffix}"
+        if suffix == "csv":
+            path.write_text(content)
+        elif suffix == "npz":
+            np.savez(path, **content)
+        else:
+            write_pickle(path, content)
+        with pytest.raises(MotionFileError, match=match) as raised:
+            read_joint_clip(path)
+        assert "\n" not in str(raised.value)

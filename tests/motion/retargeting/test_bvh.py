@@ -26,9 +26,7 @@ def read(path: Path, mapping: str = "lafan1"):
     return read_bvh(path).clip(chosen.to_z_up, chosen.unit_m), chosen
 
 
-@pytest.mark.parametrize(
-    ("rig", "order"), [("cmu", ""), ("lafan1", ""), ("lafan1", "XYZ"), ("cmu", "YXZ")]
-)
+@pytest.mark.parametrize(("rig", "order"), [("cmu", ""), ("lafan1", "XYZ")])
 def test_joints_are_where_the_bodies_were(tmp_path: Path, write_bvh, rig, order) -> None:
     clip = load_clips("walk_slow")[0][0]
     path = write_bvh(tmp_path / "walk.bvh", clip, rig, order=order)
@@ -74,13 +72,13 @@ def with_all_positions(text: str, places) -> str:
     return "MOTION\n".join((head, "\n".join(lines)))
 
 
-@pytest.mark.parametrize("places", [lambda offset, frame: offset, lambda offset, frame: (0, 0, 0)])
-def test_positions_of_all_joints_that_stay_the_same(walk_file: Path, places) -> None:
-    before = read(walk_file)[0]
-    walk_file.write_text(with_all_positions(walk_file.read_text(), places))
-    assert walk_file.read_text().count("CHANNELS 6") > 20
-    after = read(walk_file)[0]
-    np.testing.assert_allclose(after.global_poses()[0], before.global_poses()[0], atol=1e-6)
+def test_positions_of_all_joints_that_stay_the_same(walk_file: Path) -> None:
+    before, text = read(walk_file)[0], walk_file.read_text()
+    for places in (lambda offset, frame: offset, lambda offset, frame: (0, 0, 0)):
+        walk_file.write_text(with_all_positions(text, places))
+        assert walk_file.read_text().count("CHANNELS 6") > 20
+        after = read(walk_file)[0]
+        np.testing.assert_allclose(after.global_poses()[0], before.global_poses()[0], atol=1e-6)
 
 
 def test_positions_that_are_other_offsets_count(walk_file: Path) -> None:
@@ -130,8 +128,6 @@ JOINT Hips"""
 @pytest.mark.parametrize(
     ("rotate_root", "root_channels", "sway"),
     [
-        (0.0, "6 Xposition Yposition Zposition Zrotation Yrotation Xrotation", 0.0),
-        (90.0, "3 Zrotation Yrotation Xrotation", 0.0),
         (-90.0, "6 Zrotation Yrotation Xrotation Zposition Xposition Yposition", 40.0),
         (0.0, "0", 25.0),
     ],
@@ -151,35 +147,6 @@ def test_joints_above_the_hips_are_part_of_the_roots_motion(
     np.testing.assert_allclose(np.abs((turns * before_turns).sum(axis=-1)), 1.0, atol=1e-9)
 
 
-def test_joints_that_move_within_their_parents_are_refused(walk_file: Path) -> None:
-    text = with_all_positions(
-        walk_file.read_text(), lambda offset, frame: (1 + frame / 50) * offset
-    )
-    walk_file.write_text(text)
-    with pytest.raises(MotionFileError, match=r"joint \w+ moves within its parent by [\d.]+ units"):
-        read(walk_file)
-
-
-def test_frames_of_another_length_than_the_channels(walk_file: Path) -> None:
-    text = with_all_positions(walk_file.read_text(), lambda offset, frame: offset)
-    walk_file.write_text(drop_last_value(text))
-    with pytest.raises(MotionFileError, match="no BVH file that can be read") as caught:
-        read(walk_file)
-    assert "\n" not in str(caught.value)
-
-
-def test_joints_with_positions_and_no_frames(walk_file: Path) -> None:
-    text = with_all_positions(walk_file.read_text(), lambda offset, frame: offset)
-    walk_file.write_text(text[: text.index("MOTION")] + "MOTION")
-    with pytest.raises(MotionFileError, match="there are no frames after 'MOTION'"):
-        read(walk_file)
-
-
-def test_a_name_in_capitals(walk_file: Path) -> None:
-    loud = walk_file.rename(walk_file.with_suffix(".BVH"))
-    assert read(loud)[0].num_frames == 109
-
-
 def test_windows_line_ends(walk_file: Path) -> None:
     before = read(walk_file)[0]
     walk_file.write_bytes(walk_file.read_bytes().replace(b"\n", b"\r\n"))
@@ -190,44 +157,26 @@ def drop_last_value(text: str) -> str:
     return text.rstrip().rsplit(" ", 1)[0] + "\n"
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda text: "", "No ROOT declaration"),
-        (lambda text: text[:200], "no BVH file that can be read"),
-        (lambda text: text[: len(text) // 2], "no BVH file that can be read"),
-        (lambda text: "\n".join(text.splitlines()[:-3]), "declares 109 frames but .* 106"),
-        (drop_last_value, "no BVH file that can be read"),
-        (lambda text: text.replace("CHANNELS 3 Z", "CHANNELS 4 Z", 1), "declares 4 channels"),
-        (lambda text: text.replace("CHANNELS 3 Zrotation", "CHANNELS 2"), "exactly 3 rotation"),
-        (lambda text: text.replace("OFFSET", "OFFSETT", 1), "unexpected token 'OFFSETT'"),
-        (lambda text: text.replace("Frames: 109", "Frames: many"), "many"),
-        (lambda text: text.replace("JOINT LeftUpLeg", "JOINT"), "no BVH file that can be read"),
-        (
-            lambda text: text.replace("Frame Time: 0.03", "Frame Time: -0.03"),
-            "must be >= 0, got -0.0",
-        ),
-        (lambda text: text[: text.rindex("\n", 0, -1)] + "\n" + "nan " * 69, "NaN or infinite"),
-        (lambda text: text.replace("OFFSET 0.000000", "OFFSET inf", 1), "NaN or infinite"),
-    ],
-)
-def test_damaged_files(walk_file: Path, damage, message) -> None:
-    walk_file.write_text(damage(walk_file.read_text()))
-    with pytest.raises(MotionFileError, match=message) as caught:
-        read(walk_file)
-    assert str(caught.value).startswith(str(walk_file))
-    assert "\n" not in str(caught.value)
-
-
-def test_binary_rubbish(tmp_path: Path) -> None:
-    pytest.importorskip("pybvh")
-    (tmp_path / "clip.bvh").write_bytes(bytes(range(256)) * 10)
-    with pytest.raises(MotionFileError, match="no BVH file that can be read"):
-        read(tmp_path / "clip.bvh")
-
-
-def test_a_missing_file(tmp_path: Path) -> None:
-    pytest.importorskip("pybvh")
+def test_damaged_files_are_one_line(walk_file: Path, tmp_path: Path) -> None:
+    text = walk_file.read_text()
+    moving = with_all_positions(text, lambda offset, frame: (1 + frame / 50) * offset)
+    constant = with_all_positions(text, lambda offset, frame: offset)
+    cannot = "no BVH file that can be read"
+    for damaged, message in (
+        ("", "it has no joints"),
+        (text[: len(text) // 2], cannot),
+        ("\n".join(text.splitlines()[:-3]), "declares 109 frames but .* 106"),
+        (text.replace("CHANNELS 3 Z", "CHANNELS 4 Z", 1), "declares 4 channels"),
+        (text[: text.rindex("\n", 0, -1)] + "\n" + "nan " * 69, "NaN or infinite"),
+        (moving, r"joint \w+ moves within its parent by [\d.]+ units"),
+        (drop_last_value(constant), cannot),
+        (constant[: constant.index("MOTION")] + "MOTION", "no frames after 'MOTION'"),
+    ):
+        walk_file.write_text(damaged)
+        with pytest.raises(MotionFileError, match=message) as caught:
+            read(walk_file)
+        assert str(caught.value).startswith(str(walk_file))
+        assert "\n" not in str(caught.value)
     with pytest.raises(MotionFileError, match=r"none\.bvh: no such file"):
         read(tmp_path / "none.bvh")
 

@@ -9,8 +9,6 @@ from isaacgymenvs_lite.motion.retargeting.contacts import (
     onto_ground,
     pin_feet,
     replanted,
-    spans,
-    swing_profile,
 )
 from isaacgymenvs_lite.motion.retargeting.figure import Sole
 
@@ -75,15 +73,6 @@ def test_short_contacts_and_gaps_are_noise() -> None:
     points[:, 0, 2] = 0.1
     points[30:32, 0, 2] = 0.0  # two frames on the ground
     assert not find_contacts(points, FPS).any()
-
-
-def test_spans_and_profile() -> None:
-    flags = np.array([True, False, False, False, True, True])
-    assert spans(flags) == [(0, 1), (4, 6)]
-    profile = swing_profile(flags)
-    assert profile[0] == profile[4] == 0.0
-    assert profile[2] == 1.0
-    assert not swing_profile(np.ones(3, bool)).any()
 
 
 def test_the_root_rises_with_the_lowest_point_in_contact() -> None:

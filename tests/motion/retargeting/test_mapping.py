@@ -17,10 +17,9 @@ VALID = yaml.safe_load(shipped_mappings()["cmu"].read_text())
 
 
 def write(folder: Path, **changes) -> Path:
-    """Write the CMU mapping with other keys; None removes one."""
-    content = {key: value for key, value in {**VALID, **changes}.items() if value is not None}
-    path = folder / "mapping.yaml"
-    path.write_text(yaml.safe_dump(content))
+    """Write the CMU mapping with other keys."""
+    path = folder / f"{len(list(folder.iterdir()))}_mapping.yaml"
+    path.write_text(yaml.safe_dump({**VALID, **changes}))
     return path
 
 
@@ -33,13 +32,12 @@ def applied(turn: np.ndarray, vector: tuple[float, float, float]) -> np.ndarray:
     return rotations.quat_apply(torch.from_numpy(turn), torch.tensor(vector).double()).numpy()
 
 
-@pytest.mark.parametrize("name", ["cmu", "lafan1"])
-def test_shipped_mappings_move_every_body(name: str, humanoid) -> None:
-    mapping = load_mapping(name)
-    assert set(mapping.sources) == set(humanoid.body_names)
-    np.testing.assert_allclose(applied(mapping.to_z_up, (0.0, 1.0, 0.0)), [0.0, 0.0, 1.0])
-    # Forward in the files, +z, is our +x.
-    np.testing.assert_allclose(applied(mapping.to_z_up, (0.0, 0.0, 1.0)), [1.0, 0.0, 0.0])
+def test_shipped_mappings_move_every_body(humanoid) -> None:
+    for mapping in map(load_mapping, shipped_mappings()):
+        assert set(mapping.sources) == set(humanoid.body_names)
+        np.testing.assert_allclose(applied(mapping.to_z_up, (0.0, 1.0, 0.0)), [0.0, 0.0, 1.0])
+        # Forward in the files, +z, is our +x.
+        np.testing.assert_allclose(applied(mapping.to_z_up, (0.0, 0.0, 1.0)), [1.0, 0.0, 0.0])
 
 
 def test_axes_of_a_frame() -> None:
@@ -51,7 +49,7 @@ def test_axes_of_a_frame() -> None:
     np.testing.assert_allclose(applied(frame, (0.0, 1.0, 0.0)), [0.0, 0.0, 1.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
+@pytest.mark.parametrize("up", ["-x", "+y", "-z"])
 def test_every_axis_may_point_up(tmp_path: Path, up: str) -> None:
     mapping = load_mapping(write(tmp_path, up=up))
     axis = [(1.0 if up[0] == "+" else -1.0) * (letter == up[1]) for letter in "xyz"]
@@ -59,46 +57,16 @@ def test_every_axis_may_point_up(tmp_path: Path, up: str) -> None:
     assert np.linalg.norm(mapping.to_z_up) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"up": "up"}, r"up.*'up'.*\+x"),
-        ({"up": None}, "up' is missing"),
-        ({"unit_m": 0}, "unit_m.*0"),
-        ({"unit_m": "cm"}, "unit_m.*cm"),
-        ({"bodies": bodies(tail="Tail")}, r"unknown body 'tail'.*choices: head, left_foot"),
-        ({"bodies": bodies(head=None)}, "bodies lacks head"),
-        ({"bodies": bodies(head={"joint": "Head"})}, r"bodies\.head: expected x and z"),
-        ({"bodies": bodies(head={"joint": "Head", "x": "+z", "z": "-z"})}, "expected two axes"),
-        ({"bodies": bodies(head={"joint": "Head", "x": "+z", "z": "up"})}, r"head\.z.*'up'"),
-        ({"bodies": bodies(head={"joints": "Head"})}, r"unknown key '.*head\.joints'.*'joint'"),
-        ({"bodies": bodies(head={"x": "+z", "z": "+y"})}, r"bodies\.head\.joint' is missing"),
-        (
-            {"bodies": bodies(head={**VALID["bodies"]["head"], "turn_deg": [1, 2, 3, 4]})},
-            "expected three numbers",
-        ),
-        ({"bodies": ["Hips"]}, "bodies"),
-    ],
-)
-def test_mistakes_are_one_line(tmp_path: Path, changes, message) -> None:
-    with pytest.raises(ConfigError, match=message) as caught:
-        load_mapping(write(tmp_path, **changes))
-    assert "\n" not in str(caught.value)
-    assert "mapping.yaml" in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["[", "", "just text", "\x00"])
-def test_no_mapping_at_all(tmp_path: Path, text: str) -> None:
-    (tmp_path / "mapping.yaml").write_text(text)
-    with pytest.raises(ConfigError, match=r"mapping\.yaml.*(YAML text|expected the keys up)"):
-        load_mapping(tmp_path / "mapping.yaml")
-
-
-def test_an_unknown_name_lists_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"no such file; .*: cmu, lafan1"):
-        load_mapping("mixamo")
-
-
-def test_an_unknown_joint_lists_those_of_the_clip() -> None:
-    with pytest.raises(ConfigError, match=r"bodies\.torso: a\.bvh has unknown joint 'Spine2'.*Hip"):
-        load_mapping("lafan1").check_joints(["Hips", "Head", "Spine1"], "a.bvh")
+def test_mistakes_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.yaml").write_text("[")
+    for mapping, message in (
+        ("mixamo", "no such file; .*: cmu, lafan1"),
+        (tmp_path / "text.yaml", r"text\.yaml is not valid YAML"),
+        (write(tmp_path, up="up"), r"up.*'up'.*\+x"),
+        (write(tmp_path, bodies=bodies(head=None)), "bodies lacks head"),
+        (write(tmp_path, bodies=bodies(head={"joint": "Head"})), r"bodies\.head: expected x and z"),
+        (write(tmp_path, bodies=["Hips"]), "mapping.yaml.*bodies"),
+    ):
+        with pytest.raises(ConfigError, match=message) as caught:
+            load_mapping(mapping)
+        assert "\n" not in str(caught.value)

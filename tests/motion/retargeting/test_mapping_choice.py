@@ -42,15 +42,15 @@ def test_the_keys_of_a_file_tell_its_kind() -> None:
         read_named_mappings("b.yaml,g1")
 
 
-@pytest.mark.parametrize("rig", ["cmu", "lafan1"])
-def test_motion_capture_moves_a_robot(write_bvh, rig: str, caplog) -> None:
+def test_motion_capture_moves_a_robot(write_bvh, caplog) -> None:
+    rig = "cmu"
     write_bvh(Path("dance.bvh"), load_clips("walk_slow")[0][0], rig)
     with caplog.at_level("INFO"):
         convert("dance.bvh", "found.npz", G1, "end_s=0.2")
     assert f"dance.bvh: has the joints of mapping={rig}, which is used\n" in caplog.text
     own = Path("own.yaml")
     own.write_text(shipped_robot_mappings()["g1"].read_text())
-    for mapping in ("own.yaml", f"{rig},g1", f"own.yaml, {rig}"):
+    for mapping in ("own.yaml", f"{rig},g1"):
         convert("dance.bvh", "a.npz", G1, "end_s=0.2", f"mapping={mapping}", "overwrite=True")
         found, same = read_joint_clip("found.npz"), read_joint_clip("a.npz")
         np.testing.assert_array_equal(found.dof_pos, same.dof_pos)

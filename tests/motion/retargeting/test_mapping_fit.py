@@ -26,8 +26,14 @@ def heights_and_way(name: str) -> tuple[np.ndarray, float]:
     return places[..., 2], float(np.linalg.norm(places[-1, 0, :2] - places[0, 0, :2]))
 
 
-@pytest.mark.parametrize(("rig", "joints_too"), [("cmu", True), ("cmu", False), ("lafan1", False)])
-@pytest.mark.parametrize("axes", [Z_UP, X_DOWN, Rotation.from_euler("x", 180, degrees=True)])
+@pytest.mark.parametrize(
+    ("rig", "joints_too", "axes"),
+    [
+        ("cmu", True, Z_UP),
+        ("cmu", False, X_DOWN),
+        ("lafan1", False, Rotation.from_euler("x", 180, degrees=True)),
+    ],
+)
 def test_a_recognised_skeleton_in_other_axes_and_units(
     write_bvh, caplog: pytest.LogCaptureFixture, rig: str, axes: Rotation, joints_too: bool
 ) -> None:
@@ -48,15 +54,13 @@ def test_a_recognised_skeleton_in_other_axes_and_units(
 @pytest.mark.parametrize(
     "names",
     [
-        "{S}Leg, {S}Shin, {S}Foot, {S}ToeBase, {S}Arm, {S}ForeArm, {S}Hand",
-        "UpperLeg_{s}, LowerLeg_{s}, Foot_{s}, Toes_{s}, UpperArm_{s}, LowerArm_{s}, Hand_{s}",
         "thigh.{s}, shin.{s}, foot.{s}, toe.{s}, upper_arm.{s}, forearm.{s}, hand.{s}",
         "{s}_Hip, {s}_Knee, {s}_Ankle, {s}_Foot, {s}_Shoulder, {s}_Elbow, {s}_Wrist",
         "B {s} Thigh, B {s} Calf, B {s} Foot, B {s} Toe0, B {s} UpperArm, B {s} Arm1, B {s} Hand",
     ],
 )
 def test_a_skeleton_of_other_names(write_bvh, names: str) -> None:
-    """SOMA, Bandai-Namco, Blender, SMPL and Biped have these joint names."""
+    """Blender, SMPL and Biped have these joint names."""
     walk = load_clips("walk_slow")[0][0]
     text = write_bvh(Path("a.bvh"), walk, "cmu", axes=Z_UP, joint_axes=Z_UP, unit_m=1.0).read_text()
     parts = ("UpLeg", "Leg", "Foot", "ToeBase", "Arm", "ForeArm", "Hand")
@@ -73,16 +77,7 @@ def test_a_skeleton_of_other_names(write_bvh, names: str) -> None:
     ("pattern", "written", "shape", "expected"),
     [
         ("", "", {"axes": Z_UP}, r"head is above its feet along \+z, not \+y: write up: \+z"),
-        ("", "", {"axes": X_DOWN}, r"along -x, not \+y: write up: -x"),
-        (r"up: \+y", "up: -z", {}, r"along \+y, not -z: write up: \+y"),
         ("unit_m: .*", "unit_m: 0.01", {}, r"legs are 0.14\d m long, .*: write unit_m: 0.0564"),
-        ("", "", {"unit_m": 0.001}, r"legs are 46\.9 m long, .*: write unit_m: 0.001"),
-        (
-            "Hips, x: .z, z: .y",
-            "Hips, x: +x, z: +y",
-            {},
-            r"write pelvis: {joint: Hips, x: \+z, z: ",
-        ),
         ("Foot, x: .z", "Foot, x: -z", {}, r"write right_foot: {joint: RightFoot, x: \+z, z: \+y}"),
         ("Left|Right", {"Left": "Right", "Right": "Left"}, {}, "knees bend backward"),
     ],
@@ -99,8 +94,9 @@ def test_a_mapping_by_hand_that_does_not_fit(
     assert re.search(expected, line)
 
 
-@pytest.mark.parametrize("rig", ["cmu", "lafan1"])
-@pytest.mark.parametrize("about_y_deg", [180.0, 89.0, -89.0, 70.0])
+@pytest.mark.parametrize(
+    ("rig", "about_y_deg"), [("cmu", 180.0), ("lafan1", 89.0), ("cmu", -89.0), ("lafan1", 70.0)]
+)
 def test_who_lies_crawls_or_stands_on_the_hands_is_not_turned(
     write_bvh, make_humanoid_clip, caplog: pytest.LogCaptureFixture, rig: str, about_y_deg: float
 ) -> None:

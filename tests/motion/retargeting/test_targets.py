@@ -21,13 +21,13 @@ def targets_of(path: Path, rig: str, skeleton):
     return make_targets(source_from_bvh(clip, mapping), humanoid_figure(skeleton))
 
 
-@pytest.mark.parametrize("size", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("size", [0.5, 2.0])
 def test_size_is_taken_from_the_legs(tmp_path: Path, write_bvh, humanoid, size) -> None:
     path = write_bvh(tmp_path / "a.bvh", load_clips("stand")[0][0], "cmu", size=size, arms=1.3)
     assert targets_of(path, "cmu", humanoid).scale == pytest.approx(1.0 / size, rel=1e-5)
 
 
-@pytest.mark.parametrize("height", [-0.3, 0.0, 2.0])
+@pytest.mark.parametrize("height", [-0.3, 2.0])
 def test_soles_stand_on_the_ground_wherever_the_file_has_it(
     tmp_path: Path, write_bvh, humanoid, make_humanoid_clip, height
 ) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from isaacgymenvs_lite.check import describe, main
+from isaacgymenvs_lite.commands.check import describe, main
 from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.tasks import isaacgym_task_map

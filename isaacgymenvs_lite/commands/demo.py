@@ -138,7 +138,7 @@ def _names(wanted: Sequence[str], infos: Mapping[str, PolicyInfo]) -> list[str]:
     if not infos:
         raise ConfigError(
             f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
-            " isaacgymenvs_lite.policies pack checkpoint=FILE name=NAME"
+            " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     if not wanted and sys.stdin.isatty():
         wanted = ask(infos)

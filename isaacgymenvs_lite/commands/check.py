@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("settings", nargs="*", default=[], metavar="key=value")
     args = parser.parse_args(arguments)
     if args.file is None:
-        from isaacgymenvs_lite.installation import describe_installation  # torch, MuJoCo
+        from isaacgymenvs_lite.commands.installation import describe_installation  # torch, MuJoCo
 
         lines, works = describe_installation()
         sys.stdout.write("\n".join([*lines, ""]))

@@ -25,7 +25,7 @@ from isaacgymenvs_lite.errors import MotionFileError, SweepError
 from tests.tiny import CONFIG, TINY_AMP, TINY_PPO, train_in
 from tests.train_command import make_train_command
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 CARTPOLE = ("task=Cartpole", *TINY_PPO)
 OPTUNA = (
     *("hydra/sweeper=optuna", "hydra.sweeper.n_jobs=1", "hydra.sweeper.n_trials=8"),

@@ -66,7 +66,7 @@ print(make().num_envs)
 def _run(tmp_path: Path, script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     (tmp_path / "script.py").write_text(script)
     (tmp_path / "neighbour.py").write_text("VALUE = 5\n")
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", str(tmp_path / "script.py")]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", str(tmp_path / "script.py")]
     return subprocess.run(
         [*command, *arguments], capture_output=True, text=True, check=False, cwd=tmp_path
     )
@@ -82,7 +82,7 @@ def test_a_script_of_isaacgymenvs_runs_unchanged(tmp_path: Path) -> None:
 
 
 def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", str(tmp_path / "lost.py")]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", str(tmp_path / "lost.py")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
@@ -209,7 +209,7 @@ def fork(tmp_path: Path, walk_clip: Path) -> Path:
 
 
 def _train(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "isaacgymenvs_lite.alias", "train.py", *words]
+    command = [sys.executable, "-m", "isaacgymenvs_lite", "alias", "train.py", *words]
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
 
 

@@ -15,11 +15,11 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from isaacgymenvs_lite import demo
 from isaacgymenvs_lite.checkpoints import shipped
 from isaacgymenvs_lite.checkpoints.packed import pack_policy
+from isaacgymenvs_lite.commands import demo
+from isaacgymenvs_lite.commands.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.config.compose import compose
-from isaacgymenvs_lite.demo import DemoSettings, run_demo
 from isaacgymenvs_lite.errors import ConfigError, MotionFileError
 from isaacgymenvs_lite.motion.formats import deepmimic_package
 from isaacgymenvs_lite.runner import run

@@ -10,7 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from isaacgymenvs_lite import __version__, check, installation
+from isaacgymenvs_lite import __version__
+from isaacgymenvs_lite.commands import check, installation
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.rendering.gl import RenderingError
 
