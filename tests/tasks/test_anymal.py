@@ -191,6 +191,15 @@ def test_commands_stay_for_an_episode_and_change_with_it(make_task) -> None:
     assert (task.commands[1] != before[1]).all()
 
 
+def test_published_names_of_files_stand_for_ours(make_task) -> None:
+    task = make_task("task=Anymal", "task.env.urdfAsset.file=urdf/anymal_c/urdf/anymal.urdf")
+    assert task.simulation.body_names[1] == "LF_HIP"
+    with pytest.raises(ConfigError, match=r"task\.env\.urdfAsset\.file='mjcf/dog\.xml': no file"):
+        make_task("task=Anymal", "task.env.urdfAsset.file=mjcf/dog.xml")
+    with pytest.raises(ConfigError, match=r"task\.env\.asset: .*urdfAsset\.file"):
+        make_task("task=Anymal", "+task.env.asset.assetFileName=mjcf/ant.xml")
+
+
 def test_what_cannot_be_used_is_named(make_task) -> None:
     for override, message in [
         ("task.env.control.controlFrequencyInv=2", "controlFrequencyInv"),
