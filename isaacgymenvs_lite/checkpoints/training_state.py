@@ -221,7 +221,7 @@ def _newest_state(run: RunFolder) -> Path | None:
     state, checkpoint = newest(states), run.newest_checkpoint()
     if state is None or checkpoint is None:
         return state or checkpoint
-    epoch = -1
+    epoch = -1  # of a checkpoint that cannot be used
     with contextlib.suppress(CheckpointError):
         epoch = int(load_checkpoint(checkpoint).get("epoch", -1))
     if epoch <= int(state.stem):
