@@ -475,10 +475,6 @@ def _read_params(launch: _Launch, task: VecTask) -> dict[str, Any]:
         names=known_names(build_runner()),
     )
     check_env_name(params)
-    if not isinstance(save_buffers := params["config"].get("save_buffers", True), bool):
-        raise ConfigError(
-            f"train.params.config.save_buffers={save_buffers!r}: expected True or False"
-        )
     params["config"] |= {"train_dir": str(launch.folder.train_dir), "resume": settings.resume}
     if launch.checkpoint:  # the path that `last` or a name means, for agents that look into it
         params |= {"load_checkpoint": True, "load_path": launch.checkpoint}
@@ -535,11 +531,6 @@ def _measurement_observer(
     """
     has_motions = hasattr(task, "motion_lib")
     frequency = config.get("imitation_frequency", _DEFAULT_IMITATION_FREQUENCY)
-    if not isinstance(frequency, int) or frequency < 0:
-        raise ConfigError(
-            f"train.params.config.imitation_frequency={frequency!r}: expected epochs between"
-            " evaluations, 0 for none"
-        )
     if frequency == 0 or (not has_motions and task.max_episode_length > _LONGEST_MEASURED):
         return None
     if not has_motions and (epochs := config.get("max_epochs", -1)) > 0:

@@ -31,12 +31,12 @@ from isaacgymenvs_lite.utils.optional_packages import require
 log = logging.getLogger(__name__)
 
 _GROUPS = ("task", "train", "pbt")
-# Sections of a tree that are read before all of them are checked.
+# These sections are read before all of them are checked.
 _SECTIONS = (
     *("task.env", "task.sim", "task.task", "train.params"),
     *(f"train.params.{name}" for name in ("algo", "model", "network", "config")),
 )
-# Sections and keys that a tree must have, and where they come from.
+# A tree must have these keys; the hints say where they come from.
 _REQUIRED = {
     "task.name": "a task file starts with name:",
     "task.env": "a task file has the settings of the task below env:",

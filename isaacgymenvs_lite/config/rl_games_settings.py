@@ -39,6 +39,10 @@ class RunSettings:
     save_frequency: int = setting(0, minimum=0)
     keep_checkpoints: int = setting(0, minimum=0)
     """Newest checkpoints of save_frequency that stay, beside the best; 0: all."""
+    save_buffers: bool = setting(True)
+    """Store replay buffers for resume=, too."""
+    imitation_frequency: int = setting(50, minimum=0)
+    """Epochs between measurements of the mean policy; 0: none."""
     print_stats: bool = setting(True)
     games_to_track: int = setting(100, minimum=1)
     reward_shaper: Mapping[str, Any] = setting({})
@@ -162,7 +166,7 @@ OTHER_KEYS = UNREAD_KEYS | frozenset(
         *("env_args", "env_config", "env_info", "epochs_between_resets", "features"),
         *("freeze_critic", "full_experiment_name", "is_train", "log_path", "max_steps"),
         *("multi_gpu", "network", "network_path", "normalize_advantage", "normalize_value"),
-        *("num_actors", "pbt_idx", "player", "population_based_training", "save_buffers"),
+        *("num_actors", "pbt_idx", "player", "population_based_training"),
         *("schedule_entropy", "self_play", "self_play_config", "seq_len", "torch_compile"),
         *("use_diagnostics", "use_experimental_cv", "use_smooth_clamp", "value_size", "vec_env"),
         *("weight_decay", "zero_rnn_on_done"),

@@ -278,7 +278,7 @@ def _checked(file: Path, group: str) -> dict[Any, Any]:
     defaults = content.get("defaults") or []
     for entry in defaults if isinstance(defaults, list) else [defaults]:
         _check_entry(entry, file, is_root=not own)
-    # What published files leave to the command line or to the code of their project.
+    # Published files leave these to the command line or to the code of their project.
     config = select(content, "params.config")
     if isinstance(config, dict) and "llc_config" in config and "defaults" not in content:
         config.setdefault("llc_checkpoint", "")

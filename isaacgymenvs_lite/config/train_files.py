@@ -43,7 +43,7 @@ def load_train_file(
     config = params.get("config")
     if not isinstance(config, dict):
         return content
-    config["device"] = config["device_name"] = rl_device  # of agents and of players
+    config["device"] = config["device_name"] = rl_device  # agents read one, players the other
     config.setdefault("reward_shaper", {})
     if params.get("seed") == -1:
         params["seed"] = resolve_seed(-1)

@@ -58,7 +58,7 @@ _GOES_WITH: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "gen_amp": (("continuous_gen_amp", "gen_amp", "ase"), ("gen_amp", "ase")),
     "ase": (("ase", "continuous_gen_amp", "gen_amp"), ("ase", "gen_amp")),
     **dict.fromkeys(("hrl", "hrl_continuous"), _HRL),
-    # rl_games' own, with which no algorithm runs here.
+    # No algorithm runs here with these names of rl_games' own.
     "": (
         ("central_value", "continuous_a2c"),
         ("resnet_actor_critic", "rnd_curiosity", "testnet", "testnet_aux_loss"),

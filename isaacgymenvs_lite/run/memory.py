@@ -32,7 +32,7 @@ def check_training_memory(params: Mapping[str, Any], task: Any, num_envs: int) -
         return value if isinstance(value := config.get(key), int) else 0
 
     amp_size = getattr(task, "num_amp_obs", 0) if "amp_replay_buffer_size" in config else 0
-    # Observation, states, action with its distribution, and others.
+    # A row has observation, states, action with its distribution, and others.
     row = task.num_obs + task.num_states + 3 * task.num_actions + 4 + amp_size
     samples = num_envs * task.num_agents * count("horizon_length")
     replayed = count("replay_buffer_size") * (2 * task.num_obs + task.num_actions + 2)

@@ -98,7 +98,7 @@ def run_job(run: Callable[..., float | None], parent: int) -> float | None:
         csv.writer(file).writerow([job.job.num, " ".join(job.overrides.task), written, failure])
     if failure:
         log.error("job #%d: %s", job.job.num, failure)
-    # The worst number, so that a sweeper goes on.
+    # A sweeper goes on after the worst number.
     worst = -math.inf if direction == "maximize" else math.inf
     return worst if failure else number
 
