@@ -41,7 +41,7 @@ from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
 from isaacgymenvs_lite.tasks.base.pushes import push_interval, set_planar_velocities
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
-from isaacgymenvs_lite.tasks.base.vec_task import Done, ResetMode
+from isaacgymenvs_lite.tasks.base.vec_task import Done
 from isaacgymenvs_lite.tasks.base.velocity_tracking import (
     CONTACT_THRESHOLD_N,
     VelocityTrackingTask,
@@ -89,7 +89,6 @@ class AnymalTerrain(VelocityTrackingTask):
     num_observations = 188
     num_actions = 12
     num_commands = 4
-    reset_mode = ResetMode.SAME_STEP
 
     # --- construction -----------------------------------------------------------------------
 
@@ -160,14 +159,39 @@ class AnymalTerrain(VelocityTrackingTask):
         self.air_time_s = torch.zeros(len(self._foot_ids), n, device=device)
         self._reward_sums = torch.zeros(len(TERM_NAMES), n, device=device)
         self._episode: dict[str, Tensor] = {}
+        self._final_observations: dict[str, Tensor] = {}
 
     # --- step -------------------------------------------------------------------------------
 
     def pre_physics_step(self, actions: Tensor) -> None:
         """Set the joint positions of actions (N, 12) that the drives aim at."""
+        self._start_episodes()  # those that nobody started by `reset`
         self.last_actions = self.actions
         self._last_dof_vel.copy_(self.simulation.dof_vel.t())
         super().pre_physics_step(actions)
+
+    def post_physics_step(self) -> None:
+        """As the base, but episodes start in the step that ends the ones before, as published.
+
+        They start after the reward and before the observation.
+        """
+        self.extras.clear()
+        self.progress_buf += 1
+        self.randomize_buf += 1
+        self.update_state()
+        self.compute_reset()
+        self.compute_reward()
+        if self.keeps_final_observations and self.reset_buf.any():
+            self.compute_observations()
+            self._final_observations = self._observations()
+            if self._discarded is not None:
+                self._repeat_observations(self._final_observations)
+        self._start_episodes()
+        self.compute_observations()
+
+    def final_observations(self) -> dict[str, Tensor]:
+        """See `VecTask.final_observations`."""
+        return self._final_observations
 
     def update_state(self) -> None:
         """Read the contacts, push the robots when it is due, and update the yaw commands."""

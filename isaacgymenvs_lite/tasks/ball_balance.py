@@ -25,7 +25,6 @@ from isaacgymenvs_lite.tasks.base.mjcf_task import MjcfTask
 from isaacgymenvs_lite.tasks.base.random_values import uniform
 from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.task_config import TaskConfig
-from isaacgymenvs_lite.tasks.base.vec_task import ResetMode
 from isaacgymenvs_lite.tasks.base.wrenches import measure_wrenches, torques_about
 
 _DRIVEN_JOINTS = ("lower_leg_joint0", "lower_leg_joint1", "lower_leg_joint2")
@@ -132,7 +131,7 @@ class BallBalance(MjcfTask):
     actor_name = "bbot"
     num_observations = 24
     num_actions = 3
-    reset_mode = ResetMode.BEFORE_PHYSICS
+    starts_before_physics = True
     zero_action_at_reset = True
 
     def change_spec(self, spec: mujoco.MjSpec) -> None:

@@ -66,8 +66,8 @@ class HumanoidAMP(HumanoidAMPBase):
     follows episodes through their clips.
 
     The AMP observation holds `numAMPObsSteps` control steps, the newest first. The agent calls
-    `reset_done` before each policy step, so that `step` returns the terminal observation, and reads
-    `infos["amp_obs"]` (N, F) and `infos["terminate"]` (N,).
+    `reset_done` before each policy step, and reads `infos["amp_obs"]` (N, F) and
+    `infos["terminate"]` (N,).
 
     Beside the style, a task that derives from it can reward a goal, which the last entries of the
     policy's observation describe.

@@ -27,7 +27,6 @@ from isaacgymenvs_lite.tasks.base.reward_terms import Terms
 from isaacgymenvs_lite.tasks.base.vec_task import (
     ActionScaling,
     Done,
-    ResetMode,
     RobotDescription,
     RobotState,
 )
@@ -77,7 +76,8 @@ class HumanoidAMPBase(MjcfTask):
     settings_class = HumanoidAMPConfig
     default_asset = OWN_ASSET
     actor_name = "humanoid"
-    reset_mode = ResetMode.ON_REQUEST
+    starts_before_physics = True
+    agents_call_reset_done = True
     num_dofs_of_assets: ClassVar[tuple[int, ...]] = (NUM_ACTIONS,)
     """Degrees of freedom of the models that the task can simulate; empty: any number."""
 
