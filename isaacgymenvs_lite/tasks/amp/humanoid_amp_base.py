@@ -200,28 +200,21 @@ class HumanoidAMPBase(MjcfTask):
         """Return PD targets offset + scale * action (rad), or torques (Nm), (N, D)."""
         return torch.addcmul(self._action_offset, self._action_scale, actions)
 
-    @torch.inference_mode()
     def compute_obs(self) -> Tensor:
-        """See `compute_humanoid_observations`."""
-        return self._observe(None)
+        """Return the observations of all environments."""
+        return self.compute_obs_of(None)
 
     @torch.inference_mode()
-    def compute_obs_of(self, env_ids: Tensor) -> Tensor:
-        """Return the observations of environments (n,) only, which start an episode."""
-        return self._observe(env_ids)
-
-    def _observe(self, env_ids: Tensor | None) -> Tensor:
-        """Return the observations of all environments, or of `env_ids` (n,)."""
+    def compute_obs_of(self, env_ids: Tensor | None) -> Tensor:
+        """Return the observations of environments (n,) that start an episode, or of all."""
         return self._observe_character(env_ids)
 
     def _observe_character(self, env_ids: Tensor | None) -> Tensor:
         """Return what is observed of all characters, or of `env_ids` (n,)."""
-        return self._observe_states(self._character_states(env_ids))
-
-    def _observe_states(self, states: CharacterState) -> Tensor:
-        """Return the observations of any states, see `compute_humanoid_observations`."""
         return compute_humanoid_observations(
-            *states, self.env_cfg.local_root_obs, dof_offsets=self._layout.dof_offsets
+            *self._character_states(env_ids),
+            self.env_cfg.local_root_obs,
+            dof_offsets=self._layout.dof_offsets,
         )
 
     def _character_states(self, env_ids: Tensor | None) -> CharacterState:

@@ -145,9 +145,14 @@ class ClipStarts(Stateful):
         soon_limit: control steps; a failure within half of them counts for the start at most.
         ahead_s: how far ahead, in s, the goal looks from a start.
         ends_with_clip: whether episodes end with their clip.
+
+    Attributes:
+        clips: (N,) in which the episodes started, -1: in the default pose.
+        times_s: (N,) s, when in them.
+        adaptive: where episodes fail; None without `adaptive_starts`.
     """
 
-    stored = ("clips", "times_s", "_rows", "_left", "_adaptive")
+    stored = ("clips", "times_s", "_rows", "_left", "adaptive")
 
     def __init__(
         self,
@@ -166,15 +171,14 @@ class ClipStarts(Stateful):
         self._ahead_s = tuple(ahead_s)
         self._least_left_s = _LEAST_LEFT_S if ends_with_clip else None
         self._adaptive_share = config.adaptive_starts
-        self._adaptive: AdaptiveStarts | None = None
+        self.adaptive: AdaptiveStarts | None = None
         if config.adaptive_starts > 0.0:
-            self._adaptive = AdaptiveStarts(
+            self.adaptive = AdaptiveStarts(
                 lib.get_motion_length(range(lib.num_motions())),
                 lib.motion_weights(),
                 min(round(_FAILS_SOON_S / control_dt_s), soon_limit // 2),
             )
         self._block = min(num_envs, _STARTS_AT_A_TIME)
-        # Clips in which the episodes started, -1: in the default pose; and when in them.
         self.clips = torch.full((num_envs,), -1, dtype=torch.int64, device=device)
         self.times_s = torch.zeros(num_envs, device=device)
         self.clear()
@@ -213,14 +217,9 @@ class ClipStarts(Stateful):
             steps: (n,) control steps.
             failed: (n,) bool.
         """
-        if self._adaptive is not None and len(env_ids) > 0:
-            bins = self._adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
-            self._adaptive.count(bins, steps, failed)
-
-    @property
-    def learns_where_episodes_fail(self) -> bool:
-        """Whether `count_ended` has an effect."""
-        return self._adaptive is not None
+        if self.adaptive is not None and len(env_ids) > 0:
+            bins = self.adaptive.bins_of(self.clips[env_ids], self.times_s[env_ids])
+            self.adaptive.count(bins, steps, failed)
 
     @torch.inference_mode()
     def _draw(self, n: int) -> tuple[Tensor, ...]:
@@ -239,9 +238,9 @@ class ClipStarts(Stateful):
         if self._starts_at_zero:
             return motion_ids, torch.zeros(n, device=motion_ids.device)
         times = lib.sample_time(motion_ids, truncate_time=self._least_left_s)
-        if self._adaptive is not None:
+        if self.adaptive is not None:
             is_adaptive = torch.rand(n, device=times.device) < self._adaptive_share
-            hard_ids, hard_times = self._adaptive.draw(n)
+            hard_ids, hard_times = self.adaptive.draw(n)
             motion_ids = torch.where(is_adaptive, hard_ids, motion_ids)
             times = torch.where(is_adaptive, hard_times, times)
         return motion_ids, times

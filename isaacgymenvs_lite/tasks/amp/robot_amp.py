@@ -161,7 +161,7 @@ class RobotAMP(HumanoidAMP):
         """As the base, or see `compute_states`."""
         if not self.env_cfg.is_deployable:
             return super().states_size()
-        own = self._num_amp_obs_per_step() + self._layout.num_dofs + 1
+        own = self._num_amp_obs_per_step + self._layout.num_dofs + 1
         return own + self.get_task_obs_size()
 
     def allocate_buffers(self) -> None:
@@ -251,7 +251,7 @@ class RobotAMP(HumanoidAMP):
             return super().current_amp_features(env_ids)
         if self.num_states == 0:
             return self._amp_features(self._character_states(env_ids))
-        features = self.states_buf[:, : self._num_amp_obs_per_step()]  # the critic's first part
+        features = self.states_buf[:, : self._num_amp_obs_per_step]  # the critic's first part
         return features if env_ids is None else features.index_select(0, env_ids)
 
 

@@ -5,15 +5,15 @@ The next episode starts in the next step, or earlier if somebody calls `reset_do
 starts after the physics, as in IsaacGymEnvs: the action has no effect, and the step returns the
 first observation. Three kinds of tasks differ:
 
-- `starts_before_physics`: it starts before the physics, so that the step belongs to the new episode.
+- `starts_before_physics`: it starts before the physics, and the step belongs to it.
 - AnymalTerrain starts it in the step that ends the episode before.
 - A task of IsaacGymEnvs overrides `create_sim`, `pre_physics_step`, `post_physics_step` and
   `reset_idx`. It starts episodes where it calls `reset_idx`, and `reset` starts none.
 
 **A step** is, in this order: actions made finite, given noise and clamped; `pre_physics_step`
-(`compute_controls`); `simulation.step`; `post_physics_step` (`update_state`, `compute_observations`,
-`compute_reward`, `compute_reset`); `infos`; noise of domain randomisation on the observations;
-`listeners`. A task fills in the methods in the section of that name. `MjcfTask` adds checked keys
+(`compute_controls`); `simulation.step`; `post_physics_step` (`update_state`,
+`compute_observations`, `compute_reward`, `compute_reset`); `infos`; noise of domain randomisation
+on the observations; `listeners`. A task fills in the methods in the section of that name. `MjcfTask` adds checked keys
 and a model.
 
 **Tensors.** N is always the first dimension. The state tensors of `simulation` belong to the
@@ -265,7 +265,7 @@ class VecTask(Env):
     it was chosen for the last state of the one before."""
     agents_call_reset_done: ClassVar[bool] = False
     """Agents choose the first action of an episode for its first observation: they call
-    `reset_done` before each step, and `reset_idx` observes. `RLGPUEnv` calls it for other agents."""
+    `reset_done` before each step, and `reset_idx` observes. `RLGPUEnv` calls it for the others."""
     is_training: bool = False
     keeps_final_observations: bool = False
     not_stored: ClassVar[tuple[str, ...]] = (
