@@ -29,9 +29,9 @@ import torch
 from torch import Tensor
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.tasks.anymal_terrain_config import AnymalTerrainConfig
 from isaacgymenvs_lite.tasks.anymal_terrain_terms import (
     TERM_NAMES,
+    AnymalTerrainConfig,
     WalkStep,
     compute_air_time,
     compute_anymal_terrain_observations,
@@ -77,9 +77,6 @@ class AnymalTerrain(VelocityTrackingTask):
         curriculum: on which tile each robot walks.
         commands: (N, 4) velocity along x and y of the base (m/s), yaw rate (rad/s), and the heading
             (rad) that the yaw rate leads to.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = AnymalTerrainConfig
@@ -207,13 +204,9 @@ class AnymalTerrain(VelocityTrackingTask):
         self._episode = {}
         if self.env_cfg.learn.push_robots and (self.control_steps + 1) % self.push_interval == 0:
             # After the forces were read, which a new state is without.
-            self._push()
+            velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
+            set_planar_velocities(sim, velocities_w)
         self._steer()
-
-    def _push(self) -> None:
-        """Give the bases another velocity over the ground, in place of the one they have."""
-        velocities_w = uniform(self.reset_buf, -_PUSH_M_S, _PUSH_M_S, (2,))
-        set_planar_velocities(self.simulation, velocities_w)
 
     def _steer(self) -> None:
         """Command the yaw rates that lead to the commanded headings."""

@@ -121,9 +121,6 @@ class BallBalance(MjcfTask):
 
     Attributes:
         targets: (N, 3) position targets (rad), which stay from step to step.
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = BallBalanceConfig

@@ -189,7 +189,7 @@ class ClipPhases(Stateful):
         self._mean_steps = torch.zeros((), device=device)
         self._longest_mean = torch.zeros((), device=device)
         # How much of the wide limits is left: 1 while the mean episode lasts a second, 0 once it
-        # has lasted three, or half of a clip that does not repeat. What has gone does not come back.
+        # has lasted three, or half of a clip that does not repeat. It never rises again.
         self._eased = 1.0
 
     @classmethod

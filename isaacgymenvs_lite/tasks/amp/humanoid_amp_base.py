@@ -68,9 +68,6 @@ class HumanoidAMPBase(MjcfTask):
     Differs from IsaacGymEnvs (each named in docs/amp.md): falls count contact forces in any
     direction; the observation after a reset describes the new state; the default pose is the
     zero pose (the original's crosses the arms in front of the chest).
-
-    Raises:
-        ConfigError: a key or value of `task.env` or `task.sim` that cannot be used.
     """
 
     settings_class = HumanoidAMPConfig

@@ -79,13 +79,12 @@ class MjcfTask(VecTask):
         """Return the compiled model."""
         path = asset_path(self.env_cfg.asset, self.default_asset, self.published_assets)
         friction = self.env_cfg.plane.dynamic_friction
-        return compile_model(
-            path, self.default_asset, self.sim_cfg, friction, self._keep_and_change_spec
-        )
 
-    def _keep_and_change_spec(self, spec: mujoco.MjSpec) -> None:
-        self._spec = spec
-        self.change_spec(spec)
+        def keep_and_change(spec: mujoco.MjSpec) -> None:
+            self._spec = spec
+            self.change_spec(spec)
+
+        return compile_model(path, self.default_asset, self.sim_cfg, friction, keep_and_change)
 
     def scene(self) -> mujoco.MjSpec | None:
         """Return the simulated model as a specification, which can be written as MJCF.

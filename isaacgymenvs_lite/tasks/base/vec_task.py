@@ -13,8 +13,8 @@ first observation. Three kinds of tasks differ:
 **A step** is, in this order: actions made finite, given noise and clamped; `pre_physics_step`
 (`compute_controls`); `simulation.step`; `post_physics_step` (`update_state`,
 `compute_observations`, `compute_reward`, `compute_reset`); `infos`; noise of domain randomisation
-on the observations; `listeners`. A task fills in the methods in the section of that name. `MjcfTask` adds checked keys
-and a model.
+on the observations; `listeners`. A task fills in the methods in the section of that name.
+`MjcfTask` adds checked keys and a model.
 
 **Tensors.** N is always the first dimension. The state tensors of `simulation` belong to the
 backend and change with its `step` and `write_state`. The buffers of the class docstring belong to
@@ -160,7 +160,15 @@ class Env(Stateful):
         self.headless = headless
         self.rl_device = rl_device
         self.sim_device = sim_device
-        self.device = tensor_device(sim_device, sim.use_gpu_pipeline)
+        # Published commands with `sim_device=cuda:N` and `pipeline=gpu` are accepted.
+        self.device = torch.device("cpu")
+        if sim_device != "cpu" or sim.use_gpu_pipeline:
+            log.info(
+                "physics runs on the CPU (mujoco.batch): sim_device=%s%s has no effect;"
+                " observations go to rl_device",
+                sim_device,
+                " pipeline=gpu" if sim.use_gpu_pipeline else "",
+            )
         has_cameras = bool(config["env"].get("enableCameraSensors", False))
         self.graphics_device_id = -1 if headless and not has_cameras else graphics_device_id
 
@@ -298,15 +306,12 @@ class VecTask(Env):
         self._camera = TaskCamera(self, *_PICTURE_SIZE)
         self.create_sim()
         self.allocate_buffers()
-        self.randomizer = self._make_randomizer(config.get("task") or {})
-
-    def _make_randomizer(self, section: dict[str, Any]) -> DomainRandomizer | None:
-        """Return the randomiser of `task.task`, None if it is off."""
-        if not section.get("randomize", False):
-            return None
-        params = section.get("randomization_params") or {}
-        layout = ModelLayout.from_model(self.simulation.model)
-        return DomainRandomizer(params, self.simulation, layout, [self.actor_name])
+        self.randomizer: DomainRandomizer | None = None
+        section = config.get("task") or {}
+        if section.get("randomize", False):
+            params = section.get("randomization_params") or {}
+            layout = ModelLayout.from_model(self.simulation.model)
+            self.randomizer = DomainRandomizer(params, self.simulation, layout, [self.actor_name])
 
     # --- what a task fills in -------------------------------------------------------------
 
@@ -675,19 +680,3 @@ class VecTask(Env):
 
 def _unbounded_box(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-
-
-def tensor_device(sim_device: str, use_gpu_pipeline: bool) -> torch.device:
-    """Return the device of a task's tensors: the physics' device, the CPU with all backends so far.
-
-    `sim_device=cuda:N` and `pipeline=gpu` of published commands are accepted, with a line in the
-    log.
-    """
-    if sim_device != "cpu" or use_gpu_pipeline:
-        log.info(
-            "physics runs on the CPU (mujoco.batch): sim_device=%s%s has no effect; observations"
-            " go to rl_device",
-            sim_device,
-            " pipeline=gpu" if use_gpu_pipeline else "",
-        )
-    return torch.device("cpu")
