@@ -179,14 +179,10 @@ class StateConverter:
     def fill_body_velocities(self, buffers: StateBuffers) -> None:
         """Fill in the velocities of the bodies, after `fill_bodies`."""
         buffers.has_body_velocities = True
-        self._kinematics.velocities(
-            buffers.qpos,
-            buffers.velocities[self._first_velocity :],
-            buffers.body_pos,
-            buffers.body_rot,
-            buffers.body_lin_vel,
-            buffers.body_ang_vel,
-        )
+        qvel = buffers.velocities[self._first_velocity :]
+        poses = buffers.body_pos, buffers.body_rot
+        velocities = buffers.body_lin_vel, buffers.body_ang_vel
+        self._kinematics.velocities(buffers.qpos, qvel, *poses, *velocities)
 
     def of_objects(self, qpos_rows: Doubles, qvel_rows: Doubles) -> tuple[Doubles, Doubles]:
         """Return the objects' parts (n, K, 7) and (n, K, 6) of qpos (n, nq) and qvel (n, nv).
