@@ -14,9 +14,9 @@ from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_
 
 
 class RLGPUEnv(IVecEnv):
-    """Gives rl_games the task that the registered creator makes.
+    """Gives rl_games the task that the registered creator makes, as attribute `env`.
 
-    Agents of two kinds step an `ON_REQUEST` task. Those of the AMP family, a fork's own too, call
+    Agents of two kinds step an `ON_REQUEST` task. Agents of the AMP family, a fork's own too, call
     `reset_done` before each action and need the last observation of an episode from `step`.
     rl_games' own never call it and need the first observation of the next one. So the task starts
     as `SAME_STEP`, and the first call of `reset_done` chooses `ON_REQUEST` for good. Other tasks
@@ -27,10 +27,6 @@ class RLGPUEnv(IVecEnv):
         num_actors: rl_games' number of environments, for `isaacgymenvs_lite.make` without
             `num_envs`; a creator of your own does not receive it.
         kwargs: for the creator.
-
-    Attributes:
-        env: the task.
-        reset_mode: when the next episode starts, from the agent's point of view; see above.
     """
 
     def __init__(self, config_name: str, num_actors: int, **kwargs: Any) -> None:
