@@ -59,11 +59,7 @@ ABSENT: dict[str, str] = {
 
 
 def absent_because(module: str) -> str | None:
-    """Return why a published module has no counterpart, None if it is in no table.
-
-    Args:
-        module: name below the published package, such as `tasks.factory.factory_base`.
-    """
+    """Return why a published module (`tasks.factory.factory_base`) has no counterpart, or None."""
     return _below(module, ABSENT)
 
 
@@ -73,7 +69,5 @@ def stand_in_because(module: str) -> str | None:
 
 
 def _below(module: str, table: dict[str, str]) -> str | None:
-    for name, reason in table.items():
-        if module == name or module.startswith(f"{name}."):
-            return reason
-    return None
+    names = (name for name in table if f"{module}.".startswith(f"{name}."))
+    return table.get(next(names, ""))
