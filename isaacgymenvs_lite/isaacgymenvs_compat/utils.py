@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +20,6 @@ from isaacgymenvs_lite.env_factory import seed_everything
 from isaacgymenvs_lite.errors import ConfigError
 
 log = logging.getLogger(__name__)
-
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
-_LONGEST_PAUSE_S = 30.0
 
 
 def set_np_formatting() -> None:
@@ -38,23 +34,21 @@ def set_seed(seed: int, torch_deterministic: bool = False, rank: int = 0) -> int
     return resolved
 
 
-def retry(
-    times: int, exceptions: type[Exception] | tuple[type[Exception], ...]
-) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
+def retry(times: int, exceptions: type[Exception] | tuple[type[Exception], ...]) -> Callable:
     """Return a decorator that calls a function again after exceptions, `times` times at most.
 
     Before the k-th repetition there is a pause of 2^(k - 1) s, of 30 s at most.
     """
 
-    def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    def decorate(function: Callable) -> Callable:
         @functools.wraps(function)
-        def again(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        def again(*args: Any, **kwargs: Any) -> Any:
             for attempt in range(times):
                 try:
                     return function(*args, **kwargs)
                 except exceptions as error:
                     log.warning("%s failed (%s), attempt %d", function, error, attempt + 1)
-                    time.sleep(min(2.0**attempt, _LONGEST_PAUSE_S))
+                    time.sleep(min(2.0**attempt, 30.0))
             return function(*args, **kwargs)
 
         return again

@@ -17,10 +17,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn, TypeVar
 
-from omegaconf import OmegaConf
-from yaml import YAMLError
-
-from isaacgymenvs_lite.command_line import log_messages
+from isaacgymenvs_lite.command_line import log_messages, read_settings
 from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
     EXIT_USER_ERROR,
@@ -30,7 +27,7 @@ from isaacgymenvs_lite.errors import (
     unknown,
 )
 from isaacgymenvs_lite.gymnasium_ids import task_of_id
-from isaacgymenvs_lite.schema import keys_of, read_section
+from isaacgymenvs_lite.schema import keys_of
 from isaacgymenvs_lite.utils.optional_packages import require
 from isaacgymenvs_lite.workflows.library import LIBRARIES, PREFIX
 from isaacgymenvs_lite.workflows.training import (
@@ -142,10 +139,10 @@ def read_command(
     known = keys_of(settings)
     own_words, task_words, agent_words = list[str](), list[str](), list[str]()
     for word in (*args.video, *args.option_words, *args.words):
-        key = word.partition("=")[0]
+        key, _, value = word.partition("=")
         path = key.lstrip("+~")
         if key in known and key != word:
-            own_words.append(word)
+            own_words.append(f"task={task_of_id(value)}" if key == "task" else word)
         elif key.startswith(PREFIX):
             agent_words.append(word)
         elif path.partition(".")[0] in _TASK_KEYS and path != "task":
@@ -157,15 +154,9 @@ def read_command(
                 f"{suggest(path.partition('.')[0], {*known, *_TASK_KEYS})}; expected {keys},"
                 f" {PREFIX}key=value, or a key of the task such as task.env.numEnvs"
             )
-    try:
-        values: Any = OmegaConf.to_container(OmegaConf.from_dotlist(own_words))
-    except YAMLError as error:
-        raise ConfigError(f"{' '.join(own_words)}: a value is not valid YAML") from error
-    if not values.get("task"):
+    if not any(word.startswith("task=") for word in own_words):
         raise ConfigError("task= is missing, for example task=Cartpole; --help lists the keys")
-    values["task"] = task_of_id(str(values["task"]))
-    own = read_section(settings, values, where="", complete=True)
-    return own, task_words, agent_words
+    return read_settings(settings, own_words), task_words, agent_words
 
 
 class _Parser(argparse.ArgumentParser):
