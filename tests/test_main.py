@@ -54,6 +54,7 @@ def run(*command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_it_trains_and_plays_in_another_folder(program, tmp_path):
     small = ("num_envs=16", "num_threads=1", "rl_device=cpu")
     trained = run(*program, "train", "task=Cartpole", *small, "max_iterations=1", folder=tmp_path)
@@ -67,7 +68,6 @@ def test_it_trains_and_plays_in_another_folder(program, tmp_path):
 
 
 def test_a_command_exits_with_the_code_of_its_module(program, tmp_path):
-    assert run(*program, "check", "Cartpole", folder=tmp_path).returncode == 0
     wrong = run(*program, "check", "Cartpol", folder=tmp_path)
     assert wrong.returncode == 2
     assert "did you mean 'Cartpole'" in wrong.stderr

@@ -11,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from isaacgymenvs_lite import typed_command
 from isaacgymenvs_lite.paths import cfg_dir
 from isaacgymenvs_lite.typed_command import TypedCommand, package_command, words_of_job
@@ -117,6 +119,7 @@ def _run(line: str, folder: Path) -> str:
     return result.stdout + result.stderr
 
 
+@pytest.mark.slow
 def test_what_a_training_prints_works_as_typed(tmp_path: Path) -> None:
     """Of files by their paths, with blanks in them, and with a network of its own."""
     folder = tmp_path / "my fork"

@@ -205,7 +205,13 @@ def resume_file(resume: str, train_dir: Path, wanted: Mapping[str, str]) -> Path
     """
     given = user_path(resume)
     if resume == "last":
-        run = _newest_run(train_dir, wanted)
+        run = newest_run(train_dir, wanted, ["nn/*.pth", f"{FOLDER}/*.pth"])
+        if run is None:
+            of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
+            raise CheckpointError(
+                f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on"
+                " from; start one without resume="
+            )
     elif given.is_dir():
         run = RunFolder.at(given.absolute(), train_dir)
     elif given.is_file():
@@ -239,7 +245,9 @@ def _newest_state(run: RunFolder) -> Path | None:
     state, checkpoint = newest(states), run.newest_checkpoint()
     if state is None or checkpoint is None:
         return state or checkpoint
-    epoch = _epoch_of(checkpoint)
+    epoch = -1  # of a checkpoint that cannot be used
+    with contextlib.suppress(CheckpointError):
+        epoch = int(load_checkpoint(checkpoint).get("epoch", -1))
     if epoch <= int(state.stem):
         return state
     if not checkpoint.is_relative_to(run.path):
@@ -250,25 +258,6 @@ def _newest_state(run: RunFolder) -> Path | None:
         *(state.stem, checkpoint.name, epoch, checkpoint),
     )
     return state
-
-
-def _epoch_of(checkpoint: Path) -> int:
-    """Return the epoch of a checkpoint; -1 if it cannot be used."""
-    with contextlib.suppress(CheckpointError):
-        return int(load_checkpoint(checkpoint).get("epoch", -1))
-    return -1
-
-
-def _newest_run(train_dir: Path, wanted: Mapping[str, str]) -> RunFolder:
-    """Return the run, of those with the settings `wanted`, that was written last."""
-    run = newest_run(train_dir, wanted, ["nn/*.pth", f"{FOLDER}/*.pth"])
-    if run is None:
-        of = f" with {', '.join(f'{k}={v}' for k, v in wanted.items())}" if wanted else ""
-        raise CheckpointError(
-            f"resume=last: no run{of} below {train_dir.absolute()} has a checkpoint to go on from;"
-            " start one without resume="
-        )
-    return run
 
 
 def run_of_file(file: Path) -> Path:

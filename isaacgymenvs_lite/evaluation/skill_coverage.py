@@ -28,11 +28,9 @@ class ClipShares:
 
     Attributes:
         shares: clip -> share of the windows, 0 to 1, all clips, the largest first.
-        num_windows: number of windows.
     """
 
     shares: dict[str, float]
-    num_windows: int
 
     @property
     def coverage(self) -> float:
@@ -54,15 +52,10 @@ class ClipMatcher:
 
     Args:
         windows: for each clip the windows (W, F) that it holds, W >= 1.
-        names: of the clips.
-
-    Raises:
-        ValueError: no clip, or a clip without a window.
+        names: of the clips, at least one.
     """
 
     def __init__(self, windows: Sequence[Tensor], names: Sequence[str]) -> None:
-        if not windows or any(len(rows) == 0 for rows in windows):
-            raise ValueError("expected at least one clip, and at least one window of each")
         self._names = list(names)
         means = torch.stack([rows.mean(0) for rows in windows])
         squares = torch.stack([rows.square().mean(0) for rows in windows])
@@ -84,5 +77,4 @@ class ClipMatcher:
         """Return which clips windows (n, F) are nearest to, n >= 1."""
         counts = self.nearest_clips(windows).bincount(minlength=len(self._names)).tolist()
         order = sorted(range(len(counts)), key=lambda i: -counts[i])
-        shares = {self._names[i]: counts[i] / len(windows) for i in order}
-        return ClipShares(shares, len(windows))
+        return ClipShares({self._names[i]: counts[i] / len(windows) for i in order})

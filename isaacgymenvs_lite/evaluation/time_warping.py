@@ -6,7 +6,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,19 +23,17 @@ class Alignment:
     Attributes:
         mean_cost: (E,) float64, the cost of the path, with what it pays for its steps, divided by
             the number of its cells.
-        num_cells: (E,) int, cells of the path.
         advance: (E,) int, reference frames from the first to the last cell of the path.
     """
 
     mean_cost: npt.NDArray[np.float64]
-    num_cells: npt.NDArray[np.int64]
     advance: npt.NDArray[np.int64]
 
 
 def align(
     cost: npt.NDArray[np.floating],
-    lengths: npt.NDArray[np.integer] | None = None,
-    num_columns: npt.NDArray[np.integer] | None = None,
+    lengths: npt.NDArray[np.integer],
+    num_columns: npt.NDArray[np.integer],
     off_tempo: float = 0.0,
 ) -> Alignment:
     """Align episodes with a reference by subsequence dynamic time warping.
@@ -48,21 +45,14 @@ def align(
 
     Args:
         cost: (T, S, E), not negative: cost of frame t of episode e at reference frame s.
-        lengths: (E,), rows of each episode, 1 to T; the rows after them are ignored. Default: T.
+        lengths: (E,), rows of each episode, 1 to T; the rows after them are ignored.
         num_columns: (E,), columns of each episode, at least 1. More than S repeat the reference
-            from its start. Default: S.
+            from its start.
         off_tempo: what a path pays for a step (1, 0) or (0, 1): where all cells cost about the
             same, it goes on by (1, 1).
-
-    Raises:
-        ValueError: a shape, a length or a number of columns is out of range.
     """
-    if cost.ndim != 3 or 0 in cost.shape:
-        raise ValueError(f"cost has the shape {cost.shape}; expected (T, S, E), none of them 0")
     num_rows, num_frames, num_episodes = cost.shape
-    lengths = _per_episode(lengths, num_rows, num_episodes, "lengths", num_rows)
-    columns = _per_episode(num_columns, num_frames, num_episodes, "num_columns")
-    max_columns = int(columns.max())
+    max_columns = int(num_columns.max())
 
     # A path's cost and, as the imaginary part, its cells and its advance in one number: numpy
     # orders complex numbers by the real and then by the imaginary part, which is the tie rule.
@@ -87,47 +77,10 @@ def align(
         new[first + 1 : last + 1] = before
 
         end_column = k - (lengths - 1)
-        ends = episodes[(end_column >= 0) & (end_column < columns)]
+        ends = episodes[(end_column >= 0) & (end_column < num_columns)]
         best[ends] = np.minimum(best[ends], new[lengths[ends], ends])
         older, old, new = old, new, older
 
     cells = np.floor(best.imag)
     advance = np.rint((best.imag - cells) / _ADVANCE)
-    return Alignment(best.real / cells, cells.astype(np.int64), advance.astype(np.int64))
-
-
-def subsequence_dtw(
-    cost: npt.ArrayLike, lengths: npt.NDArray[np.integer] | None = None
-) -> npt.NDArray[np.float64]:
-    """Return the mean cost (E,) along the cheapest path of each cost matrix, see `align`.
-
-    Args:
-        cost: (E, T, S), not negative: episode frames by reference frames.
-        lengths: (E,), rows of each episode, 1 to T. Default: T.
-
-    Raises:
-        ValueError: a shape or a length is out of range.
-    """
-    matrices = np.asarray(cost)
-    if matrices.ndim != 3:
-        raise ValueError(f"cost has the shape {matrices.shape}; expected (E, T, S)")
-    # Episodes last, so that a cell of all episodes is one piece of memory.
-    return align(np.ascontiguousarray(matrices.transpose(1, 2, 0)), lengths).mean_cost
-
-
-def _per_episode(
-    values: npt.NDArray[np.integer] | None,
-    default: int,
-    num_episodes: int,
-    name: str,
-    highest: float = math.inf,
-) -> npt.NDArray[np.int64]:
-    """Return `values` (E,) checked to be in 1..highest, or `default` for every episode."""
-    if values is None:
-        return np.full(num_episodes, default, dtype=np.int64)
-    values = np.asarray(values, dtype=np.int64)
-    if values.shape != (num_episodes,) or values.min() < 1 or values.max() > highest:
-        raise ValueError(
-            f"{name} is {values.tolist()}; expected {num_episodes} integers in [1, {highest}]"
-        )
-    return values
+    return Alignment(best.real / cells, advance.astype(np.int64))

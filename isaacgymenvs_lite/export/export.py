@@ -79,7 +79,8 @@ def export_policy(settings: ExportSettings, overrides: Sequence[str] = ()) -> Pa
                 f"{path}: not written, it would differ from the policy by {difference:.1g}: this"
                 f" network cannot be exported as {settings.format}"
             )
-    log.info("%s: %s", path, _summary(graph))
+    sides = (", ".join(spec.name for spec in specs) for specs in (graph.inputs, graph.outputs))
+    log.info("%s: %s", path, " -> ".join(sides))
     log.info("%.2f MiB, differs from the policy by %.1g", len(content) / 2**20, difference)
     if scene is not None:
         scene.write()
@@ -99,8 +100,3 @@ def greatest_difference(graph: PolicyGraph, exported: ExportedPolicy, num_rows: 
         float(np.abs(outputs[spec.name] - rows.numpy()).max())
         for spec, rows in zip(graph.outputs, expected, strict=True)
     )
-
-
-def _summary(graph: PolicyGraph) -> str:
-    sides = [", ".join(spec.name for spec in specs) for specs in (graph.inputs, graph.outputs)]
-    return " -> ".join(sides)

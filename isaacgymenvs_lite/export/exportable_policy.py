@@ -192,46 +192,30 @@ class HierarchyGraph(PolicyGraph):
 
 
 class RecurrentGraph(PolicyGraph):
-    """PPO with memory; states (layers, n, units) are zero at the start of an episode.
+    """PPO with memory: obs, hidden (and cell of an LSTM) -> action, hidden (, cell).
 
-    The memory of a separate critic is left out.
+    States (layers, n, units) are zero at the start of an episode. The memory of a separate critic
+    is left out.
     """
-
-    state_names: tuple[str, ...]
 
     def __init__(self, player: Any) -> None:
         super().__init__(player)
         self._actor = _actor_of(player)
         self._separate = bool(player.model.a2c_network.separate)
         layers, _, units = player.model.get_default_rnn_state()[0].shape
-        names = self.state_names
+        is_lstm = player.model.a2c_network.rnn_name == "lstm"
+        names = ("hidden", "cell") if is_lstm else ("hidden",)
         self.inputs += tuple(TensorSpec(name, (layers, units), 1) for name in names)
         self.outputs += tuple(TensorSpec(f"{name}_out", (layers, units), 1) for name in names)
 
-    def _step(self, obs: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        self, obs: Tensor, hidden: Tensor, cell: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
+        """Return `outputs` of `inputs`."""
+        states = (hidden,) if cell is None else (hidden, cell)
         critic = tuple(torch.zeros_like(state) for state in states) if self._separate else ()
         action, after = self._actor.step(self._clamped_obs(obs), (*states, *critic))
         return (self._clamped_action(action), *after[: len(states)])
-
-
-class LSTMGraph(RecurrentGraph):
-    """obs, hidden, cell -> action, hidden, cell."""
-
-    state_names = ("hidden", "cell")
-
-    def forward(self, obs: Tensor, hidden: Tensor, cell: Tensor) -> tuple[Tensor, ...]:
-        """Return `outputs` of `inputs`."""
-        return self._step(obs, hidden, cell)
-
-
-class GRUGraph(RecurrentGraph):
-    """obs, hidden -> action, hidden."""
-
-    state_names = ("hidden",)
-
-    def forward(self, obs: Tensor, hidden: Tensor) -> tuple[Tensor, ...]:
-        """Return `outputs` of `inputs`."""
-        return self._step(obs, hidden)
 
 
 def make_exportable_policy(player: Any) -> PolicyGraph:
@@ -243,7 +227,7 @@ def make_exportable_policy(player: Any) -> PolicyGraph:
     elif isinstance(player, SACPlayer):
         kind = SACGraph
     elif player.is_rnn:
-        kind = LSTMGraph if player.model.a2c_network.rnn_name == "lstm" else GRUGraph
+        kind = RecurrentGraph
     else:
         kind = FeedForwardGraph
     return kind(player).eval().requires_grad_(False)

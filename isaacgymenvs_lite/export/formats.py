@@ -96,16 +96,15 @@ def load_policy(file: str | Path) -> ExportedPolicy:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Hide the warnings of torch's exporters about deprecations and missing packages."""
-    loggers = [logging.getLogger(name) for name in _VERBOSE_LOGGERS]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
+    levels = {logger: logger.level for logger in map(logging.getLogger, _VERBOSE_LOGGERS)}
+    for logger in levels:
         logger.setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
+        for logger, level in levels.items():
             logger.setLevel(level)
 
 

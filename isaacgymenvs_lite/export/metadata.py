@@ -36,6 +36,9 @@ def describe(
         state: of its checkpoint.
     """
     task: VecTask = player.env
+    option = task.simulation.model.opt
+    scaling = task.action_scaling()
+    largest = float(task.act_space.high.max()) if player.clip_actions else math.inf
     described: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "project": "isaacgymenvs_lite",
@@ -45,14 +48,24 @@ def describe(
         "frames": int(state.get("frame", 0)),
         "epochs": int(state.get("epoch", 0)),
         "control_rate_hz": 1.0 / task.simulation.dt,
-        "simulation": _simulation(task),
+        "simulation": {
+            "timestep_s": option.timestep,
+            "steps_per_action": task.simulation.substeps,
+            "gravity": option.gravity.tolist(),
+            "integrator": _enum_name(mujoco.mjtIntegrator(option.integrator)),
+        },
         "inputs": [_described(spec) for spec in graph.inputs],
         "outputs": [_described(spec) for spec in graph.outputs],
         "observations": _observations(task),
         "observation_limit": _finite(task.clip_obs),
         "actions": _action_names(task),
-        "action_limit": _action_limit(task, player.clip_actions),
-        "action_scaling": _action_scaling(task),
+        "action_limit": _finite(min(task.clip_actions, largest)),
+        "action_scaling": scaling
+        and {
+            "unit": scaling.unit,
+            "offset": scaling.offset.tolist(),
+            "scale": scaling.scale.tolist(),
+        },
         "drives": drives_of(task.simulation.model),
         **_robot(task),
     }
@@ -60,12 +73,6 @@ def describe(
         described["llc_steps"] = player.llc_steps
         described["llc"] = player.llc.reference["checkpoint"]
     return described
-
-
-def _action_limit(task: VecTask, is_scaled: bool) -> float | None:
-    """Return the largest action that the policy gives the task, None without a limit."""
-    largest = float(task.act_space.high.max()) if is_scaled else math.inf
-    return _finite(min(task.clip_actions, largest))
 
 
 def _described(spec: TensorSpec) -> dict[str, Any]:
@@ -94,14 +101,9 @@ def _observations(task: VecTask) -> list[dict[str, Any]]:
     return parts
 
 
-def _simulation(task: VecTask) -> dict[str, Any]:
-    option = task.simulation.model.opt
-    return {
-        "timestep_s": option.timestep,
-        "steps_per_action": task.simulation.substeps,
-        "gravity": option.gravity.tolist(),
-        "integrator": mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_").lower(),
-    }
+def _enum_name(value: Any) -> str:
+    """Return mjJNT_HINGE as hinge."""
+    return value.name.partition("_")[2].lower()
 
 
 def _robot(task: VecTask) -> dict[str, Any]:
@@ -120,8 +122,8 @@ def _robot(task: VecTask) -> dict[str, Any]:
     joints = []
     for i in range(model.njnt - len(layout.object_names)):
         joint = model.joint(i)
-        kind = mujoco.mjtJoint(int(joint.type[0])).name.removeprefix("mjJNT_").lower()
-        described_joint: dict[str, Any] = {"name": joint.name, "type": kind}
+        kind = mujoco.mjtJoint(int(joint.type[0]))
+        described_joint: dict[str, Any] = {"name": joint.name, "type": _enum_name(kind)}
         for key, values in states.items():
             is_qpos = key.endswith("qpos")
             first = int((joint.qposadr if is_qpos else joint.dofadr)[0])
@@ -141,14 +143,6 @@ def _action_names(task: VecTask) -> list[str]:
     if model.nu != task.num_actions:
         return [f"action_{i}" for i in range(task.num_actions)]
     return [model.actuator(i).name or f"action_{i}" for i in range(model.nu)]
-
-
-def _action_scaling(task: VecTask) -> dict[str, Any] | None:
-    scaling = task.action_scaling()
-    if scaling is None:
-        return None
-    offset, scale = scaling.offset.tolist(), scaling.scale.tolist()
-    return {"unit": scaling.unit, "offset": offset, "scale": scale}
 
 
 def drives_of(model: mujoco.MjModel) -> list[dict[str, Any]]:

@@ -60,7 +60,7 @@ def scene_of(task: VecTask, policy: Path) -> Scene | None:
     if not isinstance(task, MjcfTask) or task.robot_description() is None:
         return None
     path = policy.with_name(f"{policy.stem}_scene.xml")
-    if path.is_file() and not _is_scene(path):
+    if path.is_file() and not path.read_bytes().startswith(_FIRST_LINE.encode()):
         raise ConfigError(
             f"{path}: a file that no export wrote has the name of the policy's scene; choose"
             " another out="
@@ -76,9 +76,3 @@ def scene_of(task: VecTask, policy: Path) -> Scene | None:
     except (ValueError, mujoco.FatalError) as error:
         log.warning("%s: left out, MuJoCo cannot write it: %s", path, one_line(error))
         return None
-
-
-def _is_scene(path: Path) -> bool:
-    first = _FIRST_LINE.encode()
-    with path.open("rb") as file:
-        return file.read(len(first)) == first

@@ -53,9 +53,11 @@ class AMPDataset(PublishedNames, PPODataset):
         Raises:
             ValueError: the set had more rows.
         """
-        if len(state["order"]) > self.batch_size:
-            raise ValueError(f"an order of {len(state['order'])} rows, expected {self.batch_size}")
-        self._idx_buf = state["order"].to(self.device)
+        order = state["order"]
+        is_order = torch.equal(order.sort().values, torch.arange(len(order)))
+        if not is_order or len(order) > self.batch_size:
+            raise ValueError(f"an order of {len(order)} rows, expected {self.batch_size}")
+        self._idx_buf = order.to(self.device)
 
     def update_values_dict(self, values_dict: dict[str, Any]) -> None:
         """Set the rows of an epoch, `batch_size` each."""

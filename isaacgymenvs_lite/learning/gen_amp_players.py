@@ -79,14 +79,7 @@ class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
         if latent in ("random", "interpolate"):
             schedule = make_evaluation_schedule(self._amp, task, self.encoder, self.device)
             return EvaluationLatents(schedule, interpolate=latent == "interpolate")
-        return self._held(read_latents(Path(latent), self._amp.latent_dim))
-
-    def hold_latents(self, latents: Tensor) -> None:
-        """Act under latents (K, Z), unit vectors, from now on: environment i under row i mod K."""
-        self._latents = self._held(latents)
-
-    def _held(self, latents: Tensor) -> Callable[[Tensor], Tensor]:
-        rows = latents.to(self.device)
+        rows = read_latents(Path(latent), self._amp.latent_dim).to(self.device)
         fixed = rows[torch.arange(self.env.num_envs, device=self.device) % len(rows)]
         return lambda progress: fixed
 

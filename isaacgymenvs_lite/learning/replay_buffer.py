@@ -118,7 +118,7 @@ class ReplayBuffer(PublishedNames):
             RuntimeError: its rows had another shape.
         """
         rows, order = state["rows"], state["order"]
-        if len(order) != self._buffer_size:
+        if not torch.equal(order.sort().values, torch.arange(self._buffer_size)):
             raise ValueError(f"a replay buffer of {len(order)} rows, expected {self._buffer_size}")
         if not self._data_buf:
             self._init_data_buf(rows)

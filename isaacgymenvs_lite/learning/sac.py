@@ -68,9 +68,6 @@ class _EndsAtItsLimits(RLGamesSACAgent):
         except _LastEpochError:
             return self.last_mean_rewards, self.epoch_num
 
-    def _is_at_limit(self) -> bool:
-        return 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
-
 
 class BFloat16HiddenLayers(nn.Sequential):
     """Layers that compute under autocast to bfloat16 on a CPU, except the last layer.
@@ -245,7 +242,8 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
 
     def end_before_first_episode(self) -> None:
         """End the training at max_epochs or max_frames with a checkpoint, also without a reward."""
-        if self.game_rewards.current_size == 0 and self._is_at_limit():
+        is_last = 0 <= self.max_epochs <= self.epoch_num or 0 <= self.max_frames <= self.frame
+        if self.game_rewards.current_size == 0 and is_last:
             self._save_without_reward()
             raise _LastEpochError
 

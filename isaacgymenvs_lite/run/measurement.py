@@ -13,6 +13,7 @@ from rl_games.common.algo_observer import AlgoObserver
 from torch import Tensor
 
 from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
+from isaacgymenvs_lite.evaluation.body_tracks import tracks_of_clips
 from isaacgymenvs_lite.evaluation.evaluate import EvaluationResult, evaluate
 from isaacgymenvs_lite.evaluation.pose_error import ReferencePoses
 from isaacgymenvs_lite.utils.state import Stateful
@@ -157,7 +158,7 @@ class MeasurementObserver(Stateful, AlgoObserver):
             if self._env is None:
                 self._env = env = self._make_env(self._num_episodes)
                 if fits(env, ReferenceEnv):
-                    reference = ReferencePoses.from_motion_lib(env.motion_lib, env.dt)
+                    reference = ReferencePoses.from_tracks(tracks_of_clips(env.motion_lib, env.dt))
                     self.clip_spread_m = clip_spread_m(reference)
                     self.implausible = "; ".join(env.motion_lib.implausible.values())
             torch.manual_seed(self._SEED)

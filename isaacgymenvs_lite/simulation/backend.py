@@ -17,7 +17,7 @@ after all bodies of the robot in the file. Body and DOF tensors do not contain t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import mujoco
@@ -231,24 +231,6 @@ class SimulationBackend(Protocol):
         ...
 
 
-def _cpu_batch(
-    model: mujoco.MjModel, num_envs: int, substeps: int, num_threads: int
-) -> SimulationBackend:
-    from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
-
-    return CpuBatchSimulation(model, num_envs, substeps, num_threads)
-
-
-_BACKENDS: dict[str, Callable[[mujoco.MjModel, int, int, int], SimulationBackend]] = {
-    "cpu_batch": _cpu_batch,
-}
-
-
-def backend_names() -> list[str]:
-    """Names that `make_simulation` accepts."""
-    return sorted(_BACKENDS)
-
-
 def bytes_of_env(model: mujoco.MjModel) -> int:
     """Return how many bytes one simulation of a model takes at least, in any backend."""
     state = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
@@ -271,13 +253,15 @@ def make_simulation(
         num_envs: number of simulations.
         substeps: physics steps of one control step.
         num_threads: CPU worker threads; 0 for as many CPUs as have enough work.
-        backend: one of `backend_names()`.
+        backend: `cpu_batch`, the only one so far.
 
     Raises:
         ConfigError: an unknown backend, a number out of range, or simulations that exceed the
             memory of this machine.
     """
-    if backend not in _BACKENDS:
-        raise ConfigError(unknown("simulation backend", backend, backend_names()))
+    from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
+
+    if backend != "cpu_batch":
+        raise ConfigError(unknown("simulation backend", backend, ["cpu_batch"]))
     check_memory({"simulations": num_envs * bytes_of_env(model)}, f"num_envs ({num_envs} now)")
-    return _BACKENDS[backend](model, num_envs, substeps, num_threads)
+    return CpuBatchSimulation(model, num_envs, substeps, num_threads)

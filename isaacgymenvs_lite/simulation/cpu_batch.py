@@ -80,7 +80,8 @@ class CpuBatchSimulation:
         ):
             if value < least:
                 raise ConfigError(f"{name}={value}: expected at least {least}")
-        _silence_mujoco_log_file()
+        # Without this MuJoCo writes MUJOCO_LOG.TXT into the working directory.
+        mujoco.set_mju_user_warning(lambda message: log.debug("MuJoCo: %s", message))
         self.model = model
         self.num_envs = num_envs
         self.substeps = substeps
@@ -121,29 +122,32 @@ class CpuBatchSimulation:
             ("objects", layout.object_contact_columns, buffers.object_contact_forces),
         ):
             if columns is not None:
-                _check_order(columns, what)
+                if (np.diff(columns.ravel()) != 1).any():
+                    raise ConfigError(
+                        f"the contact sensors of the model's {what} must follow one another, in"
+                        " body order"
+                    )
                 rows = self._sensor_rows[:, columns[0, 0] : columns[-1, -1] + 1]
                 self._contacts.append((forces, rows.reshape(self.num_envs, -1, 3)))
 
     def _allocate(self) -> None:
         self._converter = StateConverter(self.model, self.layout)
         self._buffers = StateBuffers(self.layout, self.num_envs)
-        self.root_states = as_tensor(self._buffers.root_states)
-        self.dof_pos = as_tensor(self._buffers.dof_pos)
-        self.dof_vel = as_tensor(self._buffers.dof_vel)
-        self._body_pos = as_tensor(self._buffers.body_pos)
-        self._body_rot = as_tensor(self._buffers.body_rot)
-        self.contact_forces = as_tensor(self._buffers.contact_forces)
-        self.object_states = as_tensor(self._buffers.object_states)
-        self.object_contact_forces = as_tensor(self._buffers.object_contact_forces)
-        self._body_lin_vel = as_tensor(self._buffers.body_lin_vel)
-        self._body_ang_vel = as_tensor(self._buffers.body_ang_vel)
+        buffers = self._buffers
+        self.root_states = as_tensor(buffers.root_states)
+        self.dof_pos, self.dof_vel = as_tensor(buffers.dof_pos), as_tensor(buffers.dof_vel)
+        self._body_pos, self._body_rot = as_tensor(buffers.body_pos), as_tensor(buffers.body_rot)
+        self._body_lin_vel = as_tensor(buffers.body_lin_vel)
+        self._body_ang_vel = as_tensor(buffers.body_ang_vel)
+        self.contact_forces = as_tensor(buffers.contact_forces)
+        self.object_states = as_tensor(buffers.object_states)
+        self.object_contact_forces = as_tensor(buffers.object_contact_forces)
         self.failed = torch.zeros(self.num_envs, dtype=torch.bool)
         # Environments written since the last step: nothing was measured there yet.
         self._written = np.zeros(self.num_envs, dtype=bool)
-        self._speeds = [self._buffers.velocities]
+        self._speeds = [buffers.velocities]
         if self.object_names:
-            self._speeds.append(self._buffers.object_states[7:].reshape(-1, self.num_envs))
+            self._speeds.append(buffers.object_states[7:].reshape(-1, self.num_envs))
 
     @property
     def dt(self) -> float:
@@ -393,19 +397,6 @@ class CpuBatchSimulation:
         # The views keep the batch's memory, and with it its threads, alive.
         for view in _VIEWS:
             self.__dict__.pop(view, None)
-
-
-def _check_order(columns: np.ndarray, what: str) -> None:
-    """Check that the contact sensors' columns (B, 3) of sensordata follow on each other."""
-    if (np.diff(columns.ravel()) != 1).any():
-        raise ConfigError(
-            f"the contact sensors of the model's {what} must follow one another, in body order"
-        )
-
-
-def _silence_mujoco_log_file() -> None:
-    """Send MuJoCo's warnings to our log instead of MUJOCO_LOG.TXT in the working directory."""
-    mujoco.set_mju_user_warning(lambda message: log.debug("MuJoCo: %s", message))
 
 
 def _worthwhile_threads(model: mujoco.MjModel, num_envs: int, substeps: int) -> int:

@@ -104,6 +104,10 @@ class ModelLayout:
         names_of_all = tuple(model.body(i).name for i in range(1, model.nbody))
         num_bodies = len(names_of_all) - num_objects
         body_names, object_names = names_of_all[:num_bodies], names_of_all[num_bodies:]
+        ends = (model.sensor_adr + model.sensor_dim).tolist()
+        sensors = {
+            model.sensor(i).name: slice(int(model.sensor_adr[i]), end) for i, end in enumerate(ends)
+        }
         return cls(
             body_names=body_names,
             dof_names=tuple(names),
@@ -114,11 +118,11 @@ class ModelLayout:
             ball_dofs=np.array(ball_dofs, dtype=np.int64).reshape(-1, 3),
             scalar_qpos=np.array(scalar_qpos, dtype=np.int64),
             scalar_dofs=np.array(scalar_dofs, dtype=np.int64),
-            contact_columns=_contact_columns(model, body_names, "body", "bodies"),
+            contact_columns=_contact_columns(sensors, body_names, "body", "bodies"),
             has_free_root=has_free_root,
             object_names=object_names,
-            object_contact_columns=_contact_columns(model, object_names, "object", "objects"),
-            sensor_columns=_sensor_columns(model),
+            object_contact_columns=_contact_columns(sensors, object_names, "object", "objects"),
+            sensor_columns=sensors,
         )
 
 
@@ -144,18 +148,9 @@ def _count_objects(model: mujoco.MjModel) -> int:
     return len(objects)
 
 
-def _sensor_columns(model: mujoco.MjModel) -> dict[str, slice]:
-    ends = model.sensor_adr + model.sensor_dim
-    return {
-        model.sensor(i).name: slice(int(model.sensor_adr[i]), int(ends[i]))
-        for i in range(model.nsensor)
-    }
-
-
 def _contact_columns(
-    model: mujoco.MjModel, body_names: tuple[str, ...], one: str, many: str
+    sensors: dict[str, slice], body_names: tuple[str, ...], one: str, many: str
 ) -> np.ndarray | None:
-    sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     wanted = [CONTACT_SENSOR_PREFIX + name for name in body_names]
     if not any(name in sensors for name in wanted):
         return None
@@ -166,5 +161,4 @@ def _contact_columns(
             f' <contact name="{CONTACT_SENSOR_PREFIX}BODY" body1="BODY" reduce="netforce"/>'
             f" for every {one} or for none"
         )
-    first = np.array([model.sensor_adr[sensors[name]] for name in wanted], dtype=np.int64)
-    return first[:, None] + np.arange(3)
+    return np.array([np.arange(3) + sensors[name].start for name in wanted])

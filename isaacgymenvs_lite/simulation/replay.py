@@ -90,14 +90,8 @@ def replay(recording: Recording, model: mujoco.MjModel) -> Iterator[PhysicsStep]
             speed = _largest(_world_velocities(model, data), names)
             is_sound = bool(np.isfinite(data.qpos).all()) and speed.value <= MAX_SPEED
             done = control_step * recording.substeps + physics_step + 1
-            yield PhysicsStep(
-                control_step,
-                physics_step,
-                done * model.opt.timestep,
-                _largest(data.qacc, names),
-                speed,
-                is_sound,
-            )
+            time_s, acceleration = done * model.opt.timestep, _largest(data.qacc, names)
+            yield PhysicsStep(control_step, physics_step, time_s, acceleration, speed, is_sound)
             if not is_sound:
                 return
 
@@ -186,11 +180,11 @@ def table(recording: Recording, model: mujoco.MjModel) -> Iterator[str]:
     if last is None or last.is_sound:
         yield "the simulation does not diverge here"
     else:
-        what = "is not finite" if not np.isfinite(last.speed.value) else "is faster than"
-        limit = "" if not np.isfinite(last.speed.value) else f" {MAX_SPEED:g} rad/s or m/s"
+        faster = f"is faster than {MAX_SPEED:g} rad/s or m/s"
         yield (
             f"diverged in control step {first + last.control_step}, physics step"
-            f" {last.physics_step}: {last.speed.joint} {what}{limit}"
+            f" {last.physics_step}: {last.speed.joint}"
+            f" {faster if np.isfinite(last.speed.value) else 'is not finite'}"
         )
 
 

@@ -165,14 +165,9 @@ class StateConverter:
         buffers.has_body_velocities = True
         # Only a free root has velocities in qvel.
         qvel = buffers.velocities[QVEL_SIZE - self._layout.dof_vel_adr :]
-        self._kinematics.velocities(
-            buffers.qpos,
-            qvel,
-            buffers.body_pos,
-            buffers.body_rot,
-            buffers.body_lin_vel,
-            buffers.body_ang_vel,
-        )
+        poses = buffers.body_pos, buffers.body_rot
+        velocities = buffers.body_lin_vel, buffers.body_ang_vel
+        self._kinematics.velocities(buffers.qpos, qvel, *poses, *velocities)
 
     def of_objects(self, qpos_rows: Doubles, qvel_rows: Doubles) -> tuple[Doubles, Doubles]:
         """Return the objects' parts (n, K, 7) and (n, K, 6) of qpos (n, nq) and qvel (n, nv).

@@ -83,7 +83,8 @@ def read_state(value: Any) -> State:
     if isinstance(value, random.Random):
         return json.dumps(value.getstate())
     if isinstance(value, dict):
-        parts = {key: read_state(part) for key, part in value.items()}
+        # A safe loader refuses keys that are objects.
+        parts = {k: read_state(part) for k, part in value.items() if type(k) in (str, int)}
         return {key: part for key, part in parts.items() if part is not _NOTHING}
     if isinstance(value, (list, tuple, deque)):
         items = [read_state(item) for item in value]

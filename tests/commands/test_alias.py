@@ -38,6 +38,31 @@ print(obs["obs"].shape, sys.argv[1:], neighbour.VALUE)
 """
 
 
+# Calls of the first releases: resolvers of the script's own, `runner.model_builder`, no seed.
+FIRST_RELEASES = """\
+import isaacgym
+from omegaconf import OmegaConf
+from isaacgymenvs.utils.rlgames_utils import RLGPUEnv, get_rlgames_env_creator
+from isaacgymenvs.learning import amp_models, amp_network_builder
+from isaacgymenvs_lite.config.compose import compose_task
+from rl_games.torch_runner import Runner
+
+OmegaConf.register_new_resolver("eq", lambda a, b: "own")
+print(OmegaConf.create({"a": "${eq:1,2}"}).a)
+runner = Runner()
+builder = runner.model_builder
+builder.model_factory.register_builder(
+    "own", lambda network, **kwargs: amp_models.ModelAMPContinuous(network)
+)
+builder.network_factory.register_builder("own", lambda **kwargs: amp_network_builder.AMPBuilder())
+section = {"name": "own", "mlp": {"units": [4], "activation": "relu"}}
+print(type(runner.model_builder.load({"model": {"name": "own"}, "network": section})).__name__)
+task = OmegaConf.to_container(compose_task("Cartpole", ["num_envs=2"]).task, resolve=True)
+make = get_rlgames_env_creator(task, "Cartpole", "cpu", "cpu", -1, True, multi_gpu=False)
+print(make().num_envs)
+"""
+
+
 def _run(tmp_path: Path, script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     (tmp_path / "script.py").write_text(script)
     (tmp_path / "neighbour.py").write_text("VALUE = 5\n")
@@ -48,16 +73,12 @@ def _run(tmp_path: Path, script: str, *arguments: str) -> subprocess.CompletedPr
 
 
 def test_a_script_of_isaacgymenvs_runs_unchanged(tmp_path: Path) -> None:
-    done = _run(tmp_path, SCRIPT, "--headless", "x=1")
+    done = _run(tmp_path, FIRST_RELEASES + SCRIPT, "--headless", "x=1")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "torch.Size([3, 4]) ['--headless', 'x=1'] 5"
-
-
-def test_the_simulators_own_calls_say_what_to_do(tmp_path: Path) -> None:
-    done = _run(tmp_path, "from isaacgym import gymapi\ngymapi.acquire_gym()\n")
-    assert done.returncode == 1
-    assert "isaacgym.gymapi.acquire_gym: Isaac Gym's tensor API does not exist" in done.stderr
-    assert "docs/migration.md" in done.stderr
+    assert done.stdout.splitlines() == [
+        *("own", "ModelAMPContinuous", "2"),
+        "torch.Size([3, 4]) ['--headless', 'x=1'] 5",
+    ]
 
 
 def test_a_missing_script_is_one_line(tmp_path: Path) -> None:
@@ -89,6 +110,10 @@ import isaacgymenvs.tasks.amp.humanoid_amp as own
 assert own.HumanoidAMP is HumanoidAMP
 skeleton = MotionLib("walk", 28, [5, 8, 11, 14], "cpu").skeleton
 assert (DOF_BODY_IDS, DOF_OFFSETS) == (list(skeleton.dof_body_ids), list(skeleton.dof_offsets))
+try:
+    gymapi.acquire_gym()
+except Exception as error:
+    print(error)
 from isaacgymenvs.pbt.launcher.run_description import RunDescription
 from isaacgymenvs.pbt.pbt import PbtAlgoObserver, initial_pbt_check
 from isaacgymenvs.pbt.mutation import mutate_mini_epochs
@@ -98,8 +123,10 @@ RunDescription("ant", experiments=[])
 """
 
 
-def test_what_scripts_import_is_there_and_a_launcher_says_what_to_do_instead(tmp_path) -> None:
+def test_what_scripts_import_is_there_and_other_calls_say_what_to_do_instead(tmp_path) -> None:
     done = _run(tmp_path, IMPORTS)
+    assert "isaacgym.gymapi.acquire_gym: Isaac Gym's tensor API does not exist" in done.stdout
+    assert "docs/migration.md" in done.stdout
     last = done.stderr.strip().splitlines()[-1]
     assert "isaacgymenvs.pbt.launcher.run_description.RunDescription: processes are not" in last
     assert "start a training once for each policy, with pbt=pbt_default pbt.policy_idx=0" in last
@@ -201,7 +228,7 @@ def test_a_fork_s_train_script_trains_and_plays_without_an_edit(task: str, fork:
         said = "warning: rl_device=cuda:0: torch sees no GPU on this machine; the CPU is used"
         assert trained.stderr.splitlines().count(said) == 1
     (checkpoint,) = fork.glob(f"runs/{task}_*/nn/*.pth")
-    if task != "Cartpole":  # one play is enough
+    if task != "Ant":  # one play is enough
         return
     played = _train(fork, *words, "test=True", f"checkpoint={checkpoint}")
     assert played.returncode == 0, played.stderr
@@ -253,34 +280,3 @@ def test_a_script_that_records_on_a_gpu_runs_on_any_machine(tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "(480, 640, 3)"
     assert (tmp_path / "videos" / "rl-video-step-0.mp4").stat().st_size > 0
-
-
-FIRST_RELEASES = """\
-import isaacgym
-from omegaconf import OmegaConf
-from isaacgymenvs.utils.rlgames_utils import RLGPUEnv, get_rlgames_env_creator
-from isaacgymenvs.learning import amp_models, amp_network_builder
-from isaacgymenvs_lite.config.compose import compose_task
-from rl_games.torch_runner import Runner
-
-OmegaConf.register_new_resolver("eq", lambda a, b: "own")
-print(OmegaConf.create({"a": "${eq:1,2}"}).a)
-runner = Runner()
-builder = runner.model_builder
-builder.model_factory.register_builder(
-    "own", lambda network, **kwargs: amp_models.ModelAMPContinuous(network)
-)
-builder.network_factory.register_builder("own", lambda **kwargs: amp_network_builder.AMPBuilder())
-section = {"name": "own", "mlp": {"units": [4], "activation": "relu"}}
-print(type(runner.model_builder.load({"model": {"name": "own"}, "network": section})).__name__)
-task = OmegaConf.to_container(compose_task("Cartpole", ["num_envs=2"]).task, resolve=True)
-make = get_rlgames_env_creator(task, "Cartpole", "cpu", "cpu", -1, True, multi_gpu=False)
-print(make().num_envs)
-"""
-
-
-def test_calls_of_the_first_releases(tmp_path: Path) -> None:
-    """Resolvers of the script's own, `runner.model_builder`, no seed for the environments."""
-    done = _run(tmp_path, FIRST_RELEASES)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["own", "ModelAMPContinuous", "2"]

@@ -89,6 +89,7 @@ def test_keys_without_effect_are_all_named(tmp_path: Path) -> None:
     assert of_task[-1] == closing
 
 
+@pytest.mark.slow
 def test_nothing_is_wrong_with_our_own_train_files() -> None:
     for name in sorted(set(TRAIN_FILES) - BASES):
         assert describe(name, ["num_envs=64"])[-1] == "nothing is wrong with it"

@@ -46,7 +46,7 @@ def test_files_of_mutations(tmp_path):
         ("{}", "pbt.mutation names no setting of this"),
     ]:
         folder = tmp_path / "pbt" / "mutation"
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / "mine.yaml").write_text(mutation)
         with pytest.raises(ConfigError) as error:
             check_config(compose([*ON, "pbt/mutation=mine"], tmp_path))

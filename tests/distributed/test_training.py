@@ -187,6 +187,16 @@ def test_a_process_that_never_joins_is_one_line(rank, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_process_that_is_lost_while_it_writes_leaves_no_state_that_cannot_be_read(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    done = torchrun(str(program), "writes", *ANT, "multi_gpu=True", folder=tmp_path)
+    assert done.returncode != 0
+    assert [file.name for file in tmp_path.glob("runs/*/nn/*")]
+    assert not list(tmp_path.glob("runs/*/resume/*"))
+
+
+@pytest.mark.slow
 def test_episodes_that_end_in_one_process_only_count(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)

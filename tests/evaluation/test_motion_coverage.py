@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 
@@ -56,7 +54,7 @@ def turned(track: Track, angle_rad: float) -> Track:
     return Track(rotate_about_z(angle.cos(), angle.sin(), track.body_pos_w) + place, rot)
 
 
-@pytest.mark.parametrize("name", ["walk", "run", "jump", "turn_left", "stand"])
+@pytest.mark.parametrize("name", ["jump", "turn_left", "stand"])
 def test_the_clip_itself_shows_all_whatever_phase_place_and_heading(name):
     measured = coverage(name)
     for start in (0.0, 0.4, 0.8):
@@ -64,7 +62,7 @@ def test_the_clip_itself_shows_all_whatever_phase_place_and_heading(name):
         assert measured.share([episode], STEPS) > 0.95
 
 
-@pytest.mark.parametrize("name", ["walk", "run", "jump", "turn_left", "crouch_walk"])
+@pytest.mark.parametrize("name", ["turn_left", "crouch_walk"])
 def test_standing_shows_next_to_nothing(name):
     assert coverage(name).share([played("stand")], STEPS) < 0.15
     frozen = played(name, steps=1)
@@ -82,10 +80,6 @@ def test_who_starts_in_a_walk_and_stops_has_shown_no_more_than_it_walked():
     length_s = library("crouch_walk").get_total_length()
     # Those that begin in the walk and end after the stop count in part.
     assert coverage("crouch_walk").share([stopped], STEPS) < 1.5 * 20 * DT_S / length_s
-
-
-def test_standing_is_all_that_a_clip_of_standing_has():
-    assert coverage("stand").share([played("stand", phase=0.3)], STEPS) > 0.95
 
 
 def test_walking_on_the_spot_is_not_walking():
@@ -179,10 +173,6 @@ def test_where_falls_begin():
     ends_s = (0.9, 1.3, 1.7, 2.1, 2.5)
     assert measured.fall_moment([falling(0.0, end_s) for end_s in ends_s]) is None
     assert measured.fall_moment([falling(0.0, 1.5)] * 3) is None  # too few
-
-
-def test_without_episodes_it_is_unknown():
-    assert math.isnan(coverage("walk").share([], STEPS))
 
 
 def test_the_metric_measures_recorded_episodes():

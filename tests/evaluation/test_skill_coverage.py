@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from isaacgymenvs_lite.evaluation.skill_coverage import ClipMatcher, ClipShares
@@ -15,7 +14,6 @@ def test_windows_go_to_the_nearest_clip() -> None:
     assert matcher.nearest_clips(windows).tolist() == [0, 1, 1, 2]
     found = matcher.shares(windows)
     assert list(found.shares.items()) == [("slow", 0.5), ("still", 0.25), ("fast", 0.25)]
-    assert found.num_windows == 4
 
 
 def test_a_feature_counts_by_its_spread_over_the_clips() -> None:
@@ -32,14 +30,8 @@ def test_a_clip_with_many_windows_does_not_set_the_scale() -> None:
     assert matcher.nearest_clips(torch.tensor([[1.9, 0.0], [1.0, 0.9]])).tolist() == [0, 1]
 
 
-def test_features_that_do_not_vary_do_not_decide() -> None:
-    clips = [torch.tensor([[0.0, 0.0]]), torch.tensor([[1.0, 1e-6]])]
-    matcher = ClipMatcher(clips, ["a", "b"])
-    assert matcher.nearest_clips(torch.tensor([[0.9, 0.001]])).tolist() == [1]
-
-
 def test_coverage_counts_clips_from_one_percent_on() -> None:
-    shares = ClipShares({"a": 0.981, "b": 0.01, "c": 0.009, "d": 0.0}, 1000)
+    shares = ClipShares({"a": 0.981, "b": 0.01, "c": 0.009, "d": 0.0})
     assert shares.coverage == 0.5
     assert str(shares).startswith("coverage 0.50 of 4 clips (a 98%, b 1%,")
 
@@ -48,9 +40,3 @@ def test_more_windows_than_fit_into_a_chunk() -> None:
     matcher = ClipMatcher([torch.zeros(1, 1), torch.ones(1, 1)], ["a", "b"])
     windows = (torch.arange(3000) % 3 == 0).float().unsqueeze(1)
     assert matcher.shares(windows).shares == {"a": 2 / 3, "b": 1 / 3}
-
-
-@pytest.mark.parametrize("windows", [[], [torch.zeros(0, 2)]])
-def test_every_clip_needs_a_window(windows) -> None:
-    with pytest.raises(ValueError, match="at least one"):
-        ClipMatcher(windows, ["a"] * len(windows))

@@ -29,7 +29,6 @@ CLASSIC = {
     "sac": TINY_SAC,
 }
 HUMANOID = {"amp": (), "ppo_unclipped": (*PPO, "+train.params.config.clip_actions=False")}
-KINDS = [*CLASSIC, *HUMANOID, "gen_amp", "hrl"]
 
 
 def scramble(model: torch.nn.Module) -> None:

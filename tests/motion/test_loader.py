@@ -83,19 +83,16 @@ def test_data_set_is_relative_to_its_own_folder(shipped: Path, make_humanoid_cli
     assert [(clip.num_frames, weight) for clip, weight in clips] == [(5, 2.0), (10, 0.5)]
 
 
-@pytest.mark.parametrize(
-    ("entry", "message"),
-    [
+def test_data_set_errors_name_the_set_and_the_entry(shipped: Path) -> None:
+    for entry, message in (
         ("bad.npz", "no .npz archive"),
         ("set.yaml", "a clip ends in"),
-    ],
-)
-def test_data_set_errors_name_the_set_and_the_entry(shipped: Path, entry, message) -> None:
-    Path("bad.npz").write_bytes(b"x")
-    path = Path("set.yaml")
-    path.write_text(f"motions: [{{file: march, weight: 1}}, {{file: {entry}, weight: 1}}]")
-    with pytest.raises(MotionFileError, match=rf"^set.yaml: motions\[1\]: .*{message}"):
-        load_clips(path)
+    ):
+        Path("bad.npz").write_bytes(b"x")
+        path = Path("set.yaml")
+        path.write_text(f"motions: [{{file: march, weight: 1}}, {{file: {entry}, weight: 1}}]")
+        with pytest.raises(MotionFileError, match=rf"^set.yaml: motions\[1\]: .*{message}"):
+            load_clips(path)
 
 
 def test_clip_of_another_humanoid_is_refused_with_its_place_in_the_set(

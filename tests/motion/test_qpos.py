@@ -7,10 +7,8 @@ import pytest
 from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import (
-    dofs_from_rotations,
     poses_from_qpos,
     qpos_from_poses,
-    rotations_from_dofs,
 )
 from isaacgymenvs_lite.motion.skeleton import Skeleton
 
@@ -34,17 +32,6 @@ def test_round_trip(humanoid: Skeleton) -> None:
     root, turns = poses_from_qpos(humanoid, qpos)
     np.testing.assert_allclose(root, clip.root_translation)
     np.testing.assert_allclose(turns, clip.local_rotation, atol=1e-6)
-
-
-def test_dofs_of_rotations_and_back(armed: Skeleton) -> None:
-    skeleton, num_dofs = armed, 31
-    random = np.random.default_rng(0)
-    # Rotation vectors shorter than pi are unique.
-    dofs = random.uniform(-1.5, 1.5, (20, num_dofs))
-    root = np.tile([0.0, 0.0, 0.6, 0.8], (20, 1))
-    local = rotations_from_dofs(skeleton, root, dofs)
-    np.testing.assert_array_equal(local[:, 0], root)
-    np.testing.assert_allclose(dofs_from_rotations(skeleton, local), dofs, atol=1e-12)
 
 
 def test_names_and_limits_are_those_of_the_published_joints(humanoid: Skeleton) -> None:

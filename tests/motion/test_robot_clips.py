@@ -139,8 +139,8 @@ def test_forward_kinematics_is_mujocos(
 @pytest.mark.parametrize(
     "name",
     [
-        *("mjcf/g1.xml", "mjcf/ant.xml", "mjcf/humanoid.xml"),
-        *("dm_control/suite/humanoid_CMU.xml", "dm_control/suite/dog.xml"),
+        "mjcf/g1.xml",
+        "dm_control/suite/humanoid_CMU.xml",
     ],
 )
 def test_forward_kinematics_of_robots(name: str, moving: Moving) -> None:
@@ -210,17 +210,6 @@ def test_velocities_are_mujocos_finite_differences(
         mujoco.mj_differentiatePos(model, rates, 1.0 / FPS, poses[frame], poses[frame + 1])
         np.testing.assert_allclose(state.dof_vel[frame], rates[6:18], atol=1e-5)
     torch.testing.assert_close(state.dof_vel[-1], state.dof_vel[-2])
-
-
-def test_positions_and_root_velocities(clip: MotionClip, lib: MotionLib) -> None:
-    times_s = np.arange(clip.num_frames) / FPS
-    ids = [0] * clip.num_frames
-    positions, _ = clip.global_poses()
-    np.testing.assert_allclose(lib.get_body_pos(ids, times_s), positions, atol=1e-6)
-    state = lib.get_motion_state(ids, times_s)
-    np.testing.assert_allclose(state.key_pos[:, 0], positions[:, 2], atol=1e-6)
-    # The root moves along x at 1 m/s.
-    np.testing.assert_allclose(state.root_vel[:, 0], 1.0, atol=1e-5)
 
 
 def test_a_hinge_turns_on_beyond_pi(tmp_path: Path, humanoid: Skeleton, plain: Skeleton) -> None:

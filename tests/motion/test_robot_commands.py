@@ -136,13 +136,6 @@ def test_a_robots_clip_in_every_form(g1: Skeleton, g1_joints: JointClip) -> None
     assert load_clips("c.npz", g1)[0][0].num_frames == 10
 
 
-def test_quaternions_in_the_other_order(g1_joints: JointClip) -> None:
-    table = np.hstack((g1_joints.root_pos, g1_joints.root_rot[:, [3, 0, 1, 2]], g1_joints.dof_pos))
-    np.savetxt("wxyz.csv", table, delimiter=",")
-    convert("wxyz.csv", "a.npz", G1, "quat_order=wxyz")
-    np.testing.assert_allclose(read_joint_clip("a.npz").root_rot, g1_joints.root_rot, atol=1e-6)
-
-
 def test_names_of_bodies_decide_which_one_is_the_root(g1: Skeleton, g1_joints: JointClip) -> None:
     """Isaac Lab's humanoids list the torso first."""
     position = 17
@@ -174,21 +167,6 @@ def test_joints_of_other_names_count_by_order_when_asked(refused, g1_joints: Joi
     assert "only the file has motor0, motor1" in line
     convert("motors.npz", "a.npz", G1, "by_order=True")
     np.testing.assert_allclose(read_joint_clip("a.npz").dof_pos, g1_joints.dof_pos, atol=1e-6)
-
-
-def test_a_urdf_without_a_mapping(caplog) -> None:
-    pytest.importorskip("mink")
-    write_biped()
-    with caplog.at_level("INFO"):
-        convert("walk", "biped.npz", "robot=biped.urdf", "end_s=0.5")
-    assert "left_thigh: left_thigh, left_shin: left_shin, left_foot: left_foot" in caplog.text
-    robot = load_clip_robot("biped.urdf").skeleton
-    clip, _ = load_single_clip("biped.npz", [robot])
-    assert robot.dof_names == tuple(
-        f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle")
-    )
-    feet = [robot.body_names.index(f"{side}_foot") for side in ("left", "right")]
-    assert 0.04 < clip.global_poses()[0][:, feet, 2].min() < 0.06  # the sole is 0.05 m below
 
 
 def write_coupled_biped() -> Path:

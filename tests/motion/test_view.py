@@ -42,15 +42,17 @@ def test_without_out_a_display_is_needed(walk_clip, monkeypatch, capsys):
     assert "out=FILE.mp4" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "words",
-    [["wlak", "out=x.mp4"], ["walk", "out=x.avi"], ["walk", "ot=x"], ["locomotion", "out=x.mp4"]],
-)
-def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        view.main(words)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err.strip()
-    assert error.startswith("error: ")
-    assert "\n" not in error
+def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
+    for words in (
+        ["wlak", "out=x.mp4"],
+        ["walk", "out=x.avi"],
+        ["walk", "ot=x"],
+        ["locomotion", "out=x.mp4"],
+    ):
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(SystemExit) as stop:
+            view.main(words)
+        assert stop.value.code == 2
+        error = capsys.readouterr().err.strip()
+        assert error.startswith("error: ")
+        assert "\n" not in error

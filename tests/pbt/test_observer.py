@@ -123,6 +123,15 @@ def test_a_run_that_is_resumed_stays_in_its_population(caplog):
     assert list(run_of(1).glob("nn/last_Ant_ep_14_*.pth"))
 
 
+def test_the_file_of_a_run_does_not_choose_where_the_workspace_is(tmp_path):
+    run(compose([*BAD, "max_iterations=2"]))
+    cfg = OmegaConf.load(run_of(1) / "config.yaml")
+    cfg.train.params.config.train_dir, cfg.pbt.workspace = str(tmp_path), "elsewhere"
+    OmegaConf.save(cfg, run_of(1) / "config.yaml")
+    run(resumed_tree([f"resume={run_of(1)}", "max_iterations=5"]))
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
 def test_a_policy_that_was_trained_does_not_begin_again():
     run(compose(GOOD))
     with pytest.raises(ConfigError) as error:

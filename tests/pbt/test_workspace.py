@@ -154,6 +154,12 @@ def test_a_broken_record_is_left_out(tmp_path, content, caplog):
     assert f"{file} is broken: " in message and "\n" not in message
 
 
+def test_a_broken_description_of_a_policy(tmp_path):
+    joined(tmp_path, 0, {1: 1.0})
+    (tmp_path / "runs/ws/000/policy.yaml").write_text("[")
+    assert "000/policy.yaml is broken: " in refusal(tmp_path)
+
+
 def test_the_oldest_records_go(tmp_path):
     with workspace(tmp_path, 0) as own:
         for iteration in range(1, MAX_RECORDS + 4):

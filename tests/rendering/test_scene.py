@@ -46,14 +46,15 @@ def test_the_camera_goes_along(fast, humanoid):
     assert (here & there).sum() > 0.9 * (here | there).sum()
 
 
-@pytest.mark.parametrize("place", [(100.0, 40.0), (-4.0, -4.0)])
-def test_floor_and_shadow_go_along(place, humanoid):
+def test_floor_and_shadow_go_along(humanoid):
     """Far away nothing is missing; towards the light there was noise on the floor."""
-    away = humanoid.qpos0.copy()
-    away[:2] += place  # whole squares of the floor
+    far, near = humanoid.qpos0.copy(), humanoid.qpos0.copy()
+    far[:2] += 100.0, 40.0  # whole squares of the floor
+    near[:2] -= 4.0
     with SceneRenderer(humanoid, 120, 160) as renderer:
-        here, there = (renderer.draw(qpos).astype(int) for qpos in (humanoid.qpos0, away))
-    assert (np.abs(here - there).max(axis=2) > 20).mean() < 0.01
+        here, *others = (renderer.draw(q).astype(int) for q in (humanoid.qpos0, far, near))
+    for there in others:
+        assert (np.abs(here - there).max(axis=2) > 20).mean() < 0.01
 
 
 def test_the_azimuth_turns_the_view(humanoid):
@@ -67,7 +68,7 @@ def test_the_azimuth_turns_the_view(humanoid):
     assert green[1] > 3 * green[0] + 50
 
 
-@pytest.mark.parametrize("azimuth_deg", range(0, 360, 45))
+@pytest.mark.parametrize("azimuth_deg", [90, 225])
 def test_nothing_is_on_the_floor_but_shadows(azimuth_deg, humanoid):
     """The map of shadows made black speckles of the floor that is far away, towards the light."""
     below = humanoid.qpos0.copy()
@@ -77,12 +78,8 @@ def test_nothing_is_on_the_floor_but_shadows(azimuth_deg, humanoid):
     assert (floor.max(axis=2) < 120).sum() <= 2
 
 
-@pytest.mark.parametrize(
-    ("size", "view"),
-    [((200, 300), None), ((160, 120), View(elevation_deg=-30.0)), ((640, 480), View(200.0, -20.0))],
-)
-def test_a_label_stands_whole_in_the_upper_left_corner(size, view, humanoid):
-    with SceneRenderer(humanoid, *size, view=view) as renderer:
+def test_a_label_stands_whole_in_the_upper_left_corner(humanoid):
+    with SceneRenderer(humanoid, 640, 480, view=View(200.0, -20.0)) as renderer:
         plain, labelled = (renderer.draw(humanoid.qpos0, text) for text in ("", "policy"))
     rows, columns = (plain != labelled).any(axis=2).nonzero()
     assert len(rows) > 100
@@ -103,14 +100,10 @@ def test_a_model_fixed_to_the_world_is_drawn_whole():
 
 def test_the_model_is_not_changed(humanoid):
     before = humanoid.vis.global_.offwidth, humanoid.vis.quality.shadowsize
-    SceneRenderer(humanoid, 64, 48, fast=True).close()
+    renderer = SceneRenderer(humanoid, 64, 48, fast=True)
+    renderer.close()
+    renderer.close()  # once more does no harm
     assert (humanoid.vis.global_.offwidth, humanoid.vis.quality.shadowsize) == before
-
-
-def test_closing_twice_does_no_harm(humanoid):
-    renderer = SceneRenderer(humanoid, 64, 48)
-    renderer.close()
-    renderer.close()
 
 
 def test_marks_are_drawn_for_one_picture(humanoid):

@@ -61,14 +61,12 @@ def hills() -> mujoco.MjModel:
     return model
 
 
-@pytest.mark.parametrize("x", [-50.0, -20.0, 0.0, 30.0])
-def test_the_height_of_the_ground(x, hills):
+def test_the_height_of_the_ground(hills):
     window = TerrainWindow(hills)
     window.move(np.array((20.0, -10.0)))  # what is drawn does not matter
-    expected = np.clip(
-        4.0 * (x + 50.0) / 100.0, 0.02, None
-    )  # at the edge the mean of what is there
-    assert window.height(np.array((x, 3.0))) == pytest.approx(expected, abs=0.021)
+    for x in (-50.0, -20.0, 0.0, 30.0):
+        expected = max(0.02, 4.0 * (x + 50.0) / 100.0)  # at the edge the mean of what is there
+        assert window.height(np.array((x, 3.0))) == pytest.approx(expected, abs=0.021)
 
 
 def test_a_piece_of_the_ground_is_where_it_was(hills):

@@ -43,12 +43,6 @@ def test_motors_give_the_effort():
     assert hip.kd == pytest.approx(0.24)
 
 
-def test_limits_of_joints_give_the_effort():
-    robot = prepared(effort=3)
-    assert robot.drives[1].effort == 3
-    assert not robot.model.jnt_actfrclimited.any()  # the drive's own limit counts
-
-
 def test_without_efforts_the_weight_counts():
     robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()))
     hip = robot.drives[0]
@@ -72,22 +66,20 @@ def test_an_ankle_carries_the_robot_and_a_finger_does_not():
 
 def test_efforts_beyond_reason_do_not_make_gains_beyond_reason():
     robot = prepared(effort=1e5)
-    assert robot.drives[1].effort == 1e5
+    assert robot.drives[1].effort == 1e5  # the joint's limit
+    assert not robot.model.jnt_actfrclimited.any()  # the drive's own limit counts
     assert robot.drives[1].kp == pytest.approx(4 * 0.6 * weight_moment(robot))
 
 
-@pytest.mark.parametrize(
-    ("gains", "wanted"),
-    [
+def test_an_action_of_one_is_worth_four_efforts():
+    for gains, wanted in (
         ({}, 1.0),  # the project's own: four times an effort in Nm for an error of 1 rad
         ({"*": {"kp": 20.0, "effort": 4.0}}, 0.8),
         ({"*": {"kp": 0.5, "effort": 2.0}}, 2.0),  # the most
-    ],
-)
-def test_an_action_of_one_is_worth_four_efforts(gains, wanted):
-    settings = read_section(RobotSettings, {"drives": gains}, "robot")
-    robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
-    assert robot.action_range_rad == pytest.approx(wanted)
+    ):
+        settings = read_section(RobotSettings, {"drives": gains}, "robot")
+        robot = prepare_robot(mujoco.MjSpec.from_string(mjcf()), settings)
+        assert robot.action_range_rad == pytest.approx(wanted)
 
 
 def test_an_action_of_weak_motors_is_worth_a_share_of_the_weight():
@@ -124,14 +116,14 @@ def test_drives_are_stable_whatever_they_carry():
     assert not any(warning.number for warning in data.warning)
 
 
-@pytest.mark.parametrize(
-    ("joint", "gains"),
-    [('armature="0.2"', ""), ("", '<position joint="hip" kp="30" forcerange="-5 5"/>')],
-)
-def test_rotors_and_gains_of_the_file_stay(joint, gains):
-    leg = LEG.replace('<joint name="hip"', f'<joint name="hip" {joint}')
-    hip, _knee = drives(mjcf(leg=leg, rest=actuators(gains)))
-    assert hip.armature == (0.2 if joint else 0.0)
+def test_rotors_and_gains_of_the_file_stay():
+    for joint, gains in (
+        ('armature="0.2"', ""),
+        ("", '<position joint="hip" kp="30" forcerange="-5 5"/>'),
+    ):
+        leg = LEG.replace('<joint name="hip"', f'<joint name="hip" {joint}')
+        hip, _knee = drives(mjcf(leg=leg, rest=actuators(gains)))
+        assert hip.armature == (0.2 if joint else 0.0)
 
 
 def test_ball_joints_have_three_drives_in_the_order_of_the_degrees_of_freedom():

@@ -63,22 +63,19 @@ def test_the_spec_of_the_user_does_not_change(tmp_path):
     assert spec.to_xml() == before
 
 
-@pytest.mark.parametrize(
-    ("base", "note"),
-    [
+def test_a_base_without_a_free_joint_gets_one():
+    for base, note in (
         ("", "base 'base' got a free joint"),
         (
             '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/>'
             '<joint name="tilt" axis="0 1 0"/>',
             "base 'base' got a free joint instead of x, z, tilt",
         ),
-    ],
-)
-def test_a_base_without_a_free_joint_gets_one(base, note):
-    robot = prepared(mjcf(base=base))
-    assert joint_types(robot) == ["free", "hinge", "hinge"]
-    assert robot.layout.dof_names == ("hip", "knee")
-    assert note in robot.notes
+    ):
+        robot = prepared(mjcf(base=base))
+        assert joint_types(robot) == ["free", "hinge", "hinge"]
+        assert robot.layout.dof_names == ("hip", "knee")
+        assert note in robot.notes
 
 
 def test_slides_are_fixed_with_what_refers_to_them():
@@ -147,19 +144,16 @@ def test_a_robot_that_lies_is_noted():
     assert not [note for note in prepared(mjcf()).notes if "startRotation" in note]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
+def test_numbers_that_no_robot_has_are_refused():
+    for old, new, message in (
         ('pos="0 0 -0.1"', 'pos="0 0 1e30"', "body 'thigh' has the position 1e+30 m, expected"),
         ('pos="0 0 -0.1"', 'pos="0 0 nan"', "body 'thigh' has the position nan m"),
         ('range="-1 1"', 'range="-1 1" armature="inf"', "joint 'hip' has the armature inf kg m^2"),
         ('size="0.03"', 'size="0.03" mass="1e9"', "body 'thigh' has the mass 1e+09 kg"),
         ('size="0.05"', 'size="1e3" name="toe" mass="1"', "geom 'toe' has the radius 1e+03 m"),
-    ],
-)
-def test_numbers_that_no_robot_has_are_refused(old, new, message):
-    assert old in LEG
-    assert message in refusal(mjcf(leg=LEG.replace(old, new, 1)))
+    ):
+        assert old in LEG
+        assert message in refusal(mjcf(leg=LEG.replace(old, new, 1)))
 
 
 def test_all_that_can_touch_touches_the_floor():
@@ -196,9 +190,8 @@ TWIN = """<body name="twin"><freejoint/><geom size="0.1"/>
 <body name="arm"><joint name="arm"/><geom size="0.1"/></body></body>"""
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
+def test_robots_that_cannot_be_used(tmp_path):
+    for text, reason in (
         (mjcf(leg=""), "has no joints"),
         ("<mujoco/>", "has no joints"),
         (mjcf(base='<joint name="pin"/>'), "is mounted on the world by pin of body 'base'"),
@@ -211,16 +204,14 @@ TWIN = """<body name="twin"><freejoint/><geom size="0.1"/>
         (mjcf().replace("<geom", '<geom contype="0" conaffinity="0"'), "touches anything"),
         (mjcf(rest="<actuator><motor joint='none'/></actuator>"), "MuJoCo refuses"),
         (mjcf(rest='<keyframe><key qpos="1 2 3 4 5 6 7 8 9 10"/></keyframe>'), "MuJoCo refuses"),
-    ],
-)
-def test_robots_that_cannot_be_used(tmp_path, text, reason):
-    path = written(tmp_path / "r.xml", text)
-    with pytest.raises(ConfigError) as caught:
-        load_robot(path)
-    message = str(caught.value)
-    assert message.startswith(str(path))
-    assert reason in message
-    assert "\n" not in message
+    ):
+        path = written(tmp_path / "r.xml", text)
+        with pytest.raises(ConfigError) as caught:
+            load_robot(path)
+        message = str(caught.value)
+        assert message.startswith(str(path))
+        assert reason in message
+        assert "\n" not in message
 
 
 def test_constraints_to_the_world_are_released():
@@ -232,9 +223,8 @@ def test_constraints_to_the_world_are_released():
     assert "released 'base', which was held in the world" in robot.notes
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
+def test_settings_that_match_nothing():
+    for settings, reason in (
         ({"keyBodies": ["hand*"]}, "robot.keyBodies: 'hand*' matches no body"),
         ({"contactBodies": ["foo"]}, "did you mean 'foot'"),
         ({"drives": {"hipp": {}}}, "robot.drives: 'hipp' matches no joint (did you mean 'hip'?)"),
@@ -245,16 +235,11 @@ def test_constraints_to_the_world_are_released():
         ({"startPose": {"elbow": 1}}, "'elbow' matches no hinge"),
         ({"startPose": {"hip": "x"}}, "robot.startPose.hip"),
         ({"startPose": [1]}, "robot.startPose"),
-    ],
-)
-def test_settings_that_match_nothing(settings, reason):
-    assert reason in refusal(mjcf(), **settings)
+    ):
+        assert reason in refusal(mjcf(), **settings)
 
 
-def test_errors_name_the_file_or_the_key(tmp_path):
-    path = written(tmp_path / "r.xml", mjcf(leg=""))
-    with pytest.raises(ConfigError, match=f"{path}: has no joints"):
-        load_robot(path)
+def test_errors_name_the_key(tmp_path):
     path = written(tmp_path / "s.xml", mjcf())
     with pytest.raises(ConfigError, match=r"^task.env.robot.keyBodies: 'x'"):
         load_robot(path, RobotSettings(key_bodies=("x",)), "task.env.robot")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 
 from isaacgymenvs_lite.robots.load import PreparedRobot, prepare_robot
 from isaacgymenvs_lite.robots.settings import RobotSettings
@@ -47,14 +46,14 @@ def places(prepared: PreparedRobot, part: str) -> np.ndarray:
     return np.array([data.body(f"{name}{part}").xpos for name in CORNERS])
 
 
-@pytest.mark.parametrize(("sign", "knee"), [(1, "-3 3"), (-1, "-3 3"), (1, "-2.7 -0.9")])
-def test_feet_are_below_the_hips_and_knees_behind(sign, knee):
-    prepared = robot(sign=sign, knee=knee)
-    feet, hips = places(prepared, ""), places(prepared, "_hip")
-    np.testing.assert_allclose(hips - feet, np.tile((0, 0, 0.75 * 0.4), (4, 1)), atol=1e-9)
-    assert (places(prepared, "_shank")[:, 0] < hips[:, 0] - 0.1).all()
-    assert prepared.contact_bodies == tuple(CORNERS)
-    assert any("legs bent" in note for note in prepared.notes)
+def test_feet_are_below_the_hips_and_knees_behind():
+    for sign, knee in ((1, "-3 3"), (-1, "-3 3"), (1, "-2.7 -0.9")):
+        prepared = robot(sign=sign, knee=knee)
+        feet, hips = places(prepared, ""), places(prepared, "_hip")
+        np.testing.assert_allclose(hips - feet, np.tile((0, 0, 0.75 * 0.4), (4, 1)), atol=1e-9)
+        assert (places(prepared, "_shank")[:, 0] < hips[:, 0] - 0.1).all()
+        assert prepared.contact_bodies == tuple(CORNERS)
+        assert any("legs bent" in note for note in prepared.notes)
 
 
 def test_knees_bend_as_their_limits_say():
@@ -70,16 +69,11 @@ def test_a_robot_whose_zero_angles_lift_its_legs_stands_up():
     np.testing.assert_allclose(hips - feet, np.tile((0, 0, 0.3), (4, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "kind", ["a keyframe", "two legs", "an angle of the user", "knees that do not bend"]
-)
-def test_other_robots_keep_their_angles(kind):
-    if kind == "a keyframe":
-        prepared = robot(rest="<keyframe><key/></keyframe>")
-    elif kind == "two legs":
-        prepared = robot(legs=2)
-    elif kind == "an angle of the user":
-        prepared = robot(settings=RobotSettings(start_pose={"fl_roll": 0.0}))
-    else:
-        prepared = robot(knee="-0.1 0.1")
-    np.testing.assert_array_equal(prepared.start_qpos[7:], 0.0)
+def test_other_robots_keep_their_angles():
+    for prepared in (
+        robot(rest="<keyframe><key/></keyframe>"),
+        robot(legs=2),
+        robot(settings=RobotSettings(start_pose={"fl_roll": 0.0})),
+        robot(knee="-0.1 0.1"),  # knees that do not bend
+    ):
+        np.testing.assert_array_equal(prepared.start_qpos[7:], 0.0)

@@ -118,17 +118,13 @@ def warnings_of(
     measured: Callable[[float], dict[str, float]] | None = measured_walk,
     frames: int = 8_000_000,
     spread_m: float = 0.1,
-    config: dict[str, Any] | None = None,
-    first_frame: int = 0,
-    implausible: str = "",
     clip_limits: Collection[str] = (),
 ) -> list[tuple[int, str]]:
     """[(frame, warning)] of a run; a measurement every 50 epochs."""
-    diagnostics = judge(CONFIG if config is None else config, clip_limits)
-    diagnostics.implausible = implausible
+    diagnostics = judge(CONFIG, clip_limits)
     warnings = []
     for epoch in range(1, frames // EPOCH_FRAMES + 1):
-        frame = first_frame + (epoch - 1) * EPOCH_FRAMES
+        frame = (epoch - 1) * EPOCH_FRAMES
         if measured is not None and epoch % 50 == 0:
             diagnostics.measurements.append(
                 Measurement(frame, clip_spread_m=spread_m, **measured(frame))

@@ -218,6 +218,18 @@ def test_a_folder_that_an_attacker_made_before_is_not_used(attack, open_run, tmp
     assert folder.newest_checkpoint() is None
 
 
+def test_what_an_attacker_planted_is_not_taken(tmp_dir, tmp_path, open_run):
+    folder = open_run()
+    break_checkpoints(folder)
+    file = save(folder)
+    assert file is not None
+    (root,) = tmp_dir.iterdir()
+    root.chmod(0o755)
+    with pytest.raises(CheckpointError, match="no checkpoint"):
+        resolve_checkpoint("last", tmp_path / "runs", "Ant")
+    assert folder.newest_checkpoint() is None
+
+
 def test_a_disk_that_is_full_in_the_middle(open_run, tmp_dir, monkeypatch):
     """Whole files before, rescued ones meanwhile, whole files again after."""
     folder = open_run()

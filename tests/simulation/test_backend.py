@@ -7,7 +7,7 @@ import mujoco
 import pytest
 
 from isaacgymenvs_lite.errors import ConfigError
-from isaacgymenvs_lite.simulation.backend import backend_names, make_simulation
+from isaacgymenvs_lite.simulation.backend import make_simulation
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 
 BALL = """<mujoco><worldbody><body name="ball" pos="0 0 1"><freejoint/><geom size="0.1"/></body>
@@ -25,7 +25,6 @@ def test_makes_cpu_batch_by_default() -> None:
 
 def test_an_unknown_backend_lists_the_choices() -> None:
     model = mujoco.MjModel.from_xml_string(BALL)
-    assert "cpu_batch" in backend_names()
     with pytest.raises(ConfigError, match=r"'cpu_bach'.*did you mean 'cpu_batch'.*choices: cpu_b"):
         make_simulation(model, 1, 1, backend="cpu_bach")
 

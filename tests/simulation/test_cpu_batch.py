@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 
 import mujoco
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -29,19 +28,15 @@ PUSHED_SLIDER = """
 """
 
 
-@pytest.mark.parametrize(
-    ("num_envs", "substeps", "num_threads", "message"),
-    [
-        (0, 1, 1, "num_envs=0: expected at least 1"),
-        (-3, 1, 1, "num_envs=-3"),
-        (1, 0, 1, "substeps=0: expected at least 1"),
-        (1, 1, -1, "num_threads=-1: expected at least 0"),
-    ],
-)
-def test_numbers_out_of_range(num_envs: int, substeps: int, num_threads: int, message: str) -> None:
+def test_numbers_out_of_range() -> None:
     model = mujoco.MjModel.from_xml_string(FALLING_BALL)
-    with pytest.raises(ConfigError, match=message):
-        CpuBatchSimulation(model, num_envs, substeps, num_threads)
+    for numbers, message in (
+        ((0, 1, 1), "num_envs=0: expected at least 1"),
+        ((1, 0, 1), "substeps=0: expected at least 1"),
+        ((1, 1, -1), "num_threads=-1: expected at least 0"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            CpuBatchSimulation(model, *numbers)
 
 
 def test_a_step_is_so_many_physics_steps(make_simulation) -> None:
@@ -86,9 +81,7 @@ def test_shapes_types_and_device(make_simulation, humanoid_model) -> None:
     assert (tuple(simulation.failed.shape), simulation.failed.dtype) == ((3,), torch.bool)
     assert simulation.device == torch.device("cpu")
 
-
-def test_state_tensors_are_updated_in_place(make_simulation, humanoid_model) -> None:
-    simulation = make_simulation(humanoid_model, num_envs=2, substeps=1)
+    # They are updated in place.
     names = ("root_states", "dof_pos", "dof_vel", "body_pos", "contact_forces", "failed")
     before = {name: getattr(simulation, name) for name in names}
     height = float(before["root_states"][0, 2])
@@ -103,20 +96,10 @@ def _hundred_steps(simulation: CpuBatchSimulation) -> list[Tensor]:
     generator = torch.Generator().manual_seed(0)
     states = []
     for _ in range(100):
-        actions = torch.randn(simulation.num_envs, 28, generator=generator)
-        simulation.set_controls(actions)
+        simulation.set_controls(torch.randn(simulation.num_envs, 28, generator=generator))
         simulation.step()
-        states.append(
-            torch.cat(
-                (
-                    simulation.root_states,
-                    simulation.dof_pos,
-                    simulation.dof_vel,
-                    simulation.contact_forces.flatten(1),
-                ),
-                dim=-1,
-            )
-        )
+        poses = simulation.root_states, simulation.dof_pos, simulation.dof_vel
+        states.append(torch.cat((*poses, simulation.contact_forces.flatten(1)), dim=-1))
     return states
 
 
@@ -146,10 +129,6 @@ def test_reading_derived_tensors_does_not_change_the_course(
         assert torch.equal(curious.root_states, plain.root_states)
         assert torch.equal(curious.contact_forces, plain.contact_forces)
     assert curious.contact_forces.abs().max() > 0.0
-
-
-def test_number_of_threads(make_simulation) -> None:
-    assert make_simulation(FALLING_BALL, num_envs=4, num_threads=2).num_threads == 2
 
 
 def _threads_of_this_process() -> int:
@@ -197,12 +176,6 @@ def test_contact_sensors_in_another_order_are_refused(make_simulation) -> None:
             '<body name="b" pos="1 0 0"><joint/><geom size="0.1"/></body></worldbody>'
             f"<sensor>{sensors}</sensor></mujoco>"
         )
-
-
-def test_a_model_without_contact_sensors_reports_no_forces(make_simulation) -> None:
-    simulation = make_simulation(FALLING_BALL)
-    simulation.step()
-    np.testing.assert_array_equal(simulation.contact_forces.numpy(), 0.0)
 
 
 def test_threads_that_have_too_little_to_do_are_not_made(

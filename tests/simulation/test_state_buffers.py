@@ -12,39 +12,6 @@ from isaacgymenvs_lite.simulation.state_buffers import (
     as_tensor,
 )
 
-NAMES = ("root_states", "dof_vel", "dof_pos", "body_pos", "body_rot", "contact_forces")
-
-
-def test_buffers_do_not_overlap(humanoid_model) -> None:
-    buffers = StateBuffers(ModelLayout.from_model(humanoid_model), 3)
-    shapes = [getattr(buffers, name).shape for name in NAMES]
-    assert shapes == [(13, 3), (28, 3), (28, 3), (3, 15, 3), (4, 15, 3), (3, 15, 3)]
-    for value, name in enumerate(NAMES):
-        getattr(buffers, name)[:] = value
-    for value, name in enumerate(NAMES):
-        assert (getattr(buffers, name) == value).all(), name
-    # the velocities of the root (of value 0) and those of the joints (of value 1)
-    assert buffers.velocities[:, 0].tolist() == [0.0] * 6 + [1.0] * 28
-
-
-def test_replace_leaves_the_others(humanoid_model) -> None:
-    layout = ModelLayout.from_model(humanoid_model)
-    buffers, others = StateBuffers(layout, 4), StateBuffers(layout, 2)
-    others.body_pos[:] = [5.0, 7.0]
-    others.root_states[:] = [6.0, 8.0]
-    buffers.replace(np.array([3, 1]), others)
-    assert buffers.body_pos[2, 14].tolist() == [0.0, 7.0, 0.0, 5.0]
-    assert buffers.root_states[12].tolist() == [0.0, 8.0, 0.0, 6.0]
-    assert (buffers.contact_forces == 0.0).all()
-
-
-def test_tensors_share_the_memory_of_the_buffers(humanoid_model) -> None:
-    buffers = StateBuffers(ModelLayout.from_model(humanoid_model), 4)
-    tensor = as_tensor(buffers.body_pos)
-    assert tuple(tensor.shape) == (4, 15, 3)
-    buffers.body_pos[2, 7, 1] = 9.0
-    assert float(tensor[1, 7, 2]) == 9.0
-
 
 def test_rows_and_back(humanoid_model, random_state) -> None:
     layout = ModelLayout.from_model(humanoid_model)

@@ -111,6 +111,7 @@ def test_episodes_start_at_scaled_default_angles_with_commands(make_task) -> Non
 
 
 def test_a_robot_stands_on_its_feet_when_it_does_nothing(make_task) -> None:
+    torch.manual_seed(0)
     task = make_task("task=Anymal", "task.env.learn.episodeLength_s=500")
     task.reset()
     for _ in range(200):
@@ -189,6 +190,15 @@ def test_commands_stay_for_an_episode_and_change_with_it(make_task) -> None:
     task.reset_idx(torch.tensor([1]))
     assert torch.equal(task.commands[[0, 2, 3]], before[[0, 2, 3]])
     assert (task.commands[1] != before[1]).all()
+
+
+def test_published_names_of_files_stand_for_ours(make_task) -> None:
+    task = make_task("task=Anymal", "task.env.urdfAsset.file=urdf/anymal_c/urdf/anymal.urdf")
+    assert task.simulation.body_names[1] == "LF_HIP"
+    with pytest.raises(ConfigError, match=r"task\.env\.urdfAsset\.file='mjcf/dog\.xml': no file"):
+        make_task("task=Anymal", "task.env.urdfAsset.file=mjcf/dog.xml")
+    with pytest.raises(ConfigError, match=r"task\.env\.asset: .*urdfAsset\.file"):
+        make_task("task=Anymal", "+task.env.asset.assetFileName=mjcf/ant.xml")
 
 
 def test_what_cannot_be_used_is_named(make_task) -> None:

@@ -34,9 +34,9 @@ def broken(make_task: Callable[..., Any], request: pytest.FixtureRequest) -> Any
     return task
 
 
-def speed_up(task: Any, env: int = ENV) -> None:
+def speed_up(task: Any) -> None:
     """Give all joints of an environment a speed that nothing physical has."""
-    sim, ids = task.simulation, torch.tensor([env])
+    sim, ids = task.simulation, torch.tensor([ENV])
     vel = torch.full((1, sim.dof_vel.shape[1]), 1e8)
     sim.write_state(ids, sim.root_states[ids].clone(), sim.dof_pos[ids].clone(), vel)
 

@@ -111,6 +111,7 @@ def test_the_guides_goal_trains_as_an_external_package(package: Path) -> None:
     assert re.search(r"ball_speed_error_m_s \d\.\d+", done.stdout + done.stderr)
 
 
+@pytest.mark.slow
 def test_an_entry_point_that_cannot_be_imported_is_named(package: Path) -> None:
     (package / "site" / "pendulum_tasks" / "swing_up.py").write_text("import lost_module\n")
     done = _train(package, "--config-dir", str(package / "cfg"), "task=SwingUp", "num_envs=2")

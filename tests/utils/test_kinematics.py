@@ -14,12 +14,10 @@ def _random_qpos(model: mujoco.MjModel, n: int) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(n, model.nq))
 
 
-def _poses(
-    model: mujoco.MjModel, qpos: np.ndarray, num_bodies: int | None = None
-) -> tuple[Floats, Floats]:
-    """Our positions (n, B, 3) and rotations (n, B, 4) xyzw, of all bodies or the first ones."""
-    kinematics = Kinematics(model, num_bodies)
-    shape = (model.nbody - 1 if num_bodies is None else num_bodies, len(qpos))
+def _poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[Floats, Floats]:
+    """Our positions (n, B, 3) and rotations (n, B, 4) xyzw, of all bodies."""
+    kinematics = Kinematics(model)
+    shape = (model.nbody - 1, len(qpos))
     positions = np.full((3, *shape), np.nan, dtype=np.float32)
     rotations = np.full((4, *shape), np.nan, dtype=np.float32)
     columns = np.ascontiguousarray(qpos.T, dtype=np.float32)

@@ -33,9 +33,9 @@ def _random_quaternions(n: int, seed: int) -> Tensor:
     return R.normalize(torch.randn(n, 4, dtype=torch.float64, generator=generator))
 
 
-def _random_vectors(n: int, seed: int, scale: float = 1.0) -> Tensor:
+def _random_vectors(n: int, seed: int) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
-    return scale * torch.randn(n, 3, dtype=torch.float64, generator=generator)
+    return torch.randn(n, 3, dtype=torch.float64, generator=generator)
 
 
 def _close(actual: Tensor, expected: Tensor | np.ndarray, atol: float = ATOL) -> None:

@@ -62,8 +62,7 @@ def test_plain_content_comes_back(tmp_path: Path, protocol: int, numpy_module: b
     assert loaded["nested"] == content["nested"]
 
 
-@pytest.mark.parametrize("protocol", [0, 3, 5])
-@pytest.mark.parametrize("attack", ["os.system", "builtins.eval"])
+@pytest.mark.parametrize(("attack", "protocol"), [("os.system", 0), ("builtins.eval", 5)])
 def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: int) -> None:
     marker = tmp_path / "marker"
     touch = f"open({str(marker)!r}, 'w').close()"
@@ -83,20 +82,20 @@ def test_calls_are_refused_and_not_run(tmp_path: Path, attack: str, protocol: in
     assert not marker.exists()
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["numpy load", "numpy.core.multiarray _reconstruct.__globals__", "builtins getattr"],
-)
-def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
-    module, attribute = name.split()
-    path = write_npy(tmp_path / "clip.npy", f"c{module}\n{attribute}\n.".encode())
-    with pytest.raises(MotionFileError, match=f"imports {module}.{attribute}"):
-        load_object_npy(path)
+def test_every_other_name_is_refused(tmp_path: Path) -> None:
+    for name in (
+        "numpy load",
+        "numpy.core.multiarray _reconstruct.__globals__",
+        "builtins getattr",
+    ):
+        module, attribute = name.split()
+        path = write_npy(tmp_path / "clip.npy", f"c{module}\n{attribute}\n.".encode())
+        with pytest.raises(MotionFileError, match=f"imports {module}.{attribute}"):
+            load_object_npy(path)
 
 
-@pytest.mark.parametrize(
-    "program",
-    [
+def test_malformed_programs_are_one_line_and_change_nothing(tmp_path: Path) -> None:
+    for program in (
         b"cnumpy\ndtype\n}b.",  # give the class a state
         b"ccollections\nOrderedDict\n}U\x08__call__K\x01sb.",
         b"cnumpy.core.multiarray\nscalar\n(N}U\x0c__defaults__(K\x01K\x02tstb.",
@@ -106,17 +105,15 @@ def test_every_other_name_is_refused(tmp_path: Path, name: str) -> None:
         b"cnumpy\nndarray\n(tRcnumpy\nndarray\n(tRb.",  # an array as state of an array
         b"Pid\n.",  # persistent id
         b"",
-    ],
-)
-def test_malformed_programs_are_one_line_and_change_nothing(tmp_path: Path, program: bytes) -> None:
-    with pytest.raises(MotionFileError) as raised:
-        load_object_npy(write_npy(tmp_path / "bad.npy", program))
-    assert "\n" not in str(raised.value)
-    good = write_npy(
-        tmp_path / "good.npy", pickled_array({"a": np.arange(3.0), "b": np.float32(2)})
-    )
-    np.testing.assert_array_equal(load_object_npy(good)["a"], [0.0, 1.0, 2.0])
-    assert restricted_pickle._scalar.__defaults__ is None
+    ):
+        with pytest.raises(MotionFileError) as raised:
+            load_object_npy(write_npy(tmp_path / "bad.npy", program))
+        assert "\n" not in str(raised.value)
+        good = write_npy(
+            tmp_path / "good.npy", pickled_array({"a": np.arange(3.0), "b": np.float32(2)})
+        )
+        np.testing.assert_array_equal(load_object_npy(good)["a"], [0.0, 1.0, 2.0])
+        assert restricted_pickle._scalar.__defaults__ is None
 
 
 def test_arrays_of_protocol_5(tmp_path: Path) -> None:

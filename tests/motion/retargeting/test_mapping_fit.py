@@ -17,7 +17,6 @@ from isaacgymenvs_lite.motion.retargeting.mapping import shipped_mappings
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 Z_UP = Rotation.from_euler("x", 90, degrees=True)  # y becomes z
-X_DOWN = Rotation.from_euler("z", 90, degrees=True)  # y becomes -x
 
 
 def heights_and_way(name: str) -> tuple[np.ndarray, float]:
@@ -30,7 +29,6 @@ def heights_and_way(name: str) -> tuple[np.ndarray, float]:
     ("rig", "joints_too", "axes"),
     [
         ("cmu", True, Z_UP),
-        ("cmu", False, X_DOWN),
         ("lafan1", False, Rotation.from_euler("x", 180, degrees=True)),
     ],
 )
@@ -94,9 +92,7 @@ def test_a_mapping_by_hand_that_does_not_fit(
     assert re.search(expected, line)
 
 
-@pytest.mark.parametrize(
-    ("rig", "about_y_deg"), [("cmu", 180.0), ("lafan1", 89.0), ("cmu", -89.0), ("lafan1", 70.0)]
-)
+@pytest.mark.parametrize(("rig", "about_y_deg"), [("cmu", 180.0), ("lafan1", 70.0)])
 def test_who_lies_crawls_or_stands_on_the_hands_is_not_turned(
     write_bvh, make_humanoid_clip, caplog: pytest.LogCaptureFixture, rig: str, about_y_deg: float
 ) -> None:

@@ -8,10 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import isaacgymenvs_lite
-from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.motion import kinematics
-from isaacgymenvs_lite.motion.formats.npz import save_npz
 from isaacgymenvs_lite.motion.loader import load_clips
 from isaacgymenvs_lite.motion.qpos import dofs_from_rotations
 from isaacgymenvs_lite.motion.retargeting.figure import humanoid_figure
@@ -37,9 +34,7 @@ def distances(clip, original) -> dict[str, float]:
     return dict(zip(clip.body_names, errors.tolist(), strict=True))
 
 
-@pytest.mark.parametrize(
-    ("rig", "name"), [("cmu", "walk_slow"), ("lafan1", "jump"), ("lafan1", "sidestep_left")]
-)
+@pytest.mark.parametrize(("rig", "name"), [("cmu", "walk_slow"), ("lafan1", "jump")])
 def test_the_clip_comes_back(tmp_path: Path, write_bvh, humanoid, rig, name) -> None:
     original = load_clips(name)[0][0]
     path = write_bvh(tmp_path / "a.bvh", original, rig, size=1.13)
@@ -127,16 +122,3 @@ def test_errors_are_told_in_metres(tmp_path: Path, write_bvh, humanoid, caplog) 
         assert f"{body} 0.000" in caplog.text
     assert "scaled by 1.000" in caplog.text
     assert "m below the ground at most" in caplog.text
-
-
-def test_the_result_trains(tmp_path: Path, write_bvh, humanoid) -> None:
-    path = write_bvh(tmp_path / "a.bvh", load_clips("walk_slow")[0][0], "cmu")
-    file = save_npz(tmp_path / "dance.npz", retarget_bvh(path, load_mapping("cmu"), humanoid))
-    cfg = compose(["task=HumanoidAMP", f"task.env.motion_file={file}", "num_envs=2"])
-    task = isaacgymenvs_lite.make(task="HumanoidAMP", num_envs=2, cfg=cfg)
-    try:
-        demo = task.fetch_amp_obs_demo(8)
-        assert demo.shape[0] == 8
-        assert demo.isfinite().all()
-    finally:
-        task.close()

@@ -16,15 +16,15 @@ def starts() -> AdaptiveStarts:
     return AdaptiveStarts(LENGTHS_S, WEIGHTS, SOON)
 
 
-def shares(adaptive: AdaptiveStarts, n: int = 40_000) -> torch.Tensor:
+def shares(adaptive: AdaptiveStarts) -> torch.Tensor:
     """Share of each bin among the starts that are drawn."""
     torch.manual_seed(3)
-    return torch.bincount(adaptive.bins_of(*adaptive.draw(n)), minlength=15) / n
+    return torch.bincount(adaptive.bins_of(*adaptive.draw(40_000)), minlength=15) / 40_000
 
 
-def failing(adaptive: AdaptiveStarts, bins: list[int], episodes: int = 500) -> None:
+def failing(adaptive: AdaptiveStarts, bins: list[int]) -> None:
     """Count as many episodes from each bin, of which those from `bins` fail at once."""
-    every = torch.arange(15).repeat(episodes)
+    every = torch.arange(15).repeat(500)
     adaptive.count(every, torch.where(torch.isin(every, torch.tensor(bins)), 10, 300), every >= 0)
 
 

@@ -131,6 +131,7 @@ def test_what_touches_the_ground_in_the_clip_may_do_so(
     assert given.contact_body_ids.tolist() == [14]
 
 
+@pytest.mark.slow
 def test_episodes_start_where_they_fail(make_humanoid, tmp_path: Path, walk_clip: Path) -> None:
     """A clip that stands, and in its last third is on its back in the air."""
     clip = load_single_clip(walk_clip)[0]

@@ -52,8 +52,8 @@ FOUR_DECIMALS = 5.1e-5
 FIVE_DECIMALS = 5.1e-6
 
 
-def _build(env: dict[str, Any] | None = None, sim: dict[str, Any] | None = None) -> mujoco.MjModel:
-    cfg = {"env": {"numEnvs": 1, **(env or {})}, "sim": {"dt": 0.0166, **(sim or {})}}
+def _build(env: dict[str, Any] | None = None) -> mujoco.MjModel:
+    cfg = {"env": {"numEnvs": 1, **(env or {})}, "sim": {"dt": 0.0166}}
     task = HumanoidAMPBase(cfg, "cpu", "cpu", -1, True)
     task.close()
     return task.simulation.model

@@ -209,6 +209,7 @@ def test_a_walk_on_the_spot_strays_by_its_travel(make_humanoid) -> None:
         assert not any(stayed for _, stayed in ended[:30])  # a second
 
 
+@pytest.mark.slow
 def test_a_walk_strays_by_its_tempo(make_humanoid) -> None:
     """The first character has the poses of the walk at its tempo, the second at another."""
     for tempo, share, ends in [(0.6, 0.3, True), (1.5, 0.3, True), (1.5, 0.0, False)]:

@@ -117,6 +117,29 @@ def test_an_action_takes_effect_after_the_delay(make_walker, controls_of):  # no
     assert states[3][:, -1].tolist() == [2.0] * 4
 
 
+def test_pushes_come_when_they_are_due(make_walker):  # noqa: F811
+    task = make_walker(
+        *(4,),
+        **{"pushRobots": True, "pushInterval_s": 0.1, "pushVelocity": 0.5},
+        stateInit="Default",
+        enableEarlyTermination=False,
+    )
+    started(task)
+    root, dof_pos = (state.repeat(4, 1) for state in task.default_pose())
+    root[:, 2] = 10.0  # in free fall nothing else changes the velocity over the ground
+    task.simulation.write_state(torch.arange(4), root, dof_pos, torch.zeros(4, 8))
+    speeds = []
+    for _ in range(7):
+        task.step(torch.zeros(4, 8))
+        speeds.append(task.simulation.root_states[:, 7:9].clone())
+    still, once, twice = speeds[2], speeds[3], speeds[6]
+    assert float(still.abs().max()) < 1e-3
+    torch.testing.assert_close(speeds[5], once, atol=1e-2, rtol=0)
+    for change in (once - still, twice - once):
+        assert 0.1 < float(change.abs().max()) < 0.51
+        assert len(set(change[:, 0].tolist())) == 4
+
+
 def test_robots_differ_from_their_model(walker, clip):  # noqa: F811
     words = [f"task.env.asset.assetFileName={walker}", f"task.env.motion_file={clip}"]
     cfg = compose(["task=RobotAMP", "num_envs=16", "task.task.randomize=True", *words])

@@ -114,12 +114,12 @@ def test_the_reward_uses_the_way_of_the_whole_control_step(make_ase) -> None:
 # --- where points are -------------------------------------------------------------------------
 
 
-def _draws(task: HumanoidASE, count: int = 20) -> torch.Tensor:
-    """Goals of `count` draws for characters in their places, (count, N, ...)."""
+def _draws(task: HumanoidASE) -> torch.Tensor:
+    """Goals of 20 draws for characters in their places, (20, N, ...)."""
     # Environments may be named in any order.
     env_ids = torch.arange(task.num_envs).flip(0)
     drawn = []
-    for _ in range(count):
+    for _ in range(20):
         task.goal.reset(env_ids)
         drawn.append(_goal_of(task))
     return torch.stack(drawn)

@@ -33,11 +33,11 @@ def _policy_features(task: HumanoidASE, local_root_obs: bool = True, height: boo
     return compute_all_body_observations(*bodies, local_root_obs, height)
 
 
-def _amp_features(task: HumanoidASE, local_root_obs: bool = True) -> Tensor:
+def _amp_features(task: HumanoidASE) -> Tensor:
     sim = task.simulation
     key_pos = sim.body_pos[:, KEY_BODIES[task.num_actions]]
     return build_amp_observations(
-        sim.root_states, sim.dof_pos, sim.dof_vel, key_pos, local_root_obs, as_ase=True
+        sim.root_states, sim.dof_pos, sim.dof_vel, key_pos, True, as_ase=True
     )
 
 

@@ -105,16 +105,15 @@ def test_a_reset_puts_the_box_back_on_its_feet(make) -> None:
 
 @pytest.fixture
 def hit(hold_pose) -> Callable[..., dict[str, Any]]:
-    """Return `hit(task, box, in_first_step=False)`, infos of a step in which the box is met."""
+    """Return `hit(task, box)`, infos of the second step, in which the box is met."""
 
-    def infos_of(task: HumanoidStrike, box: list[float], in_first_step: bool = False) -> Any:
+    def infos_of(task: HumanoidStrike, box: list[float]) -> Any:
         task.reset()
         _bend_arms(task)
-        if not in_first_step:
-            _place_box(task, _standing_at(5.0))
-            infos = task.step(hold_pose(task))[-1]
-            assert infos["terminate"].tolist() == [0] * task.num_envs
-            _bend_arms(task)
+        _place_box(task, _standing_at(5.0))
+        infos = task.step(hold_pose(task))[-1]
+        assert infos["terminate"].tolist() == [0] * task.num_envs
+        _bend_arms(task)
         _place_box(task, box)
         infos = task.step(hold_pose(task))[-1]
         assert task.simulation.object_contact_forces[:, 0, :2].abs().amax() > 1.0

@@ -199,7 +199,6 @@ def _reset(
     progress: int = 50,
     force: tuple[float, float, float] = (0.0, 0.0, 5.0),
     early: bool = True,
-    low_height_m: float = 0.2,
 ) -> tuple[int, int]:
     """Reset and terminate flags with these bodies touched and low, all others at 0.9 m."""
     forces, positions = torch.zeros(2, 15, 3), torch.zeros(2, 15, 3)
@@ -207,7 +206,7 @@ def _reset(
     for body in touched:
         forces[1, body] = torch.tensor(force)
     for body in low:
-        positions[1, body, 2] = low_height_m
+        positions[1, body, 2] = 0.2
     inputs = forces.clone(), positions.clone()
     reset, terminate = compute_humanoid_reset(
         torch.zeros(2, dtype=torch.int64),

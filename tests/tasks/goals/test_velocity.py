@@ -134,7 +134,7 @@ def test_a_command_lasts_for_a_random_time(make):
     assert all(3 <= length < 6 for length in lengths)
 
 
-def attached(num_steps_per_s: float = 10.0, **env: Any) -> tuple[Velocity, Tensor]:
+def attached(**env: Any) -> tuple[Velocity, Tensor]:
     """A goal of one environment with ten control steps in a second, and its root state."""
 
     class OneRobot:
@@ -142,7 +142,7 @@ def attached(num_steps_per_s: float = 10.0, **env: Any) -> tuple[Velocity, Tenso
         root_states = torch.tensor([[0.0] * 6 + [1.0] + [0.0] * 6])
 
     goal = Velocity(env)
-    goal.attach(OneRobot(), 1.0 / num_steps_per_s)  # type: ignore[arg-type]
+    goal.attach(OneRobot(), 0.1)  # type: ignore[arg-type]
     goal.reset(torch.tensor([0]))
     return goal, OneRobot.root_states
 

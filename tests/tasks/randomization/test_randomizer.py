@@ -171,11 +171,9 @@ def test_the_published_settings_of_the_imitating_humanoids(make_task, walk_clip,
             f"{params}.sim_params.gravity",
             f"{humanoid}.rigid_body_properties.mass",
             *(f"{humanoid}.rigid_shape_properties.{key}" for key in ("friction", "restitution")),
-            *(
-                f"{humanoid}.dof_properties.{key}"
-                for key in ("damping", "stiffness", "lower", "upper")
-            ),
+            *(f"{humanoid}.dof_properties.{k}" for k in ("damping", "stiffness", "lower", "upper")),
         )
+        caplog.clear()
         task = make_task(
             f"task={name}",
             "train=HumanoidASEPPO" if name == "HumanoidASE" else "train=HumanoidAMPPPO",
