@@ -217,17 +217,9 @@ def checked_task(env: Any, adapter: str) -> VecTask:
     """Return `env` if it is a task without a wrapper, else raise a `WrapperError`."""
     if isinstance(env, VecTask):
         return env
-    given = type(env).__name__
-    inner = getattr(getattr(env, "unwrapped", env), "task", None)
-    hint = (
-        f"; {given} is a task in another wrapper already: adapters do not go around others, wrap"
-        " the task itself, and put the library's own wrappers around the adapter"
-        if isinstance(inner, VecTask)
-        else ""
-    )
     raise WrapperError(
-        f"{adapter}: got {given}, expected a task as isaacgymenvs_lite.make(task=...) returns"
-        f" it{hint}"
+        f"{adapter}: got {type(env).__name__}, expected a task as isaacgymenvs_lite.make(task=...)"
+        " returns it; wrap the task itself, and put the library's own wrappers around the adapter"
     )
 
 
