@@ -116,8 +116,7 @@ def install() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the script that the command line names."""
     parser = argparse.ArgumentParser(
-        prog="isaacgymenvs-lite alias",
-        description=(__doc__ or "").partition("\n")[0],
+        prog="isaacgymenvs-lite alias", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("script", type=Path, help="a Python file that imports isaacgymenvs")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="the script's own")

@@ -28,7 +28,7 @@ STAND_INS: dict[str, str] = {
         ("pbt.experiments", "pbt.launcher"),
         "processes are not started from Python here: start a training once for each policy, with"
         " pbt=pbt_default pbt.policy_idx=0, 1, ... (docs/pbt.md)",
-    ),
+    )
 }
 """Packages whose names can be imported, and why using one is an error."""
 
@@ -41,10 +41,7 @@ ABSENT: dict[str, str] = {
         "tasks with hands are not here yet",
     ),
     **dict.fromkeys(
-        (
-            *("tasks.factory", "tasks.franka_cabinet", "tasks.franka_cube_stack"),
-            "tasks.industreal",
-        ),
+        (*("tasks.factory", "tasks.franka_cabinet", "tasks.franka_cube_stack"), "tasks.industreal"),
         "tasks with arms are not here yet",
     ),
     "tasks.amp.poselib": (

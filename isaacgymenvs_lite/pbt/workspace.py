@@ -184,10 +184,7 @@ class Workspace:
         file = self._file(index, record.iteration)
         checkpoint = file.with_suffix(".pth")
         write_atomically(checkpoint, plain_numbers(state))
-        paths = {
-            "checkpoint": str(checkpoint.absolute()),
-            "pbt_checkpoint": str(file.absolute()),
-        }
+        paths = {"checkpoint": str(checkpoint.absolute()), "pbt_checkpoint": str(file.absolute())}
         self._write_yaml(file, {**asdict(record), **paths})
         for iteration in self._iterations(index)[:-MAX_RECORDS]:
             old = self._file(index, iteration)

@@ -18,7 +18,6 @@ from rsl_rl.runners import OnPolicyRunner
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
-from isaacgymenvs_lite.workflows.library import AgentSettings, check_arguments, read_agent
 from isaacgymenvs_lite.wrappers.rsl_rl_env import ACTOR_GROUP, CRITIC_GROUP, RslRlVecEnvWrapper
 
 log = logging.getLogger(__name__)
@@ -28,7 +27,7 @@ _RESERVED = ("rnd_cfg", "symmetry_cfg", "multi_gpu_cfg", "distribution_cfg")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RslRlSettings(AgentSettings):
+class RslRlSettings(library.AgentSettings):
     """An agent file."""
 
     num_steps_per_env: int = setting(minimum=1)
@@ -49,14 +48,14 @@ class Agent(library.Agent):
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        settings = read_agent(RslRlSettings, content)
+        settings = library.read_agent(RslRlSettings, content)
         for cls, name in (
             (PPO, "algorithm"),
             (GaussianDistribution, "distribution"),
             (MLPModel, "actor"),
             (MLPModel, "critic"),
         ):
-            check_arguments(cls, getattr(settings, name), f"agent.{name}", _RESERVED)
+            library.check_arguments(cls, getattr(settings, name), f"agent.{name}", _RESERVED)
         self._device = device
         self._max_iterations = settings.max_iterations
         self.env = RslRlVecEnvWrapper(task)

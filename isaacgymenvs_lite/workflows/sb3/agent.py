@@ -32,12 +32,6 @@ from isaacgymenvs_lite.errors import CheckpointError, ConfigError
 from isaacgymenvs_lite.schema import keys_of, read_keys, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
-from isaacgymenvs_lite.workflows.library import (
-    AgentSettings,
-    activation_class,
-    check_arguments,
-    read_agent,
-)
 from isaacgymenvs_lite.wrappers.sb3 import Sb3VecEnvWrapper, process_sb3_cfg, read_schedules
 
 # Arguments that could name code or files.
@@ -48,7 +42,7 @@ _N_STEPS = 2048  # default of PPO
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sb3Settings(AgentSettings):
+class Sb3Settings(library.AgentSettings):
     """An agent file."""
 
     minibatches: int | None = setting(None, minimum=1)
@@ -90,12 +84,12 @@ class Agent(library.Agent):
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
         if "ppo" not in content and {"n_timesteps", "n_steps", "policy_kwargs"} & content.keys():
             content = to_sections(content, task.num_envs)
-        self._settings = settings = read_agent(Sb3Settings, content)
+        self._settings = settings = library.read_agent(Sb3Settings, content)
         ppo = read_schedules(settings.ppo, "agent.ppo")
         policy = dict(settings.policy)
-        activation = activation_class(policy.pop("activation", "elu"))
-        check_arguments(PPO, ppo, "agent.ppo", _RESERVED)
-        check_arguments(ActorCriticPolicy, policy, "agent.policy", _RESERVED_POLICY)
+        activation = library.activation_class(policy.pop("activation", "elu"))
+        library.check_arguments(PPO, ppo, "agent.ppo", _RESERVED)
+        library.check_arguments(ActorCriticPolicy, policy, "agent.policy", _RESERVED_POLICY)
         if (settings.minibatches is None) == (settings.batch_size is None):
             raise ConfigError("agent: expected either minibatches, of an epoch, or batch_size")
         rows = ppo.get("n_steps", _N_STEPS) * task.num_envs // (settings.minibatches or 1)
@@ -105,7 +99,7 @@ class Agent(library.Agent):
         self.normalizer: VecNormalize | None = None
         if settings.vec_normalize is not None:
             arguments = settings.vec_normalize
-            check_arguments(VecNormalize, arguments, "agent.vec_normalize")
+            library.check_arguments(VecNormalize, arguments, "agent.vec_normalize")
             gamma = ppo.get("gamma", 0.99)
             self.env = self.normalizer = VecNormalize(self.env, gamma=gamma, **arguments)
         self.model = PPO(
@@ -178,7 +172,7 @@ def to_sections(content: Mapping[str, Any], num_envs: int) -> dict[str, Any]:
     activation = policy.pop("activation_fn", None)
     policy["activation"] = "tanh" if activation is None else activation.__name__.lower()
     own = {key: ppo.pop(key) for key in _OWN_KEYS if key in ppo}
-    check_arguments(PPO, {"n_steps": ppo["n_steps"]}, "agent")
+    library.check_arguments(PPO, {"n_steps": ppo["n_steps"]}, "agent")
     iterations = math.ceil(flat.n_timesteps / (ppo["n_steps"] * num_envs))
     normalizer = {
         "norm_obs": True,

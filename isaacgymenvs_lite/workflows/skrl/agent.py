@@ -20,12 +20,6 @@ from torch import Tensor, nn
 from isaacgymenvs_lite.schema import setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
-from isaacgymenvs_lite.workflows.library import (
-    AgentSettings,
-    activation_class,
-    check_arguments,
-    read_agent,
-)
 from isaacgymenvs_lite.wrappers.skrl_env import SkrlVecEnvWrapper
 
 
@@ -40,7 +34,7 @@ class NetworkSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkrlSettings(AgentSettings):
+class SkrlSettings(library.AgentSettings):
     """An agent file."""
 
     ppo: dict[str, Any] = setting()
@@ -60,8 +54,8 @@ class Agent(library.Agent):
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
-        self._settings = settings = read_agent(SkrlSettings, content)
-        check_arguments(PPO_CFG, settings.ppo, "agent.ppo", ("experiment",))
+        self._settings = settings = library.read_agent(SkrlSettings, content)
+        library.check_arguments(PPO_CFG, settings.ppo, "agent.ppo", ("experiment",))
         self.env = SkrlVecEnvWrapper(task)
         self.stepper = self.env.stepper
         spaces: dict[str, Any] = {
@@ -71,7 +65,7 @@ class Agent(library.Agent):
             "device": device,
         }
         network = settings.network
-        layers = (network.units, activation_class(network.activation))
+        layers = (network.units, library.activation_class(network.activation))
         policy = GaussianPolicy(*layers, network.initial_log_std, **spaces)
         critic = Critic(*layers, **spaces)
         self.networks = (policy, critic)
