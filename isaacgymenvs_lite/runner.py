@@ -42,9 +42,8 @@ from isaacgymenvs_lite.config.train_params import (
     checkpoint_in_file,
     prepare_train_params,
 )
-from isaacgymenvs_lite.distributed import started_by_torchrun
+from isaacgymenvs_lite.distributed import mark_run, started_by_torchrun
 from isaacgymenvs_lite.distributed.group import ProcessGroup, joined_group
-from isaacgymenvs_lite.distributed.restarts import mark_run
 from isaacgymenvs_lite.env_factory import make_from_config, seed_everything, torch_settings_kept
 from isaacgymenvs_lite.errors import (
     CheckpointError,

@@ -32,8 +32,7 @@ from isaacgymenvs_lite.config.launch import read_config
 from isaacgymenvs_lite.config.resolvers import register_resolvers
 from isaacgymenvs_lite.config.run_names import train_dir_of
 from isaacgymenvs_lite.config.staging import ROOT, staged
-from isaacgymenvs_lite.distributed import started_by_torchrun
-from isaacgymenvs_lite.distributed.restarts import words_after_restart
+from isaacgymenvs_lite.distributed import started_by_torchrun, words_after_restart
 from isaacgymenvs_lite.errors import (
     EXIT_INTERRUPTED,
     EXIT_USER_ERROR,

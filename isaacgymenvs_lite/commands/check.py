@@ -83,11 +83,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
-    """Return a description of the file, line by line.
+    """Return a description of a task or train file, line by line.
 
     Args:
-        file: path or name of a task or train file.
-        overrides: further words of train.py's command line.
+        file: path or name of the file.
+        overrides: more words of train.py's command line.
 
     Raises:
         UserError: train.py would refuse the file.
@@ -107,35 +107,28 @@ def describe(file: str, overrides: Sequence[str] = ()) -> list[str]:
             has_train = train is not None
         config = read_config(compose(words))
         task = str(config.tree["task"]["name"])
-        lines = [_title(path, kind, task, guessed)]
-        known = kind == "train" or _has_class(task)
+        if kind == "task":
+            lines = [f"{path.name}: a task file, of the task {task}"]
+        else:
+            hint = "; task=<name> checks it with another" if guessed else ""
+            lines = [f"{path.name}: a train file, checked with task={task}{hint}"]
+        from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
+
+        known = kind == "train" or is_task(task)
         if known:
             lines += _describe_composed(config, kind, has_train)
         else:
-            lines += _describe_unknown(config.tree)
-    for line in dict.fromkeys(logged):
-        lines.append(f"note: {line}")
+            lines.append(
+                f"the class of '{task}' is not here, so that the keys of task.env are not checked;"
+                " install the package that has it, or register it in a script (docs/own_task.md)"
+            )
+            if unread := keys_without_effect(config.tree):
+                lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
+    lines += [f"note: {line}" for line in dict.fromkeys(logged)]
     checked = "it" if known else "the rest of it"
     if any(line.startswith((_NO_EFFECT, "note: nothing reads")) for line in lines):
         return [*lines, f"{checked} can be used; the keys without effect are named above"]
     return [*lines, f"nothing is wrong with {checked}"]
-
-
-def _has_class(task: str) -> bool:
-    from isaacgymenvs_lite.tasks.registry import is_task  # torch, as in `_describe_composed`
-
-    return is_task(task)
-
-
-def _describe_unknown(tree: dict[str, Any]) -> list[str]:
-    """Return the description of a task file without the class of the task."""
-    lines = [
-        f"the class of '{tree['task']['name']}' is not here, so that the keys of task.env are not"
-        " checked; install the package that has it, or register it in a script (docs/own_task.md)"
-    ]
-    if unread := keys_without_effect(tree):
-        lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
-    return lines
 
 
 def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> list[str]:
@@ -150,7 +143,12 @@ def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> lis
     small["task"]["env"]["numEnvs"] = 2
     task = make_from_config(small, sim_device="cpu", rl_device="cpu")
     try:
-        lines = _task_lines(num_envs, task)
+        states = f", {task.num_states} privileged observations" if task.num_states else ""
+        lines = [
+            f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
+            f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
+            f" {num_envs:,} environments"
+        ]
         params = prepare_train_params(
             tree,
             num_envs=num_envs,
@@ -166,7 +164,11 @@ def _describe_composed(config: CheckedConfig, kind: str, has_train: bool) -> lis
         lines += _train_lines(params)
     if path := checkpoint_in_file(tree):
         lines.append(f"goes on from {resolve_checkpoint(path, 'runs', tree['task']['name'])}")
-    unread = keys_without_effect(tree) if kind == "task" else _unread_train_keys(tree)
+    if kind == "task":
+        unread = keys_without_effect(tree)
+    else:
+        written = tree["train"]["params"]["config"]
+        unread = [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in written]
     if unread:
         lines.append(f"{_NO_EFFECT}: {', '.join(unread)}")
     if note := cpu_defaults_note(config.cfg):
@@ -193,11 +195,7 @@ def _find(file: str) -> Path:
 
 
 def _refuse_missing_task(path: Path, overrides: Sequence[str]) -> None:
-    """Refuse the file of a published task that this project lacks, before more of it is read.
-
-    Raises:
-        ConfigError: it is one, and there is no `task=` to check it with.
-    """
+    """Refuse the file of a published task that this project lacks, unless `task=` is given."""
     if any(word.startswith("task=") for word in overrides):
         return
     content = read_yaml(path)
@@ -228,9 +226,6 @@ def _task_of(path: Path, content: DictConfig) -> str:
 
     The task is found by the file's name and the name of its runs: MyRobotPPO.yaml, whose runs are
     called MyRobot, belongs neither to a task Robot nor to a task My.
-
-    Raises:
-        ConfigError: there is no such task.
     """
     names = [f.stem for f in (cfg_dir() / "task").glob("*.yaml") if f.stem not in PARTS]
     named, run = task_in_name(path.stem), _run_name(content)
@@ -264,30 +259,13 @@ def _train_file_of(path: Path, name: str) -> str | None:
 
 def _run_name(content: DictConfig) -> str:
     """Return the name that the runs of a train file have by default, '' if it says none."""
-    written = _written(content, "params.config.name")
-    text = "" if written is None else str(written)
+    text = str(_written(content, "params.config.name") or "")
     found = _DEFAULT_NAME.match(text)
     return found[1] if found else text
 
 
 def _written(content: DictConfig, path: str) -> Any:
     return select(OmegaConf.to_container(content, resolve=False), path)
-
-
-def _title(path: Path, kind: str, task: str, guessed: bool) -> str:
-    if kind == "task":
-        return f"{path.name}: a task file, of the task {task}"
-    hint = "; task=<name> checks it with another" if guessed else ""
-    return f"{path.name}: a train file, checked with task={task}{hint}"
-
-
-def _task_lines(num_envs: int, task: Any) -> list[str]:
-    states = f", {task.num_states} privileged observations" if task.num_states else ""
-    return [
-        f"task: {task.num_obs} observations{states}, {task.num_actions} actions,"
-        f" {task.max_episode_length} control steps of {task.control_dt_s:g} s at most,"
-        f" {num_envs:,} environments"
-    ]
 
 
 def _train_lines(params: Mapping[str, Any]) -> list[str]:
@@ -325,11 +303,6 @@ def _network_line(network: Mapping[str, Any]) -> str:
     if network.get("separate"):
         parts.append("actor and critic share no layers")
     return ", ".join(parts)
-
-
-def _unread_train_keys(tree: dict[str, Any]) -> list[str]:
-    config = tree["train"]["params"]["config"]
-    return [f"params.config.{key}" for key in sorted(UNREAD_KEYS) if key in config]
 
 
 def keys_without_effect(tree: dict[str, Any]) -> list[str]:
@@ -387,14 +360,10 @@ def task_in_name(stem: str) -> str:
 def _log_lines() -> Iterator[list[str]]:
     """Collect the log messages of the package instead of showing them."""
     lines: list[str] = []
-
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            lines.append(record.getMessage())
-
     logger = logging.getLogger("isaacgymenvs_lite")
     former = (logger.level, logger.propagate)
-    collector = Collector(logging.INFO)
+    collector = logging.Handler()
+    collector.emit = lambda record: lines.append(record.getMessage())
     logger.addHandler(collector)
     logger.setLevel(logging.INFO)
     logger.propagate = False
