@@ -53,15 +53,16 @@ _MAX_SHOWN = 80
 def save_checkpoint(filename: str, state: dict[str, Any]) -> Path | None:
     """Write `state` to `<filename>.pth`; an older file stays whole until the new one is.
 
-    If the run folder cannot be written (read-only, full, removed), the failure is logged, the
-    checkpoint is written to a private folder below the system's temporary folder, and the training
-    goes on. Returns the file; None if none could be written.
+    A run folder that was removed is made again. If it cannot be written (read-only, full), the
+    failure is logged, the checkpoint is written to a private folder below the system's temporary
+    folder, and the training goes on. Returns the file; None if none could be written.
     """
     path = Path(f"{filename}.pth")
     state = plain_numbers(state)
     folder = folder_of_checkpoint(path)
     saved: Path | None = path
     try:
+        folder.make_again()
         write_atomically(path, state)
     except OSError as error:
         reason = error.strerror or error

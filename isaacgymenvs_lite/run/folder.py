@@ -162,6 +162,17 @@ class RunFolder:
             reason = error.strerror or error
             log.warning("%s keeps the former settings (%s)", self.path / _CONFIG_FILE, reason)
 
+    def make_again(self) -> None:
+        """Make the folder once more if somebody removed it since `create`, config.yaml included."""
+        if self._lock is None:
+            return  # a run of another program
+        if not self.checkpoints.is_dir():
+            self.checkpoints.mkdir(parents=True)
+            log.warning("%s was removed while the run trains: made again", self.path)
+        if not (self.path / _CONFIG_FILE).exists():
+            with contextlib.suppress(OSError):  # the checkpoint is more important
+                self._write_config()
+
     def make_rescue(self) -> Path:
         """Make the folder of the rescued run, with config.yaml; return its nn/."""
         folder = _rescue_dir(self._real_train_dir) / self.name
