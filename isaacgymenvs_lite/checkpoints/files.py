@@ -306,9 +306,17 @@ def _newest(train_dir: Path, task_name: str, network_name: str) -> Path:
     if run is None or file is None:
         task = f"task={task_name}" if task_name else "any task"
         command = package_command("train", f"task={task_name or 'HumanoidAMP'}")
+        found = [
+            settings_of_run(config.parent, ["task.name"]) or {}
+            for other in runs_below(train_dir)
+            if other.newest_checkpoint() is not None
+            for config in other.files("config.yaml")
+        ]
+        others = sorted({str(each.get("task.name") or "") for each in found} - {"", task_name})
+        hint = f"; there are some of task={', task='.join(others)}" if others else ""
         network = f" with the network {network_name}" if network_name else ""
         raise CheckpointError(
-            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()};"
+            f"checkpoint=last: no checkpoint of {task}{network} below {train_dir.absolute()}{hint};"
             f" train one first: {command}"
         )
     run.report_rescued(file, "checkpoint=last")

@@ -61,8 +61,8 @@ def test_the_training_is_not_disturbed(observed):
 
 
 def test_the_mean_action_is_played_within_its_limits(observed):
-    agent, observer = observed
+    agent, _ = observed
     with torch.no_grad():
         agent.model.a2c_network.mu.bias.fill_(3.0)
-    actions = observer._policy()({"obs": torch.zeros(4, 105)})
+    actions = agent.mean_policy(agent.vec_env.env)({"obs": torch.zeros(4, 105)})
     assert torch.equal(actions, torch.ones(4, 28))
