@@ -14,7 +14,7 @@ from isaacgymenvs_lite.utils.threads import release_torch_threads, trainer_sets_
 
 
 class RLGPUEnv(IVecEnv):
-    """Gives rl_games the task that the registered creator makes.
+    """Gives rl_games the task that the registered creator makes, as attribute `env`.
 
     The first action of an episode in a task with `agents_call_reset_done` has to be chosen for its
     first observation. Agents of the AMP family call `reset_done` before each action. rl_games' own

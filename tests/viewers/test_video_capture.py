@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from isaacgymenvs_lite.viewers.video_capture import VideoCapture
-from isaacgymenvs_lite.viewers.video_writer import VideoWriter
+from isaacgymenvs_lite.viewers.videos import VideoCapture, VideoWriter
 from tests.viewers.conftest import assert_is_a_video, frames_of
 
 # One task of each kind: a fixed base, rough ground, loose objects, a humanoid, a robot.
