@@ -14,7 +14,7 @@ import torch
 
 from isaacgymenvs_lite.isaacgymenvs_compat.stand_ins import StandInModule
 from isaacgymenvs_lite.schema import read_section
-from isaacgymenvs_lite.tasks.randomization.sampling import bucketed, draw
+from isaacgymenvs_lite.tasks.randomization.randomizer import bucketed, draw
 from isaacgymenvs_lite.tasks.randomization.settings import AttributeSettings
 
 _stand_ins = StandInModule(

@@ -1,8 +1,8 @@
 """AutoresetTask: one reset convention for all tasks, which the adapters to other libraries use.
 
-Tasks start the next episode at different times (`ResetMode`). Here all of them start it within the
-step that ended the one before. A step returns the last observation of an episode beside the first
-of the next, and separates failures from time limits.
+Tasks start the next episode at different times (see `VecTask`). Here all of them start it within
+the step that ended the one before. A step returns the last observation of an episode beside the
+first of the next, and separates failures from time limits.
 """
 
 from __future__ import annotations
