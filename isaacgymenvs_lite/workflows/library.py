@@ -51,7 +51,7 @@ class Agent(ABC):
     """An agent of a library with its environment; made from task, agent file, device and seed."""
 
     env: Any
-    """In the library's own form, with all wrappers."""
+    """The environment in the library's own form, with all wrappers."""
     stepper: AutoresetTask
     networks: Sequence[nn.Module]
     minibatch_rows: int

@@ -46,7 +46,7 @@ class Sb3Settings(library.AgentSettings):
     """An agent file."""
 
     minibatches: int | None = setting(None, minimum=1)
-    """Of an epoch."""
+    """Minibatches of an epoch."""
     batch_size: int | None = setting(None, minimum=2)
     """Rows of a minibatch, in place of `minibatches`."""
     ppo: dict[str, Any] = setting()
@@ -65,20 +65,20 @@ class FlatSettings:
     n_timesteps: float = setting(1.0, minimum=1, below=math.inf)
     """Frames of all environments."""
     max_iterations: int | None = setting(None, minimum=1)
-    """In place of `n_timesteps`."""
+    """Replaces `n_timesteps`."""
     normalize_input: bool = setting(False)
     normalize_value: bool = setting(False)
     clip_obs: float = setting(100.0)
     policy_kwargs: Any = setting(None)
     device: Any = setting(None)
-    """Not read: rl_device= says where the networks are."""
+    """Has no effect: rl_device= says where the networks are."""
 
 
 class Agent(library.Agent):
     """PPO, with `VecNormalize` around the environment if the agent file has `vec_normalize`.
 
     Checkpoints are `checkpoints/model_<steps>.zip` and at the end `model.zip`, for `PPO.load`, each
-    with a `.npz` beside it that holds the normalisers' statistics.
+    with the normalisers' statistics in a `.npz` of the same name.
     """
 
     def __init__(self, task: VecTask, content: dict[str, Any], device: str, seed: int) -> None:
@@ -153,7 +153,7 @@ class Agent(library.Agent):
             if not statistics.is_file():
                 raise CheckpointError(
                     f"checkpoint={checkpoint}: the agent file has vec_normalize, and there are no"
-                    f" statistics beside it: {statistics.name} is missing"
+                    f" statistics in the same folder: {statistics.name} is missing"
                 )
             load_statistics(self.normalizer, statistics)
 
