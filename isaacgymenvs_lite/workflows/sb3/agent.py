@@ -28,7 +28,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from isaacgymenvs_lite.errors import CheckpointError, ConfigError
+from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.schema import keys_of, read_keys, setting
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.workflows import library
@@ -149,13 +149,7 @@ class Agent(library.Agent):
             found = load_from_zip_file(checkpoint, load_data=False, device=self.model.device)
             self.model.set_parameters(found[1], exact_match=True)
         if self.normalizer is not None:
-            statistics = checkpoint.with_suffix(".npz")
-            if not statistics.is_file():
-                raise CheckpointError(
-                    f"checkpoint={checkpoint}: the agent file has vec_normalize, and there are no"
-                    f" statistics in the same folder: {statistics.name} is missing"
-                )
-            load_statistics(self.normalizer, statistics)
+            load_statistics(self.normalizer, checkpoint.with_suffix(".npz"))
 
     def policy(self) -> Callable[[Any], Any]:
         """See `library.Agent`."""
