@@ -24,7 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from isaacgymenvs_lite.config.devices import allow_cpu_fallback
+from isaacgymenvs_lite.config.launch import allow_cpu_fallback
 from isaacgymenvs_lite.config.resolvers import register_for
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR
 from isaacgymenvs_lite.isaacgymenvs_compat.module_names import (

@@ -18,22 +18,15 @@ import copy
 import logging
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, flag_override
 
-from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose
+from isaacgymenvs_lite.config.compose import ANY_TRAIN_FILE, compose, missing_task
 from isaacgymenvs_lite.config.launch import CheckedConfig, read_config
-from isaacgymenvs_lite.config.notes import cpu_defaults_note, keys_without_effect
-from isaacgymenvs_lite.config.published_names import (
-    longest_task,
-    missing_choice,
-    missing_task,
-    task_in_name,
-)
 from isaacgymenvs_lite.config.rl_games_settings import UNREAD_KEYS
 from isaacgymenvs_lite.config.staging import is_foreign, read_yaml
 from isaacgymenvs_lite.config.train_files import compose_file
@@ -44,7 +37,7 @@ from isaacgymenvs_lite.config.train_params import (
 )
 from isaacgymenvs_lite.errors import EXIT_USER_ERROR, ConfigError, UserError, suggest
 from isaacgymenvs_lite.paths import PARTS, cfg_dir, user_path
-from isaacgymenvs_lite.schema import select
+from isaacgymenvs_lite.schema import leaves, plain, select
 
 EXIT_DOES_NOT_WORK = 1
 # Task -> algorithms, for train files without a task in their name, like ASE's.
@@ -55,6 +48,15 @@ _TASKS_OF_ALGORITHMS = {
 _DEFAULT_NAME = re.compile(r"\$\{resolve_default:\s*['\"]?([\w-]+)")
 _NO_EFFECT = "no effect here"
 _GROUPS = {"params": "train", "env": "task", "name": "task", "sim": "task"}
+# Keys of a task that Isaac Gym's PhysX, its importer or its viewer read.
+_UNREAD_TASK_KEYS = (
+    *("env.envSpacing", "env.enableDebugVis", "env.enableCameraSensors", "env.renderFPS"),
+    *("env.plane.restitution", "sim.num_client_threads", "sim.flex"),
+)
+# What a user need not type to find a key, the longest first.
+_SECTIONS = ("task.env.", "task.", "train.params.config.", "train.params.network.", "train.params.")
+_GPU = "cuda:0"
+_ALGORITHM = re.compile(r"(?:PPO|SAC)\w*$")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -182,9 +184,8 @@ def _find(file: str) -> Path:
     for path in named:
         if given.name == file and path.is_file():
             return path
-    for group in ("train", "task"):
-        if published := missing_choice(group, given.stem):
-            raise ConfigError(f"{file}: no such file; {published}")
+    if published := missing_task(given.stem):
+        raise ConfigError(f"{file}: no such file; {published}")
     files = [path for group in ("task", "train") for path in cfg_dir().glob(f"{group}/*.yaml")]
     names = [path.stem for path in files if path.stem not in PARTS]
     raise ConfigError(
@@ -302,6 +303,57 @@ def _network_line(network: Mapping[str, Any]) -> str:
     if network.get("separate"):
         parts.append("actor and critic share no layers")
     return ", ".join(parts)
+
+
+def keys_without_effect(tree: dict[str, Any]) -> list[str]:
+    """Return the keys of a tree's task that only Isaac Gym reads."""
+    paths = [f"task.{key}" for key in _UNREAD_TASK_KEYS]
+    found = [path for path in paths if select(tree, path) is not None]
+    if set(select(tree, "task.sim.physx") or ()) - {"num_threads"}:
+        found.append("task.sim.physx.* (except num_threads)")
+    return found
+
+
+def cpu_defaults_note(cfg: DictConfig) -> str | None:
+    """Return one line that names the settings that depend on learning on a CPU, or None.
+
+    Args:
+        cfg: the tree as it was composed; its `rl_device` decides.
+    """
+    if "cuda" in str(cfg.rl_device):
+        return None
+    on_gpu = cfg.copy()
+    with flag_override(on_gpu, "readonly", False):
+        on_gpu.rl_device = _GPU
+    here, there = (dict(leaves(plain(tree))) for tree in (cfg, on_gpu))
+    changed = []
+    for path, value in here.items():
+        other = there.get(path)
+        if path.startswith(_SECTIONS) and other not in (value, _GPU):
+            key = path.removeprefix(next(name for name in _SECTIONS if path.startswith(name)))
+            changed.append(f"{key} {_short(value)} ({_short(other)})")
+    return f"defaults for learning on a CPU (on a GPU): {', '.join(changed)}" if changed else None
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return "-".join(str(entry) for entry in value)
+    return "null" if value is None else str(value)
+
+
+def longest_task(stem: str, tasks: Iterable[str]) -> str | None:
+    """Return the longest of `tasks` that a file's name begins with, as whole words, or None."""
+    fitting = [
+        name
+        for name in tasks
+        if stem.startswith(name) and not stem.removeprefix(name)[:1].islower()
+    ]
+    return max(fitting, key=len, default=None)
+
+
+def task_in_name(stem: str) -> str:
+    """Return a train file's name without its algorithm: MyRobot of MyRobotPPO_LSTM."""
+    return _ALGORITHM.sub("", stem).rstrip("_-")
 
 
 @contextmanager

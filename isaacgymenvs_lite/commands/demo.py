@@ -26,9 +26,9 @@ import mujoco
 import numpy as np
 from omegaconf import DictConfig
 
+from isaacgymenvs_lite import paths
 from isaacgymenvs_lite.checkpoints.packed import PolicyInfo, shipped_policy_infos
 from isaacgymenvs_lite.checkpoints.policy_arguments import playing_overrides
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies_dir
 from isaacgymenvs_lite.command_line import run_command
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_interface import ReferenceEnv, fits
@@ -128,7 +128,7 @@ def _names(wanted: Sequence[str]) -> list[str]:
     infos = {name: shipped[name] for name in (*known, *shipped)}
     if not infos:
         raise ConfigError(
-            f"there is no policy in {shipped_policies_dir()}; pack one with python -m"
+            f"there is no policy in {paths.shipped_policies_dir()}; pack one with python -m"
             " isaacgymenvs_lite policies pack checkpoint=FILE name=NAME"
         )
     if not wanted and sys.stdin.isatty():

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from isaacgymenvs_lite.env_factory import make_from_config
 from isaacgymenvs_lite.isaacgymenvs_compat.utils import set_seed
+from isaacgymenvs_lite.run.metrics import TaskScalarsObserver as RLGPUAlgoObserver  # noqa: F401
 from isaacgymenvs_lite.run.observers import MultiObserver  # noqa: F401  a published name
-from isaacgymenvs_lite.run.task_scalars import TaskScalarsObserver as RLGPUAlgoObserver  # noqa: F401
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
 from isaacgymenvs_lite.wrappers.rl_games_env import RLGPUEnv
 

@@ -27,7 +27,7 @@ import yaml
 from isaacgymenvs_lite.checkpoints.files import plain_numbers, short, write_atomically
 from isaacgymenvs_lite.config.pbt_settings import PBTSettings
 from isaacgymenvs_lite.errors import ConfigError, one_line
-from isaacgymenvs_lite.run.lock import FolderInUseError, FolderLock
+from isaacgymenvs_lite.run.folder import FolderInUseError, FolderLock
 from isaacgymenvs_lite.schema import leaves, read_keys, select, setting
 from isaacgymenvs_lite.utils.files import PARTIAL_FILE, atomic_write, check_no_links
 

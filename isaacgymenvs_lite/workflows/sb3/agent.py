@@ -62,7 +62,7 @@ class FlatSettings:
     """The keys of Isaac Lab's agent files that are no arguments of PPO."""
 
     policy: str = setting("MlpPolicy", choices=("MlpPolicy",))
-    n_timesteps: float = setting(1.0, minimum=1, below=math.inf)
+    n_timesteps: float = setting(1.0, minimum=1, maximum=1e15)
     """Frames of all environments."""
     max_iterations: int | None = setting(None, minimum=1)
     """Replaces `n_timesteps`."""
