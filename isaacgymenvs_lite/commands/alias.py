@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.exit(EXIT_USER_ERROR, f"error: {args.script}: no such file; give a Python script\n")
     install()
     sys.argv = [str(args.script), *args.arguments]
-    # As python does for a script: its neighbours can be imported.
+    # Modules in the script's folder can be imported, like with python.
     sys.path.insert(0, str(args.script.resolve().parent))
     # A script that sets up no logging shows the log of this package.
     logging.getLogger(_NEW).setLevel(logging.INFO)
