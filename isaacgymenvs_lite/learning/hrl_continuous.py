@@ -24,7 +24,7 @@ from isaacgymenvs_lite.config.train_params import KnownNames, prepare_train_para
 from isaacgymenvs_lite.env_interface import Env, HierarchyEnv, diverged_in, failures, require
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
-from isaacgymenvs_lite.learning.common_agent import CommonAgent
+from isaacgymenvs_lite.learning.common_agent import CommonAgent, given_params
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.skills.latents import latent_space
@@ -81,8 +81,13 @@ class HRLAgent(CommonAgent):
 
     # --- constructor -----------------------------------------------------------------------
 
-    def _complete_section(self, given: dict[str, Any]) -> dict[str, Any]:
-        return complete_params(given, _DEFAULTS)
+    def __init__(
+        self,
+        base_name: str,
+        params: dict[str, Any] | None = None,
+        config: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(base_name, complete_params(given_params(params, config), _DEFAULTS))
 
     def load_networks(self, params: dict[str, Any]) -> None:
         """Build the network that the section names, unless the configuration holds one."""
@@ -243,17 +248,6 @@ class HRLAgent(CommonAgent):
 
         act = self.llc.policy_under(choose, self._hrl.llc_steps, self._compute_llc_action)
         return lambda obs: act(self._obs_tensor(obs))
-
-    def _before_update(self, batch_dict: dict[str, Any]) -> None:
-        super()._before_update(batch_dict)
-        style = self.experience_buffer.tensor_dict["disc_rewards"]
-        self.train_log.add({"disc_reward_mean": style.mean(), "disc_reward_std": style.std()})
-
-    def _record_train_batch_info(
-        self, batch_dict: dict[str, Any], train_info: dict[str, Any]
-    ) -> None:
-        super()._record_train_batch_info(batch_dict, train_info)
-        train_info["disc_rewards"] = batch_dict["disc_rewards"]
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:

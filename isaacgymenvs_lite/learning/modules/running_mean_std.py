@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from rl_games.algos_torch import running_mean_std
 from torch import Tensor, nn
@@ -35,13 +37,14 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
         return (input - self.running_mean.float()).div_(scale).clamp_(-5.0, 5.0)
 
     @torch.no_grad()
-    def count_in(self, rows: Tensor) -> None:
-        """Take rows (n, ...) into the statistics, whatever the mode."""
+    def count_in(self, *kinds: Tensor) -> None:
+        """Take rows (n, ...) of one kind after another into the statistics, whatever the mode."""
         if current_group().size > 1:
-            count_in_jointly([(self, [rows])])
+            count_in_jointly([(self, *kinds)])
             return
-        mean = rows.mean(0)
-        self._count_in_moments(mean, (rows - mean).square_().mean(0), len(rows))
+        for rows in kinds:
+            mean = rows.mean(0)
+            self._count_in_moments(mean, (rows - mean).square_().mean(0), len(rows))
 
     def _count_in_moments(self, mean: Tensor, var: Tensor, num_rows: int) -> None:
         statistics = (self.running_mean, self.running_var, self.count)
@@ -53,15 +56,15 @@ class RunningMeanStd(running_mean_std.RunningMeanStd):
 
 
 @torch.no_grad()
-def count_in_jointly(inputs: list[tuple[RunningMeanStd, list[Tensor]]]) -> None:
+def count_in_jointly(inputs: list[tuple[Any, ...]]) -> None:
     """Take the rows of all processes into several statistics, by one message.
 
     Args:
-        inputs: statistics, and rows (n, ...) of this process to take in, one after another.
+        inputs: statistics, each followed by rows (n, ...) of this process in order.
     """
-    kinds = [(each.running_mean, rows) for each, several in inputs for rows in several]
+    kinds = [(each.running_mean, rows) for each, *several in inputs for rows in several]
     moments = iter(joined_moments(kinds))
-    for each, several in inputs:
+    for each, *several in inputs:
         for _ in several:
             found = next(moments)
             each._count_in_moments(found.mean, found.var, found.count)
