@@ -2,8 +2,8 @@
 
 rl_games' `train()` calls `train_epoch` once per epoch, so that checkpoints and stop rules are
 rl_games'. The file follows an epoch: constructor, epoch, rollout, training set, gradient step,
-loss, learning rate, log, checkpoint. Agents override the methods that the loops call, never the loops.
-Methods that the agents of IsaacGymEnvs or ASE have too keep their names and arguments;
+loss, learning rate, log, checkpoint. Agents override the methods that the loops call, never the
+loops. Methods that the agents of IsaacGymEnvs or ASE have too keep their names and arguments;
 `published_names` lists the names that are not here. N environments, horizon H, batch B = N * H.
 """
 
@@ -262,11 +262,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         for n in range(self.horizon_length):
             self.obs, reset_ids = self._env_reset_done()
             self._after_reset(reset_ids.to(self.ppo_device))
-            try:
-                result = self.get_action_values(self.obs)
-            except (RuntimeError, ValueError):
-                self.explain_failed_action(self.obs, n)
-                raise
+            result = self.get_action_values(self.obs)
             if n > 0:
                 last = next_values[n - 1]
                 torch.where(pending.unsqueeze(-1), result["values"], last, out=last)
@@ -719,6 +715,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
 
     def write_stats(self, total_time: float, epoch_num: int, *args: Any) -> None:
         """Write rl_games' scalars and those that IsaacGymEnvs' CommonAgent adds."""
+        self._check_finite({name: torch.stack(each) for name, each in self.train_log.items()})
         (_step_time, play_time, update_time, *_rest) = args
         frame, scaled_time, _scaled_play_time, curr_frames = args[-4:]
         writer = self.writer
@@ -732,10 +729,6 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             writer.add_scalar("rewards/frame", mean_reward, frame)
             writer.add_scalar("episode_lengths/frame", mean_length, frame)
         super().write_stats(total_time, epoch_num, *args)
-
-    def _check_losses(self, losses: Mapping[str, list[Tensor]]) -> None:
-        """Check that everything collected is finite, which includes `losses`."""
-        super()._check_losses(self.train_log)
 
     # --- checkpoint ------------------------------------------------------------------------
     # `PPOSafeguards` reads and writes the files.

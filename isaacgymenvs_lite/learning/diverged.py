@@ -24,30 +24,35 @@ _COLUMNS = ("obses", "next_obses", "actions", "rewards", "dones")
 
 
 class RolloutMask:
-    """Which steps of a rollout have an outcome.
+    """Which steps of a rollout of `horizon` steps have an outcome.
 
-    Args:
-        horizon: H, steps of a rollout.
+    Attributes:
+        num_steps: steps of the rollout so far.
     """
 
     def __init__(self, horizon: int) -> None:
         self._horizon = horizon
-        self._steps: list[Tensor | None] = []
+        self._diverged: dict[int, Tensor] = {}
+        self.num_steps = 0
 
     def add(self, diverged: Tensor | None) -> None:
-        """Store the next step, (N,) bool or None; after H steps the next rollout starts."""
-        if len(self._steps) == self._horizon:
-            self._steps = []
-        self._steps.append(diverged)
+        """Store the next step, (N,) bool or None; after a whole rollout the next rollout starts."""
+        if self.num_steps == self._horizon:
+            self._diverged, self.num_steps = {}, 0
+        if diverged is not None:
+            self._diverged[self.num_steps] = diverged
+        self.num_steps += 1
 
     @property
     def kept(self) -> Tensor | None:
         """(H, N) bool, False where a simulation diverged; None if none did."""
-        marked = [step for step in self._steps if step is not None]
-        if not marked:
+        if not self._diverged:
             return None
-        nothing = torch.zeros_like(marked[0])
-        return ~torch.stack([nothing if step is None else step for step in self._steps])
+        shape = next(iter(self._diverged.values()))
+        kept = torch.ones(self.num_steps, *shape.shape, dtype=torch.bool, device=shape.device)
+        for step, diverged in self._diverged.items():
+            kept[step] = ~diverged
+        return kept
 
 
 def take_rows(batch: dict[str, Any], kept: Tensor) -> dict[str, Any]:

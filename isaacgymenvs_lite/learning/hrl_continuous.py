@@ -42,7 +42,52 @@ _ENV_NAME = "rlgpu"
 _NUM_ACTORS = 64
 
 
-class HRLAgent(CommonAgent):
+class OverLowLevel:
+    """A frozen low-level controller below a policy whose actions are latents: agent and player.
+
+    Attributes:
+        llc: the low-level controller.
+    """
+
+    llc: LowLevelPolicy
+    _hrl: HRLParams
+    _section: dict[str, Any]
+    _hrl_task: Any
+    _llc_device: Any
+    _precision: Any
+
+    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
+    _task_size = ReadOnly("llc.num_task_obs", "the task")
+    _llc_steps = ReadOnly("_hrl.llc_steps")
+    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
+
+    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
+        """Return the low-level controller that the keys name."""
+        return LowLevelPolicy(
+            params.llc_config,
+            llc_checkpoint_for(params.llc_checkpoint, self._section),
+            self._build_llc_agent_config(),
+            self._llc_device,
+            self._precision,
+        )
+
+    def _build_llc_agent_config(self) -> LowLevelSizes:
+        """Return the sizes that the low-level controller has in this task."""
+        return LowLevelSizes.from_task(
+            require(self._hrl_task, HierarchyEnv, "train.params.algo: a hierarchy")
+        )
+
+    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
+        """Return observations (N, O) without the task's features."""
+        return self.llc.extract_obs(obs)
+
+    def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
+        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
+        rows = obs["obs"] if isinstance(obs, dict) else obs
+        return self.llc.actions(self._extract_llc_obs(rows), latents_of_actions(actions))
+
+
+class HRLAgent(OverLowLevel, CommonAgent):
     """The agent of `algo: name: hrl` or `hrl_continuous`.
 
     A step of the high level is `llc_steps` control steps under one latent: rewards are averaged
@@ -50,7 +95,6 @@ class HRLAgent(CommonAgent):
     The task is a `HierarchyEnv`.
 
     Attributes:
-        llc: the low-level controller.
         style_rewards: (N, 1) the low level's style rewards of the last step.
 
     Args:
@@ -72,10 +116,6 @@ class HRLAgent(CommonAgent):
 
     stored_episodes = ("_noise",)
     unsupported_keys = (*CommonAgent.unsupported_keys, "central_value_config")
-    _latent_dim = ReadOnly("llc.latent_dim", "the low-level controller")
-    _task_size = ReadOnly("llc.num_task_obs", "the task")
-    _llc_steps = ReadOnly("_hrl.llc_steps")
-    _llc_agent = ReadOnly("llc", "_build_llc, which returns it")
     _task_reward_w = ReadOnly("_hrl.task_reward_w")
     _disc_reward_w = ReadOnly("_hrl.disc_reward_w")
 
@@ -97,27 +137,13 @@ class HRLAgent(CommonAgent):
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
         self._hrl = read_agent_params(config, HRLParams)
-        self._env = require(self.vec_env.env, HierarchyEnv, "train.params.algo: a hierarchy")
+        self._hrl_task, self._llc_device = self.vec_env.env, self.ppo_device
         self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
         self.style_rewards = torch.zeros(self.num_actors, 1, device=self.ppo_device)
         # A subclass' reward as published depends on the motion alone.
         self._disc_reward_takes_latents = accepts(self._calc_disc_reward, 2)
-
-    def _build_llc(self, params: HRLParams) -> LowLevelPolicy:
-        """Return the low-level controller that the keys name."""
-        return LowLevelPolicy(
-            params.llc_config,
-            llc_checkpoint_for(params.llc_checkpoint, self._section),
-            self._build_llc_agent_config(),
-            self.ppo_device,
-            self._precision,
-        )
-
-    def _build_llc_agent_config(self) -> LowLevelSizes:
-        """Return the sizes that the low-level controller has in this task."""
-        return LowLevelSizes.from_task(self._env)
 
     def _setup_action_space(self) -> None:
         """Make latents the actions: until here everything has the size of the task's actions."""
@@ -160,15 +186,6 @@ class HRLAgent(CommonAgent):
         tensors: Any = self.obs_to_tensors(obs)
         return tensors["obs"] if isinstance(tensors, dict) else tensors
 
-    def _extract_llc_obs(self, obs: Tensor) -> Tensor:
-        """Return observations (N, O) without the task's features."""
-        return self.llc.extract_obs(obs)
-
-    def _compute_llc_action(self, obs: Any, actions: Tensor) -> Tensor:
-        """Return the task's actions (N, A) under the latents that `actions` (N, Z) point to."""
-        llc_obs = self._extract_llc_obs(self._obs_tensor(obs))
-        return self.llc.actions(llc_obs, latents_of_actions(actions))
-
     def env_step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
         """Make `llc_steps` control steps under one latent.
 
@@ -207,7 +224,7 @@ class HRLAgent(CommonAgent):
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
         # Later steps may have cleared the mark of an episode that ended in an earlier one.
-        reset_buf = self._env.reset_buf
+        reset_buf = self._hrl_task.reset_buf
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos

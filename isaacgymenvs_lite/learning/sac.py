@@ -175,6 +175,10 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
             counts=True,
         )
 
+    @property
+    def _steps_of_epoch(self) -> int:
+        return self._step % self.num_steps_per_episode
+
     def env_step(self, actions: Tensor) -> Any:
         """Step the task, and check that actions, observations and rewards are finite.
 
@@ -187,22 +191,10 @@ class SACAgent(Safeguards, _EndsAtItsLimits):
         self.replay_buffer.left_out = diverged
         self._meters.leave_out(diverged, dones)
         rows = {"obses": result[0]["obs"], "actions": actions, "rewards": result[1]}
-        step = self._step % self.num_steps_per_episode
-        self._check_rows({name: value.unsqueeze(0) for name, value in rows.items()}, step)
+        rows = {name: value.unsqueeze(0) for name, value in rows.items()}
+        self._check_rows(rows, self._steps_of_epoch)
         self._step += 1
         return result
-
-    def act(self, obs: Any, action_dim: Any, sample: bool = False) -> Any:
-        """As rl_games.
-
-        Raises:
-            NotFiniteError: the networks are not finite, so that no action can be sampled.
-        """
-        try:
-            return super().act(obs, action_dim, sample)
-        except (RuntimeError, ValueError):
-            self.explain_failed_action(obs, self._step % self.num_steps_per_episode)
-            raise
 
     def mean_policy(self, env: Env) -> Callable[[dict[str, Tensor]], Tensor]:
         """Return mean actions (N, A) for observations of `env`, another task of the same kind."""
