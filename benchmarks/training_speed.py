@@ -40,8 +40,8 @@ from benchmarks.from_inside import EpochTimes, last_number_of, train_from_inside
 from benchmarks.machine import describe_machine
 from isaacgymenvs_lite.config.compose import compose
 from isaacgymenvs_lite.env_factory import seed_everything
-from isaacgymenvs_lite.learning import central_value
 from isaacgymenvs_lite.learning.amp_continuous import AMPAgent
+from isaacgymenvs_lite.learning.cpu import parallel
 from isaacgymenvs_lite.learning.cpu.parallel import NetworkExecutor
 from isaacgymenvs_lite.simulation.cpu_batch import CpuBatchSimulation
 from isaacgymenvs_lite.tasks.base.vec_task import VecTask
@@ -264,7 +264,7 @@ def _least_s(part: Callable[[], None]) -> float:
 
 def published_loop(args: argparse.Namespace) -> None:
     """Make the agent evaluate as the published loop does, in float32 with torch's own threads."""
-    central_value.parallelize = lambda model, device, precision: NetworkExecutor(device)
+    parallel.parallelize = lambda model, device, precision: NetworkExecutor(device)
     AMPAgent._needs_next_value = lambda agent: torch.ones_like(agent.dones, dtype=torch.bool)  # type: ignore[method-assign]
     reset = AMPAgent.env_reset
 

@@ -141,7 +141,7 @@ class HRLParams:
     """Weight of the low-level controller's style reward."""
     exploration_correlation: float = setting(0.0, minimum=0, maximum=0.99)
     """New here: correlation of the exploration noise of consecutive steps; see
-    `correlated_noise`."""
+    `CorrelatedNoise`."""
 
 
 AGENT_KEYS = frozenset((*keys_of(GenAMPParams), *keys_of(HRLParams), *UNREAD_KEYS))

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import torch
 from rl_games.algos_torch import torch_ext
+from rl_games.algos_torch.central_value import CentralValueTrain
 from rl_games.common.a2c_common import ContinuousA2CBase, swap_and_flatten01
 from torch import Tensor
 
@@ -23,8 +24,7 @@ from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import Env, diverged_in, failures
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
-from isaacgymenvs_lite.learning.central_value import make_central_value, take_models
-from isaacgymenvs_lite.learning.data_parallel import leave_out_nccl
+from isaacgymenvs_lite.learning.cpu.parallel import take_models
 from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_datasets, take_rows
 from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
@@ -33,7 +33,7 @@ from isaacgymenvs_lite.learning.published_names import (
     ExplainedNames,
     is_overridden,
 )
-from isaacgymenvs_lite.learning.safeguards import PPOSafeguards
+from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
 LossTerms = dict[str, tuple[float, Tensor]]
@@ -153,7 +153,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         with one_torch_thread():  # initialisers that factorise differ in the last bits by threads
             self.model = self.network.build(self._build_net_config())
             if self.has_central_value:
-                self.central_value_net = make_central_value(self)
+                self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
         # As rl_games: beside an asymmetric critic the network's own may still learn.
@@ -781,6 +781,38 @@ def _prepare_settings(settings: dict[str, Any], unsupported: tuple[str, ...]) ->
         settings.get("torch_compile"), str(settings.get("device", "cuda:0")), can_compile=False
     )
     return mixed_precision
+
+
+def _make_central_value(agent: Any) -> CentralValueTrain:
+    """Return the asymmetric critic of an agent, as the constructor of rl_games' A2CAgent makes it.
+
+    Raises:
+        ConfigError: a recurrent one.
+    """
+    settings = agent.central_value_config
+    critic = CentralValueTrain(
+        state_shape=agent.state_shape,
+        value_size=agent.value_size,
+        ppo_device=agent.ppo_device,
+        num_agents=agent.num_agents,
+        horizon_length=agent.horizon_length,
+        num_actors=agent.num_actors,
+        num_actions=agent.actions_num,
+        seq_length=agent.seq_length,
+        normalize_value=agent.normalize_value,
+        network=settings["network"],
+        config=settings,
+        writter=agent.writer,
+        max_epochs=agent.max_epochs,
+        multi_gpu=agent.multi_gpu,
+        zero_rnn_on_done=agent.zero_rnn_on_done,
+    )
+    if critic.is_rnn:
+        raise ConfigError(
+            "train.params.config.central_value_config.network.rnn is not supported by AMP-family"
+            " agents; remove it"
+        )
+    return critic.to(agent.ppo_device)
 
 
 def weighted_mean(values: Tensor, rows: dict[str, Tensor]) -> Tensor:

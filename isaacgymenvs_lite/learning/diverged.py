@@ -2,11 +2,9 @@
 
 A task marks them in `infos["diverged"]` (N,). Such a transition has no outcome: its state is broken
 and its reward means nothing. The episode counts as cut off before it, so that the returns of
-earlier steps end with V of the last good state, which is the observation of the transition itself;
-it is no failure, because nothing shows that the policy caused it. Its row leaves the batch before
-anything is computed of it: it is in no gradient, normaliser, buffer or mean. Recurrent networks
-need whole sequences: there rl_games' masks take its weight, and only the normalisers count
-its observation and value, which are those of the last good state.
+earlier steps end with V of the last good state, which is the observation of the transition itself.
+The row leaves the batch before anything is computed of it. Recurrent networks need whole sequences:
+there rl_games' masks take its weight, and only the normalisers count its observation and value.
 """
 
 from __future__ import annotations
@@ -92,12 +90,7 @@ class EpisodeMeter(AverageMeter):
 
 
 class EpisodeMeters:
-    """Replaces the meters of an agent of rl_games whose loop updates them itself.
-
-    Args:
-        agent: the agent.
-        names: of its meters.
-    """
+    """Replaces the named meters of an agent of rl_games whose loop updates them itself."""
 
     def __init__(self, agent: Any, names: tuple[str, ...]) -> None:
         self._meters = []

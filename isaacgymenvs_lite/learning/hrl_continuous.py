@@ -5,6 +5,7 @@ Peng et al. 2022, "ASE: Large-Scale Reusable Adversarial Skill Embeddings" (arXi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -26,13 +27,13 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AGENT_KEYS, HRLParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, given_params
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
-from isaacgymenvs_lite.learning.skills.correlated_noise import CorrelatedNoise
 from isaacgymenvs_lite.learning.skills.latents import latent_space
 from isaacgymenvs_lite.learning.skills.low_level_policy import (
     LowLevelPolicy,
     LowLevelSizes,
     latents_of_actions,
 )
+from isaacgymenvs_lite.utils.state import Stateful
 
 # The train file with the values that a flat configuration leaves out.
 _DEFAULTS = "HumanoidASEHRLPPO"
@@ -265,6 +266,42 @@ class HRLAgent(OverLowLevel, CommonAgent):
 
         act = self.llc.policy_under(choose, self._hrl.llc_steps, self._compute_llc_action)
         return lambda obs: act(self._obs_tensor(obs))
+
+
+class CorrelatedNoise(Stateful):
+    """Makes the noise of a Gaussian policy a process in time; each sample stays standard normal.
+
+    Independent noise on a latent selects another skill six times a second, and none is carried out.
+    Hollenstein et al. 2024, "Colored Noise in PPO" (arXiv 2312.11091), with a first-order
+    autoregressive process in place of their coloured one.
+
+    Args:
+        correlation: of the noise of two steps that follow each other, 0 to below 1. PPO's
+            probability of an action still assumes independent noise, as in the paper.
+    """
+
+    stored = ("_last",)
+
+    def __init__(self, correlation: float) -> None:
+        self._correlation = correlation
+        self._last: Tensor | None = None
+
+    def apply(self, actions: Tensor, mus: Tensor, sigmas: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions (N, A) and their negative log probabilities (N,) under the policy.
+
+        Args:
+            actions: mus + sigmas * standard normal noise.
+            mus: mean actions (N, A).
+            sigmas: standard deviations (N, A).
+        """
+        noise = (actions - mus) / sigmas
+        if self._last is not None:
+            rho = self._correlation
+            noise = rho * self._last + math.sqrt(1.0 - rho * rho) * noise
+        self._last = noise
+        constant = 0.5 * math.log(2.0 * math.pi) * noise.shape[-1]
+        neglogp = 0.5 * noise.square().sum(dim=-1) + torch.log(sigmas).sum(dim=-1) + constant
+        return mus + sigmas * noise, neglogp
 
 
 def complete_params(params: Mapping[str, Any], train_file: str) -> dict[str, Any]:

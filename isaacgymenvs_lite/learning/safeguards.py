@@ -6,6 +6,7 @@ writes them over good ones, and makes no periodic checkpoint before the first ep
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
 import re
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rl_games.algos_torch.a2c_continuous import A2CAgent
 from torch import Tensor
 
 from isaacgymenvs_lite.checkpoints.files import load_checkpoint, save_checkpoint
@@ -22,7 +24,6 @@ from isaacgymenvs_lite.checkpoints.packed import POLICY_KEY
 from isaacgymenvs_lite.checkpoints.retention import Retention
 from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.errors import ConfigError, NotFiniteError
-from isaacgymenvs_lite.learning.data_parallel import DataParallel
 from isaacgymenvs_lite.learning.diverged import RolloutMask
 from isaacgymenvs_lite.learning.restoring import Fitting, Parts
 from isaacgymenvs_lite.learning.resuming import Resuming
@@ -42,6 +43,8 @@ _ROLLOUT = {
     "disc_rewards": "style rewards",
 }
 _OF_TASK = ("obses", "states", "rewards", "amp_obs")
+# Statistics of episodes that processes share.
+_METERS = ("game_rewards", "game_shaped_rewards", "game_lengths")
 
 
 class Safeguards(Resuming):
@@ -277,6 +280,113 @@ class Safeguards(Resuming):
         )
 
 
+class DataParallel(A2CAgent):
+    """PPO of several processes, each with its own environments; of one, it is rl_games' PPO.
+
+    rl_games averages gradients, KL and the decision to end over the processes, but its constructor
+    starts NCCL: the agent is made as in a single process, and joins the others before its first
+    epoch. This class adds equal parameters at the start, and frames and statistics of episodes of
+    all processes. Normalisers and advantages are in `distributed.moments`.
+    """
+
+    has_joined = False
+    """Whether it trains together with the others."""
+    _own_meters: dict[str, Any] | None = None
+
+    # rl_games sets all three to a single process' values.
+    @property
+    def global_rank(self) -> int:
+        """Rank of this process; 0 writes logs and checkpoints."""
+        return current_group().rank
+
+    @global_rank.setter
+    def global_rank(self, rank: int) -> None: ...
+
+    @property
+    def local_rank(self) -> int:
+        """Rank of this process on its machine."""
+        return current_group().local_rank
+
+    @local_rank.setter
+    def local_rank(self, rank: int) -> None: ...
+
+    @property
+    def world_size(self) -> int:
+        """Number of processes."""
+        return current_group().size
+
+    @world_size.setter
+    def world_size(self, size: int) -> None: ...
+
+    def join_others(self, tensors: list[Tensor]) -> None:
+        """Give all processes the learned tensors of the main process, once.
+
+        Raises:
+            PeerError: another process ended before.
+            ConfigError: a normaliser that cannot be shared.
+        """
+        group = current_group()
+        if self.has_joined or group.size == 1:
+            return
+        error = None
+        if self.normalize_advantage and self.normalize_rms_advantage:
+            error = ConfigError(
+                "train.params.config.normalize_rms_advantage=True: data-parallel training has no"
+                " moving statistics of advantages; set it to False"
+            )
+        group.fail_together(error)
+        self.has_joined = True
+        group.take_from_main_(tensors)
+        self.multi_gpu = True
+        # rl_games sends learning rates in float32: a resumed run has them rounded, too.
+        self.update_lr(float(self.last_lr))
+        if self.has_central_value:
+            self.central_value_net.multi_gpu = True
+            self.central_value_net.world_size = group.size
+            self.central_value_net.update_lr(self.central_value_net.lr)
+
+    def train(self) -> Any:
+        """Train as rl_games."""
+        result = super().train()
+        if self.has_joined:
+            self.count_frames()  # of the last epoch
+        return result
+
+    def count_frames(self) -> None:
+        """Count the frames of an epoch, which rl_games does in the main process alone."""
+        group = current_group()
+        if not group.is_main:
+            self.frame += self.curr_frames * group.size
+
+    # --- statistics of episodes ------------------------------------------------------------
+
+    def take_own_meters(self) -> None:
+        """Take back the meters that this process updates, which `share_meters` has replaced."""
+        own, self._own_meters = self._own_meters, None
+        for name, meter in (own or {}).items():
+            setattr(self, name, meter)
+
+    def share_meters(self) -> None:
+        """Replace the meters of finished episodes by all processes' meters, for one epoch's log.
+
+        Their means are weighted by the numbers of episodes that the processes' meters hold.
+        """
+        group = current_group()
+        if group.size == 1:
+            return
+        self._own_meters = {name: getattr(self, name) for name in _METERS}
+        for name, own in self._own_meters.items():
+            shared = copy.deepcopy(own)
+            total = sum(group.gather(own.current_size))
+            shared.mean = group.sum_(own.mean * own.current_size) / max(total, 1)
+            if name != "game_lengths":
+                # rl_games makes it (values,) and updates it to (1, values), which its log expects;
+                # this process may have had no episode yet.
+                shared.mean = shared.mean.view(1, -1)
+            shared.current_size = min(total, own.max_size)
+            setattr(self, name, shared)
+
+
 class PPOSafeguards(Safeguards, DataParallel):
     """rl_games' PPO with these checks; the base of PPOAgent and CommonAgent.
 
@@ -412,6 +522,21 @@ class PPOSafeguards(Safeguards, DataParallel):
         self._has_learned = True
         super().write_stats(total_time, epoch_num, *args)
         self.save_before_first_episode()
+
+
+def leave_out_nccl(config: dict[str, Any]) -> None:
+    """Keep rl_games' constructor from starting NCCL, in place; the agent joins the others later.
+
+    Raises:
+        ConfigError: there are no others.
+    """
+    if config.get("multi_gpu") and current_group().size == 1:
+        raise ConfigError(
+            "train.params.config.multi_gpu=True: this program trains in one process; start it with"
+            " torchrun, and make and run the Runner in `with"
+            " isaacgymenvs_lite.distributed.group.joined_group(device, timeout_s):`"
+        )
+    config["multi_gpu"] = False
 
 
 def _tensors_of(parts: Parts) -> Iterator[tuple[str, Tensor]]:

@@ -22,6 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from isaacgymenvs_lite.learning.modules.running_mean_std import replace_normalizers
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision
 from isaacgymenvs_lite.utils.threads import one_torch_thread
 
@@ -69,6 +70,27 @@ def parallelize(model: Any, device: str | torch.device, mixed_precision: Any) ->
     )
     model.a2c_network = network
     return network.executor
+
+
+def take_models(agent: Any, device: str | torch.device, precision: Any) -> NetworkExecutor:
+    """Give the models of an agent, its policy's and its critic's, fast normalisers and networks.
+
+    Sets `value_mean_std`, which normalises the values of the critic that counts. `precision` is the
+    key `train.params.config.mixed_precision`. The result evaluates the policy's network.
+
+    Raises:
+        ConfigError: mixed_precision is none of True, False, "auto".
+    """
+    models = [agent.model]
+    if agent.has_central_value:
+        models.append(agent.central_value_net.model)
+    executors = []
+    for model in models:
+        replace_normalizers(model)
+        executors.append(parallelize(model, device, precision))
+    if agent.normalize_value:
+        agent.value_mean_std = models[-1].value_mean_std
+    return executors[0]
 
 
 class ParallelNetwork(nn.Module):
