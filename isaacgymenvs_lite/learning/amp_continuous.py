@@ -23,13 +23,13 @@ from isaacgymenvs_lite.distributed.group import current_group
 from isaacgymenvs_lite.env_interface import AMPEnv, TrackingDemo, require
 from isaacgymenvs_lite.learning.amp_config import AMPParams, read_agent_params
 from isaacgymenvs_lite.learning.common_agent import CommonAgent, LossTerms
-from isaacgymenvs_lite.learning.losses import normalize_advantages
 from isaacgymenvs_lite.learning.modules.discriminator import (
     AMPObsShape,
     StyleDiscriminator,
     StyleLosses,
     disc_obs_size,
 )
+from isaacgymenvs_lite.learning.modules.running_mean_std import normalize_advantages
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts

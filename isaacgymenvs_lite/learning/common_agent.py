@@ -26,8 +26,11 @@ from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_datasets import AMPDataset
 from isaacgymenvs_lite.learning.cpu.parallel import take_models
 from isaacgymenvs_lite.learning.diverged import RolloutMask, fit_datasets, take_rows
-from isaacgymenvs_lite.learning.losses import normalize_advantages
-from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd, count_in_jointly
+from isaacgymenvs_lite.learning.modules.running_mean_std import (
+    RunningMeanStd,
+    count_in_jointly,
+    normalize_advantages,
+)
 from isaacgymenvs_lite.learning.published_names import (
     AGENT_NAMES,
     ExplainedNames,

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_network_builder import DEFAULT_INITIALIZER, AMPBuilder
-from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.modules.discriminator import input_gradient
 from isaacgymenvs_lite.learning.published_names import NETWORK_NAMES, PublishedNames
 from isaacgymenvs_lite.learning.skills.latents import sample_latents
 

@@ -16,7 +16,7 @@ from isaacgymenvs_lite.env_interface import Env, diverged_in
 from isaacgymenvs_lite.learning.common_player import EpisodePlayer
 from isaacgymenvs_lite.learning.cpu.parallel import take_models
 from isaacgymenvs_lite.learning.diverged import EpisodeMeters, RolloutMask, fit_datasets, take_rows
-from isaacgymenvs_lite.learning.losses import normalize_advantages
+from isaacgymenvs_lite.learning.modules.running_mean_std import normalize_advantages
 from isaacgymenvs_lite.learning.restoring import RestoringPlayer
 from isaacgymenvs_lite.learning.safeguards import PPOSafeguards, leave_out_nccl
 from isaacgymenvs_lite.utils.precision import resolve_mixed_precision

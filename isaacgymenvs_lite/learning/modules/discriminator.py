@@ -19,7 +19,6 @@ from isaacgymenvs_lite.env_interface import AMPObsEnv
 from isaacgymenvs_lite.errors import ConfigError
 from isaacgymenvs_lite.learning.amp_config import AMPParams
 from isaacgymenvs_lite.learning.cpu.parallel import evaluate_in_chunks
-from isaacgymenvs_lite.learning.losses import input_gradient
 from isaacgymenvs_lite.learning.modules.running_mean_std import RunningMeanStd
 
 # The last layer starts in U(-1, 1), as IsaacGymEnvs and ASE.
@@ -72,6 +71,15 @@ class DiscriminatorLayers:
         """Return all weight matrices of the discriminator, flat; no biases."""
         layers = [m for m in self._disc_mlp.modules() if isinstance(m, nn.Linear)]
         return [layer.weight.flatten() for layer in layers] + [self.get_disc_logit_weights()]
+
+
+def input_gradient(outputs: Tensor, inputs: Tensor) -> Tensor:
+    """Return (K, F) the gradients of outputs (K, 1) by inputs (K, F), differentiable themselves.
+
+    For gradient penalties; each output depends on the input of its own row only.
+    """
+    (gradient,) = torch.autograd.grad(outputs, inputs, torch.ones_like(outputs), create_graph=True)
+    return gradient
 
 
 class StyleNetwork(DiscriminatorLayers, nn.Module):

@@ -1,4 +1,4 @@
-"""rl_games' running mean and standard deviation, with moments that a CPU takes quickly."""
+"""rl_games' running mean and standard deviation, quicker on a CPU; normalised advantages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rl_games.algos_torch import running_mean_std
 from torch import Tensor, nn
 
 from isaacgymenvs_lite.distributed.group import current_group
-from isaacgymenvs_lite.distributed.moments import joined_moments
+from isaacgymenvs_lite.distributed.moments import joined_moments, normalize_jointly
 
 
 class RunningMeanStd(running_mean_std.RunningMeanStd):
@@ -83,3 +83,32 @@ def replace_normalizers(model: nn.Module) -> None:
         normalizer = RunningMeanStd(size).to(former.running_mean.device)
         normalizer.load_state_dict(former.state_dict())
         setattr(model, name, normalizer.train(former.training))
+
+
+def normalize_advantages(advantages: Tensor, mask: Tensor | None = None) -> Tensor:
+    """Return advantages (n,) normalised by mean and standard deviation of the rows that count.
+
+    Of several processes that train together the rows of all count.
+
+    Args:
+        advantages: of this process.
+        mask: (n,) 1 where a row counts; None: all do.
+    """
+    if current_group().size > 1:
+        return normalize_jointly(advantages, torch.ones_like(advantages) if mask is None else mask)
+    if mask is not None:
+        return normalize_masked(advantages, mask)
+    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+
+
+def normalize_masked(values: Tensor, mask: Tensor) -> Tensor:
+    """Return values (n,) normalised by mean and standard deviation of the rows of mask (n,) 1.
+
+    The variance is unbiased; with fewer than two such rows the values are returned unchanged.
+    """
+    count = mask.sum()
+    if count < 2:
+        return values
+    mean = (mask * values).sum() / count
+    variance = ((mask * values).square().sum() / count - mean.square()) * count / (count - 1)
+    return (values - mean) / (variance.clamp(min=0.0).sqrt() + 1e-8)

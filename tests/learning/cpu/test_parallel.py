@@ -22,7 +22,7 @@ from isaacgymenvs_lite.learning.cpu.parallel import (
     split_proportionally,
     sum_gradients,
 )
-from isaacgymenvs_lite.learning.losses import input_gradient
+from isaacgymenvs_lite.learning.modules.discriminator import input_gradient
 
 ROWS = 512
 
