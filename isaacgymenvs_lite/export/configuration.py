@@ -15,9 +15,9 @@ from isaacgymenvs_lite.checkpoints.files import (
 )
 from isaacgymenvs_lite.checkpoints.policy_arguments import as_override, complete_arguments
 from isaacgymenvs_lite.checkpoints.run_config import read_run_config, run_config_file
-from isaacgymenvs_lite.checkpoints.shipped import shipped_policies
 from isaacgymenvs_lite.config.compose import changed_by, compose
 from isaacgymenvs_lite.errors import ConfigError
+from isaacgymenvs_lite.paths import shipped_policies
 from isaacgymenvs_lite.schema import plain
 
 log = logging.getLogger(__name__)

@@ -53,7 +53,7 @@ class OverLowLevel:
     llc: LowLevelPolicy
     _hrl: HRLParams
     _section: dict[str, Any]
-    _hrl_task: Any
+    _env: Any
     _llc_device: Any
     _precision: Any
 
@@ -75,7 +75,7 @@ class OverLowLevel:
     def _build_llc_agent_config(self) -> LowLevelSizes:
         """Return the sizes that the low-level controller has in this task."""
         return LowLevelSizes.from_task(
-            require(self._hrl_task, HierarchyEnv, "train.params.algo: a hierarchy")
+            require(self._env, HierarchyEnv, "train.params.algo: a hierarchy")
         )
 
     def _extract_llc_obs(self, obs: Tensor) -> Tensor:
@@ -138,7 +138,7 @@ class HRLAgent(OverLowLevel, CommonAgent):
     def _load_config_params(self, config: dict[str, Any]) -> None:
         super()._load_config_params(config)
         self._hrl = read_agent_params(config, HRLParams)
-        self._hrl_task, self._llc_device = self.vec_env.env, self.ppo_device
+        self._env, self._llc_device = self.vec_env.env, self.ppo_device
         self._noise = CorrelatedNoise(self._hrl.exploration_correlation)
         self.llc = self._build_llc(self._hrl)
         self.control_steps_per_action = self._hrl.llc_steps
@@ -207,7 +207,9 @@ class HRLAgent(OverLowLevel, CommonAgent):
         rewards = torch.zeros(len(actions), 1, device=self.ppo_device)
         self.style_rewards = torch.zeros_like(rewards)
         infos: dict[str, Any] = {}
+        reset_buf = self._env.reset_buf
         for _ in range(self._hrl.llc_steps):
+            reset_buf.zero_()  # an episode that ended goes on until the last step
             raw_obs, step_rewards, dones, infos = self.vec_env.step(
                 self._compute_llc_action(obs, actions)
             )
@@ -225,7 +227,6 @@ class HRLAgent(OverLowLevel, CommonAgent):
             going_on *= 1.0 - dones.float()
         self.style_rewards /= self._hrl.llc_steps
         # Later steps may have cleared the mark of an episode that ended in an earlier one.
-        reset_buf = self._hrl_task.reset_buf
         reset_buf.masked_fill_((going_on == 0.0).to(reset_buf.device), 1)
         infos = {**infos, "terminate": terminate, "diverged": diverged}
         return {"obs": obs}, rewards / self._hrl.llc_steps, 1.0 - going_on, infos

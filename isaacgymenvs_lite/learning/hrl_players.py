@@ -28,7 +28,7 @@ class HRLPlayer(OverLowLevel, CommonPlayer):
 
     def _setup_action_space(self) -> None:
         """Build the low-level controller, and make its latents the policy's actions."""
-        self._hrl_task, self._llc_device = self.env, self.device
+        self._env, self._llc_device = self.env, self.device
         self._precision = self.config.get("mixed_precision", False)
         self.llc = self._build_llc(self._hrl)
         self.action_space = latent_space(self.llc.latent_dim)
