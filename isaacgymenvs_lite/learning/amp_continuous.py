@@ -29,7 +29,6 @@ from isaacgymenvs_lite.learning.modules.discriminator import (
     StyleLosses,
     disc_obs_size,
 )
-from isaacgymenvs_lite.learning.modules.running_mean_std import normalize_advantages
 from isaacgymenvs_lite.learning.published_names import ReadOnly, accepts
 from isaacgymenvs_lite.learning.replay_buffer import ReplayBuffer
 from isaacgymenvs_lite.learning.restoring import Parts
@@ -308,13 +307,6 @@ class AMPAgent(StyleLosses, CommonAgent):
         if self._amp_replay_buffer.get_total_count() > 0:
             fakes = self._amp_replay_buffer.sample(len(fakes))["amp_obs"]
         batch_dict["amp_obs_replay"] = fakes
-
-    def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """As CommonAgent, with the moments of the rows that explored."""
-        if not (self._masks_exploration and self.normalize_advantage):
-            return super()._calc_advs(batch_dict)
-        advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        return normalize_advantages(advantages, batch_dict["rand_action_mask"])
 
     def prepare_minibatch(self, minibatch: dict[str, Tensor]) -> dict[str, Tensor]:
         """As CommonAgent, with the weights of rows that explored and noise on AMP observations."""

@@ -463,9 +463,14 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
         self.dataset.values_dict["advantages"] = self._calc_advs(batch_dict)
 
     def _calc_advs(self, batch_dict: dict[str, Any]) -> Tensor:
-        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values)."""
+        """Return (B,) the advantages to learn from, of raw `returns` and `values` (B, values).
+
+        Only rows that explored count in mean and standard deviation, if some did not.
+        """
         advantages = (batch_dict["returns"] - batch_dict["values"]).sum(dim=-1)
-        return normalize_advantages(advantages) if self.normalize_advantage else advantages
+        if not self.normalize_advantage:
+            return advantages
+        return normalize_advantages(advantages, batch_dict.get("rand_action_mask"))
 
     def _dataset_row_limits(self) -> dict[str, int]:
         """Return how many rows of a minibatch are read, for names whose rows are not all read."""

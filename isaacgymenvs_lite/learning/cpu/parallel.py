@@ -281,7 +281,11 @@ class NetworkExecutor:
         merged = {}
         for name in values[0]:
             columns = [of_slice[name].detach() for of_slice in values]
-            merged[name] = merge_results(columns, shares)
+            if columns[0].ndim > 0:
+                merged[name] = torch.cat(columns)
+            else:
+                weighted = map(torch.mul, columns, shares)
+                merged[name] = torch.stack(list(weighted)).sum()
         return list(map(sum_gradients, zip(*found, strict=True))), merged
 
     def map(self, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
@@ -430,13 +434,6 @@ def split_proportionally(
         shares.append((end - first) / unit)
         first = end
     return parts, shares
-
-
-def merge_results(values: list[Tensor], shares: list[float]) -> Tensor:
-    """Return all rows of the slices' rows, or the mean of their numbers weighted by the shares."""
-    if values[0].ndim > 0:
-        return torch.cat(values)
-    return torch.stack([v * share for v, share in zip(values, shares, strict=True)]).sum()
 
 
 def sum_gradients(grads: tuple[Tensor | None, ...]) -> Tensor | None:
