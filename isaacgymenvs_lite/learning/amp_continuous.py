@@ -1,4 +1,4 @@
-"""AMPAgent: PPO with a style reward from a discriminator that is trained beside it.
+"""AMPAgent: PPO with a style reward from a discriminator that learns at the same time.
 
 Peng et al. 2021, "AMP: Adversarial Motion Priors for Stylized Physics-Based Character Control"
 (arXiv 2104.02180), in the form of IsaacGymEnvs; docs/amp.md lists the differences.
@@ -56,7 +56,7 @@ class AMPAgent(StyleLosses, CommonAgent):
 
     Attributes:
         default_disc_reward: the style reward when the key `disc_reward` is absent.
-        params_class: the keys that it reads beside PPO's.
+        params_class: the keys that it reads in addition to PPO's.
         env_contract: the members that it needs of a task.
         discriminator: its network, normaliser and reward.
         frozen_until: last epoch in which the actor does not learn, after a warm start.

@@ -159,7 +159,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
                 self.central_value_net = _make_central_value(self)
         self.model.to(self.ppo_device)
         self.executor = take_models(self, self.ppo_device, mixed_precision)
-        # As rl_games: beside an asymmetric critic the network's own may still learn.
+        # As rl_games: with an asymmetric critic the network's own critic may still learn.
         own_learns = bool(self.config.get("use_experimental_cv", True))
         self.has_value_loss = own_learns or not self.has_central_value
         self.states = None
@@ -168,7 +168,7 @@ class CommonAgent(ExplainedNames, PPOSafeguards):
             raise ConfigError("train.params.network.rnn is not supported by AMP-family agents")
 
     def _build_modules(self) -> None:
-        """Build what an agent needs beside the model, which exists."""
+        """Build what an agent needs in addition to the model, which exists."""
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """Return Adam's parameter groups; the first follows the learning rate's schedule.

@@ -127,7 +127,7 @@ class KeptTransitions(VectorizedReplayBuffer):
     def state_dict(self) -> dict[str, Any]:
         """Return the stored rows and the place of the next row."""
         n = self.capacity if self.full else self.idx
-        # A file would hold all of a tensor of which it gets a part: a part is copied.
+        # A part is copied: else a file would hold the whole tensor.
         rows = {name: getattr(self, name)[:n].cpu() for name in _COLUMNS}
         rows = rows if self.full else {name: row.clone() for name, row in rows.items()}
         return {"rows": rows, "idx": self.idx, "full": self.full}

@@ -124,7 +124,7 @@ class GenAMPBuilder(AMPBuilder):
                     "train.params.network.separate=False: the actor gets the latent as a style,"
                     " the critic as it is, so that they share no layers; set it to True"
                 )
-            # Before the discriminator is built; modules cannot be set here yet, numbers can.
+            # The discriminator needs them; modules cannot be set before torch's constructor.
             self._latent_dim = int(latent_shape[0])
             self._latent_scale = float(params.get("latent_scale", 1.0))
             super().__init__(params, **kwargs)

@@ -31,10 +31,10 @@ _STRIDE = 10
 class GenAMPPlayerContinuous(SkillRewards, AMPPlayerContinuous):
     """The player of `gen_amp` and `ase`.
 
-    Keys of `train.params.config.player` beside CommonPlayer's: `latent`, which `train.py` has as
-    `latent=`: `random` (by default: new ones at resets and after a random number of steps, drawn
-    as in training), `interpolate` (moves from one to the next) or a .npy file (K, latent_dim):
-    environment i always acts under row i mod K.
+    The key `latent` of `train.params.config.player`, `latent=` for `train.py`, is `random` (by
+    default: new latents at resets and after a random number of steps, drawn as in training),
+    `interpolate` (moves from latent to latent) or a .npy file (K, latent_dim): environment i always
+    acts under row i mod K.
 
     Attributes:
         encoder: reads latents in motion.

@@ -64,7 +64,7 @@ class PPOAgent(PPOSafeguards):
     def env_reset(self) -> Any:
         """Reset the environment at the start of training.
 
-        The work beside the sliced networks is too small to be split by torch's own threads. With
+        All work but the sliced networks is too small to be split by torch's own threads. With
         deterministic algorithms recurrent networks are not split either.
         """
         if self._sliced or torch.are_deterministic_algorithms_enabled():

@@ -103,7 +103,7 @@ class ReplayBuffer(PublishedNames):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the stored rows, and the places of the next rows to store and to sample."""
-        # A file would hold the whole ring of which it gets a part: a part is copied.
+        # A part is copied: else a file would hold the whole ring.
         is_full = self._total_count >= self._buffer_size
         rows = {name: row if is_full else row.clone() for name, row in self.rows.items()}
         counts = [self._head, self._total_count, self._sample_head]
