@@ -51,6 +51,7 @@ class Safeguards(Resuming):
 
     game_rewards: Any
     rewards_shaper: Any
+    obs: Any
     nn_dir: str
     _restored_from = ""
     _last_saved: Path | None = None
